@@ -317,19 +317,7 @@ START: Final = Contaminated(_PRIOR_OUTLIERS / _PRIOR_SAMPLES, _PRIOR_RATIO)
 def maximised(
     residual: Array, start: Contaminated, R: float, known: bool, least: float, steps: int
 ) -> tuple[float, float, float]:
-    """Return contamination, scale ratio and R after some steps of expectation-maximisation.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        Residuals, outliers among them.
-    start : Contaminated
-        Where the steps begin.
-    R : float
-        Variance of the ordinary ones; it stays if it is known, and never becomes smaller than `least`.
-    known, least, steps
-        As said.
-    """
+    """Return contamination, scale ratio and R after some steps of expectation-maximisation."""
     square, mixture = residual * residual, start
     prior = _PRIOR_RATIO_SAMPLES * _PRIOR_RATIO**2
     for _ in range(steps):

@@ -146,21 +146,7 @@ class Copies(NamedTuple):
 
 
 def start(x: Array, P: Array, process: Scales) -> Copies:
-    """Return the copies before the first step, all at the same place.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Mean.
-    P : ndarray, shape (n, n)
-        Covariance.
-    process : Scales
-        Which copies there are.
-
-    Returns
-    -------
-    Copies
-    """
+    """Return the copies before the first step, all at the same place."""
     n, count = len(x), process.count
     belief = np.empty((count + 2, n))
     belief[:-2] = process.begin[:, None]
@@ -172,19 +158,6 @@ def start(x: Array, P: Array, process: Scales) -> Copies:
 
 def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
     """Return the copies, parts that are linked as one: with the scales that are likely in both, a candidate of either.
-
-    Parameters
-    ----------
-    copies : Copies
-        With parts.
-    links : ndarray, shape (n, n)
-        Not 0 where two states depend on each other.
-    process : Scales
-        Which copies there are.
-
-    Returns
-    -------
-    Copies
     """
     parts, q = copies.parts, len(process.scales)
     linked, together = links != 0.0, parts[:, None] == parts
@@ -215,20 +188,7 @@ def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
 
 
 def require_belief(name: str, belief: Array) -> None:
-    """Raise if this is no `Copies.belief`, or several in front of each other.
-
-    Parameters
-    ----------
-    name : str
-        What the error calls it.
-    belief : ndarray, shape (..., q + 2, n)
-        From a stored state.
-
-    Raises
-    ------
-    ValueError
-        If probabilities are none, or a part has no first state.
-    """
+    """Raise if this is no `Copies.belief`, or several in front of each other."""
     probabilities, unseen, parts = belief[..., :-2, :], belief[..., -2, :], belief[..., -1, :]
     if not ((probabilities >= 0.0).all() and np.allclose(probabilities.sum(axis=-2), 1.0)):
         raise ValueError(f"{name}: expected probabilities >= 0 of the copies that sum to 1 for each state")
@@ -249,27 +209,7 @@ def slow(copies: Copies, process: Scales) -> Array:
 def predict(
     copies: Copies, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
 ) -> Copies:
-    """Return the copies after a prediction: mixed as the scale may have changed, then moved.
-
-    Parameters
-    ----------
-    copies : Copies
-        Before the step.
-    F : ndarray, shape (n, n)
-        Transition matrix.
-    Q : ndarray, shape (n, n)
-        Covariance of the process noise.
-    process : Scales
-        Which copies there are.
-    Bu : ndarray, shape (n,), optional
-        What the control adds.
-    alpha_sq : float, default 1
-        Fading memory: F P F' is multiplied by it.
-
-    Returns
-    -------
-    Copies
-    """
+    """Return the copies after a prediction: mixed as the scale may have changed, then moved."""
     x, P, belief = copies = coupled(copies, (F != 0.0) | (Q != 0.0), process)
     q, scales = len(process.scales), np.array(process.scales)[:, None] * np.ones(len(F))
     belief = belief.copy()
@@ -297,11 +237,9 @@ def predict(
 def decided(
     copies: Copies, z: Array, H: Array, noise: Array, process: Scales, chances: Array
 ) -> tuple[Copies, np.ndarray, np.ndarray]:
-    """Return the copies once a reading that is far from a candidate and from all others has decided between them.
-
-    With it, which states are of a part that may have a new candidate, and of one whose candidate has been believed;
-    `chances` is how often a reading of each sensor has begun a jump.
-    """
+    """Return the copies once a reading that is far from a candidate and from all others has decided between them."""
+    # With it, which states are of a part that may have a new candidate, and of one whose candidate has been believed;
+    # `chances` is how often a reading of each sensor has begun a jump.
     (x, P, belief), q, parts = copies, len(process.scales), copies.parts
     new, believed = np.zeros((2, len(parts)), dtype=bool)
     if process.jump == 0.0:
@@ -331,10 +269,8 @@ class Begun(NamedTuple):
 def with_candidates(
     copies: Copies, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray
 ) -> tuple[Copies, Begun]:
-    """Return the copies, a candidate in each new part where an innovation asks for one, and who asked.
-
-    The copies are coupled as H has it; noise (m,) is the variance of ordinary noise.
-    """
+    """Return the copies, a candidate in each new part where an innovation asks for one, and who asked."""
+    # The copies are coupled as H has it; noise (m,) is the variance of ordinary noise.
     (x, P, belief), q, parts = copies, len(process.scales), copies.parts
     begun = Begun(np.zeros(len(z)), np.ones(len(z)), np.zeros(len(z), dtype=bool))
     if process.jump == 0.0:
@@ -426,20 +362,7 @@ def _from_candidate(copies: Copies, states: np.ndarray, process: Scales) -> Copi
 
 
 def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
-    """Return mean and covariance of the state; a candidate is hidden until it is more likely than not.
-
-    Parameters
-    ----------
-    copies : Copies
-        Copies after a prediction or a correction.
-    process : Scales
-        Which copies there are.
-
-    Returns
-    -------
-    mean : ndarray, shape (n,)
-    covariance : ndarray, shape (n, n)
-    """
+    """Return mean and covariance of the state; a candidate is hidden until it is more likely than not."""
     x, P, p, q = copies.x, copies.P, copies.probabilities, len(process.scales)
     if process.jump > 0.0:
         hidden = np.concatenate([slow(copies, process), np.zeros((1, p.shape[1]))])

@@ -49,26 +49,7 @@ class NotPositiveDefiniteError(np.linalg.LinAlgError, ValueError):
 
 
 def innovation_moments(P: Array, H: Array, R: Array, M: Array | None = None) -> tuple[Array, Array]:
-    """Return C = P H' + M and S = H P H' + H M + M' H' + R.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n, n)
-        Covariance of the state.
-    H : ndarray, shape (m, n)
-        Measurement matrix.
-    R : ndarray, shape (m, m)
-        Measurement noise covariance.
-    M : ndarray, shape (n, m), optional
-        Covariance of the state's error and the measurement noise.
-
-    Returns
-    -------
-    C : ndarray, shape (n, m)
-        Covariance of state and innovation.
-    S : ndarray, shape (m, m)
-        Covariance of the innovation.
-    """
+    """Return C = P H' + M and S = H P H' + H M + M' H' + R."""
     C = P.dot(H.T)
     S = H.dot(C) + R
     if M is not None:
@@ -184,23 +165,7 @@ def correct_by_custom(
     choices: Choices,
     skip_singular: bool = False,
 ) -> Correction:
-    """Correct a state under scaling "learnt": judge each sensor by the custom of its own innovations, and learn it.
-
-    Parameters
-    ----------
-    memory : ndarray, shape (m, 15)
-        What is known of the sensors, from `robust_filterpy.correction.spread.begin` or the correction before.
-    x, P, choices, skip_singular
-        As in `correct`.
-    innovation : Innovation
-        The measurement. Where it has no H and P must grow, that of the regression of y on x serves.
-
-    Returns
-    -------
-    Correction
-        With ``memory`` as it is afterwards. Where P has grown, C and S are those of the grown P; what a sensor is
-        charged as noise of its own is in neither.
-    """
+    """Correct a state under scaling "learnt": judge each sensor by the custom of its own innovations, and learn it."""
     z, y, C, S, R, H = innovation
     found = spread.prepared(memory, z, y, S, R, C, P)
     y = np.where(found.held, np.nan, y)
@@ -220,10 +185,8 @@ def correct_by_custom(
 
 
 def _opened(P: Array, H: Array, variances: Array) -> Array:
-    """Return P with larger variances of the states that a sensor sees and tells much of, where it has seen a jump.
-
-    Nothing is said of the rest, which follows by its covariances. The order of the sensors does not matter.
-    """
+    """Return P with larger variances of the states that a sensor sees and tells much of, where it has seen a jump."""
+    # Nothing is said of the rest, which follows by its covariances. The order of the sensors does not matter.
     most = np.zeros(len(P))
     for h, variance in zip(H, variances, strict=True):
         p = np.where(spread.moved(P @ h, np.diag(P)), np.diag(P), 0.0)
@@ -337,45 +300,14 @@ def _indefinite() -> NotPositiveDefiniteError:
 
 
 def nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
-    """Return the correction by a measurement that is missing altogether.
-
-    Parameters
-    ----------
-    x, P : ndarray, shape (n,), (n, n)
-        The state, which stays.
-    S : ndarray, shape (m, m)
-        Innovation covariance to show.
-    m : int
-        Number of sensors.
-
-    Returns
-    -------
-    Correction
-    """
+    """Return the correction by a measurement that is missing altogether."""
     zero, none = np.zeros(m), np.full(m, np.nan)
     square = np.zeros((m, m))
     return Correction(x, P, np.zeros((len(P), m)), zero, S, zero, square, zero, none, none, (), "innovation", 0.0)
 
 
 def embed_block(before: Any, some: Correction, start: int, m: int) -> Correction:
-    """Put the correction by one block of a measurement beside those by the blocks before it.
-
-    Parameters
-    ----------
-    before : Correction or None
-        By the blocks before.
-    some : Correction
-        By this block.
-    start : int
-        Its place among the m sensors.
-    m : int
-        Number of sensors.
-
-    Returns
-    -------
-    Correction
-        By all of them; blocks are uncorrelated in its S.
-    """
+    """Put the correction by one block of a measurement beside those by the blocks before it."""
     n, k = len(some.P), len(some.y)
     if before is None or before.S.shape != (m, m) or before.C.shape != (n, m):
         before = nothing_observed(some.x, some.P, np.zeros((m, m)), m)

@@ -154,25 +154,7 @@ class NoiseClasses:
         return np.tile(start(len(self.scales), self.probabilities), (1 if self.grouping == "joint" else dim_z, 1))
 
     def checked(self, learnt: ArrayLike, dim_z: int) -> Array:
-        """Return a copy of what another filter has learnt, if it is for the same classes.
-
-        Parameters
-        ----------
-        learnt : array_like, shape (1 or more, 19 + 2 K + K^2)
-            A row for each sensor.
-        dim_z : int
-            Number of sensors.
-
-        Returns
-        -------
-        ndarray
-            The copy.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If the shape is another one, or the numbers are not what can be learnt.
-        """
+        """Return a copy of what another filter has learnt, if it is for the same classes."""
         values, begin = _checks.numbers("learnt", learnt), self.start(dim_z)
         fits = values.ndim == 2 and values.shape[1] == begin.shape[1]
         if not fits or len(values) < len(begin) or (self.grouping == "joint" and len(values) > 1):
@@ -196,20 +178,7 @@ class NoiseClasses:
 
 
 def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
-    """Return what is known of a sensor before the first sample.
-
-    Parameters
-    ----------
-    classes : int
-        K, >= 1.
-    probabilities : sequence of float, length K, optional
-        Those of the classes, if they are told.
-
-    Returns
-    -------
-    ndarray, shape (19 + 2 K + K^2,)
-        As the head of this module orders it.
-    """
+    """Return what is known of a sensor before the first sample."""
     return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
 
 
@@ -227,70 +196,23 @@ def _start(K: int, probabilities: tuple[float, ...] | None) -> Array:
 
 
 def predicted(known: Array, classes: int) -> Array:
-    """Return the probabilities of the classes of the next sample: the chain's prediction.
-
-    Parameters
-    ----------
-    known : ndarray, shape (19 + 2 K + K^2,)
-        What is known of the sensor.
-    classes : int
-        K.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-    """
+    """Return the probabilities of the classes of the next sample: the chain's prediction."""
     last, counts = _chain(known, classes)
     return np.asarray(last @ (counts / counts.sum(axis=1, keepdims=True)))
 
 
 def usual(known: Array, classes: int) -> Array:
-    """Return the probabilities of the classes of the next sample, whatever the last one was.
-
-    Parameters
-    ----------
-    known : ndarray, shape (19 + 2 K + K^2,)
-        What is known of the sensor.
-    classes : int
-        K.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-    """
+    """Return the probabilities of the classes of the next sample, whatever the last one was."""
     counts = _chain(known, classes)[1]
     return np.asarray(counts.sum(axis=0) / counts.sum())
 
 
 def learn(known: Array, posterior: Array, r: float, excess: float, part: float, noise: NoiseClasses) -> Array:
-    """Return what is known after one sample.
-
-    Parameters
-    ----------
-    known : ndarray, shape (19 + 2 K + K^2,)
-        What was known of the sensor.
-    posterior : ndarray, shape (K,)
-        Probabilities of the sample's classes.
-    r : float
-        Of the sensor, as this sample was weighed with.
-    excess : float
-        y^2/S - 1 of the innovation under class 0, in the mean over the components of a group.
-    part : float
-        Share of the innovation's variance that is ordinary noise, likewise.
-    noise : NoiseClasses
-        Scales and memories.
-
-    Returns
-    -------
-    ndarray, shape (19 + 2 K + K^2,)
-
-    Notes
-    -----
-    Expectation-maximisation online, with statistics that are forgotten exponentially:
-    E[class i before, class j now] = q_i A_ij p_j / sum_l q_l A_lj, with q the last sample's probabilities and A the
-    counts over their sum. An innovation of which noise is a part k tells k^2 as much of r as noise itself would (the
-    Fisher information), and counts as that.
-    """
+    """Return what is known after one sample."""
+    # Expectation-maximisation online, with statistics that are forgotten exponentially: E[class i before, class j now]
+    # = q_i A_ij p_j / sum_l q_l A_lj, with q the last sample's probabilities and A the counts over their sum. An
+    # innovation of which noise is a part k tells k^2 as much of r as noise itself would (the Fisher information), and
+    # counts as that.
     K, after, begin = len(posterior), known.copy(), start(len(posterior))
     ordinary = float(posterior[0])
     # A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step,
@@ -345,10 +267,8 @@ def jump_chances(learnt: Array) -> Array:
 
 
 def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses) -> Array:
-    """Return what is known once the candidates of the parts that some sensors see are believed.
-
-    What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump.
-    """
+    """Return what is known once the candidates of the parts that some sensors see are believed."""
+    # What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump.
     learnt, K = learnt.copy(), len(noise.scales)
     prior = _chain(start(K), K)[1][0, 1:]
     for i in np.flatnonzero(believed):
@@ -367,10 +287,8 @@ def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses) -> Array:
 
 
 def began(learnt: Array, parts: Array, y: Array, variances: Array, alone: np.ndarray, R: Array) -> tuple[Array, Array]:
-    """Return what is known once candidates have begun, and odds times density of a jump like the sensor's last one.
-
-    Without its factor (2 pi)^(-1/2); 0 for a reading that repeats the one before, or that another sensor contradicts.
-    """
+    """Return what is known once candidates have begun, and odds times density of a jump like the sensor's last one."""
+    # Without its factor (2 pi)^(-1/2); 0 for a reading that repeats the one before, or that another sensor contradicts.
     learnt, odds = learnt.copy(), np.zeros(len(y))
     for i in np.flatnonzero(y):
         learnt[parts == parts[i], _JUMPS.start + _BEGAN] = 0.0
@@ -408,42 +326,13 @@ def ordinary_size(
     R: Array,
     scales: Sequence[float] = SCALES,
 ) -> tuple[Array, Array]:
-    """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's.
-
-    A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise included.
-    Only other sensors can tell. Where parity has a colour, r is at least parity's variance over what R says it is, as
-    far as there are independent samples of it, but never raised above 1, so that an offset between two sensors leaves
-    the R that was told.
-
-    Noise with a lag-one correlation c does not average out: a filter that keeps a part q of what it knew from reading
-    to reading is left with (1 + c q) / (1 - c q) times the variance that white noise leaves. It is given that r.
-
-    Parameters
-    ----------
-    learnt : ndarray, shape (m, 19 + 2 K + K^2)
-        What is known of each sensor.
-    readings : ndarray, shape (m,)
-        What the sensors said.
-    z : ndarray, shape (m,)
-        Measurement, finite; of a nonlinear sensor how far the reading is from what was expected.
-    y : ndarray, shape (m,)
-        Innovation.
-    seen : ndarray, shape (m, m)
-        Covariance of what the sensors see of the state, H P H'.
-    H : ndarray, shape (m, n)
-        Measurement matrix.
-    R : ndarray, shape (m, m)
-        Covariance of the measurement noise as the filter was given it.
-    scales : sequence of float, length K, default (1, 10, 100, 1000)
-        Factors of the classes.
-
-    Returns
-    -------
-    r : ndarray, shape (m,)
-        Factors of R for this sample.
-    learnt : ndarray, shape (m, 19 + 2 K + K^2)
-        What is known, with this sample's parity and change.
-    """
+    """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's."""
+    # A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise
+    # included. Only other sensors can tell. Where parity has a colour, r is at least parity's variance over what R says
+    # it is, as far as there are independent samples of it, but never raised above 1, so that an offset between two
+    # sensors leaves the R that was told.
+    # Noise with a lag-one correlation c does not average out: a filter that keeps a part q of what it knew from reading
+    # to reading is left with (1 + c q) / (1 - c q) times the variance that white noise leaves. It is given that r.
     r, learnt, coloured, K = learnt[:, 0].copy(), learnt.copy(), [], len(scales)
     readings = _in_deviations(readings, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
@@ -531,12 +420,10 @@ def left_over(learnt: Array, rest: Array, R: Array) -> Array:
 
 
 def parity(z: Array, H: Array, R: Array, r: Array) -> list[tuple[int, float, float]]:
-    """Return for each sensor that others can stand in for by how much it differs from what they say.
-
-    In units of the standard deviation that R gives to it, and the share of it that is the sensor's own noise, as
-    (sensor, e, share). It does not depend on the state: with V = diag(r R) and
-    G = V^-1 - V^-1 H (H' V^-1 H)^+ H' V^-1, e_i = (G z)_i / sqrt((G R G)_ii).
-    """
+    """Return for each sensor that others can stand in for by how much it differs from what they say."""
+    # In units of the standard deviation that R gives to it, and the share of it that is the sensor's own noise, as
+    # (sensor, e, share). It does not depend on the state: with V = diag(r R) and G = V^-1 - V^-1 H (H' V^-1 H)^+ H'
+    # V^-1, e_i = (G z)_i / sqrt((G R G)_ii).
     variances = r * R.diagonal()
     if len(z) < 2 or not (variances > 0.0).all():
         return []
@@ -572,26 +459,9 @@ class LearntNoise(NamedTuple):
 
 
 def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
-    """Return what has been learnt in the user's terms.
-
-    Parameters
-    ----------
-    learnt : ndarray, shape (g, 19 + 2 K + K^2)
-        A row for each sensor that fails on its own.
-    scales : ndarray, shape (K,)
-        Factors of the variance.
-    sensors : int, default 1
-        Components whose squares each r is learnt from.
-
-    Returns
-    -------
-    LearntNoise
-
-    Notes
-    -----
-    The standard errors hold for samples in a memory that forgets exponentially; that of the contamination counts runs
-    of outliers rather than outliers.
-    """
+    """Return what has been learnt in the user's terms."""
+    # The standard errors hold for samples in a memory that forgets exponentially; that of the contamination counts runs
+    # of outliers rather than outliers.
     K = len(scales)
     counts = learnt[:, 2 + 2 * K : -_TAIL].reshape(-1, K, K)
     classes, total = counts.sum(axis=1), counts.sum(axis=(1, 2))

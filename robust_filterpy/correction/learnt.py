@@ -118,48 +118,11 @@ def correct(
     inv: Inverse | None = None,
     readings: Array | None = None,
 ) -> Corrected:
-    """Correct copies of a filter by one measurement and learn the noise from it.
-
-    Parameters
-    ----------
-    copies : Copies
-        Predicted.
-    memory : ndarray, shape (g, ...)
-        What is known of the noise, g = 1 under grouping "joint", else m.
-    z : ndarray, shape (m,)
-        Measurement; NaN where missing.
-    H : ndarray, shape (m, n)
-        Measurement matrix.
-    R : ndarray, shape (m, m)
-        Covariance of the measurement noise as the filter was given it.
-    noise : NoiseClasses
-        Classes and memories.
-    process : Scales
-        Which copies there are.
-    M : ndarray, shape (n, m), optional
-        Covariance of the state's error and the measurement noise. It grows with r.
-    inv : callable, optional
-        What inverts S; by default a singular S is an error.
-    readings : ndarray, shape (m,), optional
-        What the sensors said, where z is only how far that is from what was expected; one that is stuck repeats it.
-
-    Returns
-    -------
-    Corrected
-        Nothing of what was passed is changed.
-
-    Raises
-    ------
-    SingularInnovationError
-        If S is not positive definite and inv is not given.
-
-    Notes
-    -----
-    Groups are taken one after the other, the most plausible first by the moments of all copies together, so that the
-    order of the sensors in z does not matter. What H does not see says nothing, and nothing is learnt from it.
-    An innovation beyond 8 standard deviations of the widest class is shortened to 8, it has no place in the model; not
-    that of a sensor without noise.
-    """
+    """Correct copies of a filter by one measurement and learn the noise from it."""
+    # Groups are taken one after the other, the most plausible first by the moments of all copies together, so that the
+    # order of the sensors in z does not matter. What H does not see says nothing, and nothing is learnt from it. An
+    # innovation beyond 8 standard deviations of the widest class is shortened to 8, it has no place in the model; not
+    # that of a sensor without noise.
     m, joint = len(z), noise.grouping == "joint"
     alike = noise.learns and noise.grouping == "component"
     weights, outlying = np.full(m, np.nan), np.zeros(m)

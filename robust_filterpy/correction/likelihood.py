@@ -19,30 +19,12 @@ _COSTLIEST = 1e300
 
 
 def log_density_of_group(y: Array, S: Array, choices: Any) -> float:
-    """Return log f(S^(-1/2) y) + log det S^(-1/2) of one group of sensors, given those before it.
-
-    f(e) is proportional to exp(-rho(e)): normal for an infinite threshold, linear in \\|e\\| beyond a finite one. It is
-    standardized by S^(-1/2) as told, whatever the scaling of the filter and whatever it has learnt, so that filters
-    with different models can be compared by it.
-
-    Parameters
-    ----------
-    y : ndarray, shape (k,)
-        Innovation of the group.
-    S : ndarray, shape (k, k)
-        Its covariance, positive definite.
-    choices : Choices
-        Influence function and grouping.
-
-    Returns
-    -------
-    float
-
-    Notes
-    -----
-    An influence function without a density of its own (redescending, or somebody
-    else's) has f(e) = exp(-rho(e))/sqrt(2 pi), which does not integrate to 1.
-    """
+    """Return log f(S^(-1/2) y) + log det S^(-1/2) of one group of sensors, given those before it."""
+    # f(e) is proportional to exp(-rho(e)): normal for an infinite threshold, linear in |e| beyond a finite one. It is
+    # standardized by S^(-1/2) as told, whatever the scaling of the filter and whatever it has learnt, so that filters
+    # with different models can be compared by it.
+    # An influence function without a density of its own (redescending, or somebody else's) has f(e) =
+    # exp(-rho(e))/sqrt(2 pi), which does not integrate to 1.
     k = len(y)
     T = group_scaling(S, "innovation")
     e = np.clip(T @ y, -_LARGEST, _LARGEST)

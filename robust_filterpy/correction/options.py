@@ -233,22 +233,7 @@ class Choices:
 
 
 def checked_grouping(value: Any) -> Any:
-    """Return a grouping as a string or a tuple of tuples of int, or raise.
-
-    Parameters
-    ----------
-    value : {"component", "joint"} or sequence of sequence of int
-        As a user gives it.
-
-    Returns
-    -------
-    str or tuple of tuple of int
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is neither, or names a sensor twice or by a negative number.
-    """
+    """Return a grouping as a string or a tuple of tuples of int, or raise."""
     if isinstance(value, str):
         return _checks.option("grouping", value, GROUPINGS)
     try:

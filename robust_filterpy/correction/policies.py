@@ -82,19 +82,7 @@ def _require_unit(name: str, matrix: str, value: Any) -> None:
 
 
 def noise_classes(noise: Contaminated | Learnt, grouping: Grouping) -> NoiseClasses:
-    """Return the classes of measurement noise that a policy speaks of.
-
-    Parameters
-    ----------
-    noise : Contaminated or Learnt
-        The policy.
-    grouping : {"component", "joint"} or tuple of tuple of int
-        Whether each sensor fails on its own, or all together; or which fail together.
-
-    Returns
-    -------
-    NoiseClasses
-    """
+    """Return the classes of measurement noise that a policy speaks of."""
     if isinstance(noise, Learnt):
         return NoiseClasses(noise.scales, grouping, noise.memory, noise.r_memory)
     scales, probabilities = noise.classes

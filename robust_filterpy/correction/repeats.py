@@ -33,15 +33,7 @@ _LEFT, _CHANGE, _SCALE, _COUNT, _LAST, _RARE = range(WIDTH)
 
 
 def note_reading(row: Array, z: float) -> None:
-    """Note a reading, and how often its sensor repeats itself, in place.
-
-    Parameters
-    ----------
-    row : ndarray, shape (6,)
-        What is known of the readings.
-    z : float
-        The reading.
-    """
+    """Note a reading, and how often its sensor repeats itself, in place."""
     count, last, rare = row[[_COUNT, _LAST, _RARE]].tolist()
     if count:
         share = 1.0 / max(abs(rare), 1.0)
@@ -51,15 +43,7 @@ def note_reading(row: Array, z: float) -> None:
 
 
 def note_change(row: Array, y: float) -> None:
-    """Let an innovation, of which the last correction's rest is taken off, move the scale of changes, in place.
-
-    Parameters
-    ----------
-    row : ndarray, shape (6,)
-        What is known of the readings.
-    y : float
-        The innovation, in the unit of the readings.
-    """
+    """Let an innovation, of which the last correction's rest is taken off, move the scale of changes, in place."""
     rest, before, scale, count = row[:_LAST].tolist()
     row[_CHANGE], row[_COUNT] = y - rest if count else 0.0, count + 1.0
     if count < 2.0:
@@ -72,21 +56,7 @@ def note_change(row: Array, y: float) -> None:
 
 
 def again(rows: Array, z: Array, r: Array) -> np.ndarray:
-    """Return which readings repeat the last one though their sensors seldom do, and have white noise.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (.., 6)
-        What is known of the readings of each sensor.
-    z : ndarray, shape (..)
-        What the sensors say.
-    r : ndarray, shape (..)
-        Variances of their noise, in the squares of their units.
-
-    Returns
-    -------
-    ndarray of bool, shape (..)
-    """
+    """Return which readings repeat the last one though their sensors seldom do, and have white noise."""
     # White noise makes 6 r. What changes less is no noise: there a repeated reading means that the state rests.
     white = rows[..., _SCALE] ** 2 >= r
     return np.asarray((z == rows[..., _LAST]) & white & (np.abs(rows[..., _RARE]) >= RARE))

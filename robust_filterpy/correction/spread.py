@@ -66,49 +66,14 @@ class Prepared(NamedTuple):
 
 
 def begin(m: int) -> np.ndarray:
-    """Return the memory of sensors of which nothing is known.
-
-    Parameters
-    ----------
-    m : int
-        Number of sensors.
-
-    Returns
-    -------
-    ndarray, shape (m, 15)
-        Information that the spread rests on, spread s, share p of far innovations, far ones in a row, clipped ones in
-        a row that agree, what the last correction left of z - H x, how far the last jump went, 0 if there was none to
-        return from, the last reading, the share of ordinary readings that repeat, the smallest change of a reading
-        (-1 before there is one, 0 before any reading), H P H' / R as the last correction left it, the usual growth of
-        its logarithm from there to the next reading, how many readings that rests on, far readings in a row that
-        repeat, and how many were taken for missing in all. What is left over, the jump, the last reading and the
-        change have a unit.
-    """
+    """Return the memory of sensors of which nothing is known."""
     return np.zeros((m, NUMBERS))
 
 
 def prepared(
     memory: np.ndarray, z: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C: np.ndarray, P: np.ndarray
 ) -> Prepared:
-    """Learn from an innovation, and say how it is to be judged.
-
-    Parameters
-    ----------
-    memory : ndarray, shape (m, 15)
-        Memory before; not changed.
-    z, y : ndarray, shape (m,)
-        Readings and innovation, NaN where missing.
-    S, R : ndarray, shape (m, m)
-        Covariances of the innovation and of the measurement noise, as told.
-    C : ndarray, shape (n, m)
-        Covariance of the state and the innovation.
-    P : ndarray, shape (n, n)
-        Covariance of the state.
-
-    Returns
-    -------
-    Prepared
-    """
+    """Learn from an innovation, and say how it is to be judged."""
     memory, here = memory.copy(), np.isfinite(y) & (np.diag(S) > 0)
     told, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
     ratio = _ratio(np.diag(S - R), R, S)
@@ -153,23 +118,7 @@ def prepared(
 
 
 def after(memory: np.ndarray, rest: np.ndarray, left: np.ndarray, S: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return the memory that knows what a correction left over.
-
-    Parameters
-    ----------
-    memory : ndarray, shape (m, 15)
-        From `prepared`.
-    rest : ndarray, shape (m,)
-        z - H x after the correction, NaN where missing.
-    left : ndarray, shape (m,)
-        Variance that is left of what each sensor sees of the state.
-    S, R : ndarray, shape (m, m)
-        As told before it.
-
-    Returns
-    -------
-    ndarray, shape (m, 15)
-    """
+    """Return the memory that knows what a correction left over."""
     memory, here = memory.copy(), np.isfinite(rest)
     memory[here, REST], memory[here, LEFT] = rest[here], _ratio(left, R, S)[here]
     return memory
@@ -223,10 +172,8 @@ def _forgive(own: np.ndarray, jump: float) -> None:
 
 
 def _holds(own: np.ndarray, z: float, size: float, coarse: float) -> bool:
-    """Tell whether a reading says nothing new: a far one that repeats the one before, or goes on doing so.
-
-    Of a sensor of which most readings repeat some count.
-    """
+    """Tell whether a reading says nothing new: a far one that repeats the one before, or goes on doing so."""
+    # Of a sensor of which most readings repeat some count.
     counts, before, unit = max(2 * own[REPEATS] - 1, 0.0), own[HELD], max(own[SPREAD], coarse)
     far = 0 < (BEND if own[REPEATS] < HABIT else FAR) * unit < size
     if not (own[STEP] != 0 and z == own[LAST] and (far or before > 0)):
@@ -265,16 +212,7 @@ def _step(own: np.ndarray) -> float:
 
 
 def settled(memory: np.ndarray) -> np.ndarray:
-    """Return the spread of each sensor as a threshold's unit, 1 where there is no custom yet.
-
-    Parameters
-    ----------
-    memory : ndarray, shape (m, 15)
-
-    Returns
-    -------
-    ndarray, shape (m,)
-    """
+    """Return the spread of each sensor as a threshold's unit, 1 where there is no custom yet."""
     known = memory[:, WEIGHT] > 0
     return np.where(known, memory[:, SPREAD] * (1 - YIELD * memory[:, SHARE]), 1.0)
 

@@ -20,19 +20,7 @@ class SingularInnovationError(np.linalg.LinAlgError, ValueError):
 
 
 def is_cancelled(block: Array, variances: Array) -> bool:
-    """Return whether what is left of a group's covariance is not positive definite beyond rounding.
-
-    Parameters
-    ----------
-    block : ndarray, shape (k, k)
-        Covariance of the group given the sensors before it.
-    variances : ndarray, shape (k,)
-        Variances of its sensors before any was taken.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether what is left of a group's covariance is not positive definite beyond rounding."""
     if not (np.isfinite(block).all() and (variances > 0.0).all()):
         return True
     if len(block) == 1:
@@ -45,20 +33,7 @@ def is_cancelled(block: Array, variances: Array) -> bool:
 
 
 def group_scaling(block: Array, scaling: str) -> Array:
-    """Return T of one group.
-
-    Parameters
-    ----------
-    block : ndarray, shape (k, k)
-        Covariance of the group given the sensors before it, positive definite.
-    scaling : {"learnt", "innovation", "unit", "bounded"}
-        S^(-1/2) (paper 36), I (42), or I over the root of max(S, 1).
-
-    Returns
-    -------
-    ndarray, shape (k, k)
-        A lower triangle.
-    """
+    """Return T of one group."""
     k = len(block)
     if scaling == "unit":
         return np.eye(k)
@@ -75,23 +50,7 @@ def group_scaling(block: Array, scaling: str) -> Array:
 
 
 def ordered_scaling(S: Array, order: tuple[tuple[int, ...], ...], scaling: str) -> Array:
-    """Return T, the rows of all groups together, as if none of them had been clipped.
-
-    Parameters
-    ----------
-    S : ndarray, shape (m, m)
-        Innovation covariance.
-    order : tuple of tuple of int
-        Groups in the order in which they were taken; sensors that are in none were missing.
-    scaling : {"learnt", "innovation", "unit", "bounded"}
-        As in `group_scaling`.
-
-    Returns
-    -------
-    ndarray, shape (m, m)
-        With "innovation" and "learnt" the inverse Cholesky factor of S in that order, T S T' = I among the observed;
-        0 where a sensor was missing or determined by those before it.
-    """
+    """Return T, the rows of all groups together, as if none of them had been clipped."""
     S, start = np.array(S, dtype=float), S.diagonal().copy()
     T, W = np.zeros_like(S), np.eye(len(S))
     for group in map(list, order):
@@ -107,17 +66,7 @@ def ordered_scaling(S: Array, order: tuple[tuple[int, ...], ...], scaling: str) 
 
 
 def singular(S: Array) -> SingularInnovationError:
-    """Return the error that says what is wrong with an S without inverse.
-
-    Parameters
-    ----------
-    S : ndarray, shape (m, m)
-        Covariance of the innovation.
-
-    Returns
-    -------
-    SingularInnovationError
-    """
+    """Return the error that says what is wrong with an S without inverse."""
     if not np.isfinite(S).all():
         return singular_error(S, np.nan)
     variances = np.maximum(S.diagonal(), 0.0)
@@ -126,19 +75,7 @@ def singular(S: Array) -> SingularInnovationError:
 
 
 def singular_error(S: Array, least: float) -> SingularInnovationError:
-    """Return the error of an S without inverse, of which it is known how far from one it is.
-
-    Parameters
-    ----------
-    S : ndarray, shape (m, m)
-        Covariance of the innovation.
-    least : float
-        Least eigenvalue of its correlation matrix, or least variance.
-
-    Returns
-    -------
-    SingularInnovationError
-    """
+    """Return the error of an S without inverse, of which it is known how far from one it is."""
     if not np.isfinite(S).all():
         return SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
     if least < -1e-6:

@@ -56,25 +56,7 @@ def nothing_refused(sensors: int) -> Insistence:
 def watched(
     before: Insistence, patience: int, last: Correction, difference: Callable[[Array, Array], Array] = np.subtract
 ) -> tuple[Insistence, bool]:
-    """Count the innovation of a correction.
-
-    Parameters
-    ----------
-    before : Insistence
-        The count before it.
-    patience : int
-        How many refused innovations that agree it takes.
-    last : Correction
-        The correction.
-    difference : callable
-        Difference of two innovations, shape (m,).
-
-    Returns
-    -------
-    after : Insistence
-    full : bool
-        Whether the count is full; it begins anew then.
-    """
+    """Count the innovation of a correction."""
     observed = _observed(last)
     if not observed.size:
         return before, False
@@ -114,22 +96,7 @@ def _bound(sensors: int) -> float:
 
 
 def jump_of(last: Correction, C: Array, N: Array) -> Array | None:
-    """Return by what P grows so that the jump which explains y is three of its standard deviations.
-
-    Parameters
-    ----------
-    last : Correction
-        By the innovation y.
-    C : ndarray, shape (n, m)
-        Covariance of the state and the measurement before it.
-    N : ndarray, shape (m, m)
-        Covariance of the measurement without its noise.
-
-    Returns
-    -------
-    ndarray, shape (n, n), or None
-        None where it is too far for any state to have gone.
-    """
+    """Return by what P grows so that the jump which explains y is three of its standard deviations."""
     observed = _observed(last)
     y, C, N = last.y[observed], C[:, observed], N[np.ix_(observed, observed)]
     unit = np.sqrt(np.where(N.diagonal() > 0.0, N.diagonal(), 1.0))

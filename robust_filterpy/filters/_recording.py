@@ -129,10 +129,8 @@ class RecordingMixin(Shell):
         return Steps(rows.zs, model, kept, options, int(seen[-1]) if len(seen) else -1)
 
     def _advance(self, steps: Steps, k: int) -> int:
-        """Take steps from k on as far as the kernel can and return the next, which is the filter's.
-
-        The filter's own are the last step and the last with a measurement: what they leave in it stays.
-        """
+        """Take steps from k on as far as the kernel can and return the next, which is the filter's."""
+        # The filter's own are the last step and the last with a measurement: what they leave in it stays.
         last = steps.last_seen if k <= steps.last_seen else len(steps.zs) - 1
         if k >= last:
             return k

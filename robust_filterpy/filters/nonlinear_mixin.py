@@ -27,11 +27,9 @@ class NonlinearFilterMixin(Shell):
         self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],
         shape: tuple[int, ...],
     ) -> tuple[Any, Any]:  # fmt: skip
-        """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing.
-
-        C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual is
-        handed it.
-        """
+        """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing."""
+        # C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual
+        # is handed it.
         known = self._known(len(y))
         if self._policy.by_kernel and self._inverse is None:
             taken = moments.correct(self._choices, known.memory, P, z, y, C, S, R)
@@ -93,11 +91,9 @@ def difference_of(residual: Callable[[Any, Any], Any], shape: tuple[int, ...]) -
 def innovation_of(
     z: Any, predicted: Any, m: int, residual: Callable[[Any, Any], Any], source: str
 ) -> tuple[Array | None, Array]:
-    """Return z and its innovation, shape (m,), NaN where missing; None for a z that is missing altogether.
-
-    The residual function sees neither NaN nor shapes that broadcast: a missing component takes its predicted value,
-    and both arguments have the shape of the prediction.
-    """
+    """Return z and its innovation, shape (m,), NaN where missing; None for a z that is missing altogether."""
+    # The residual function sees neither NaN nor shapes that broadcast: a missing component takes its predicted value,
+    # and both arguments have the shape of the prediction.
     at = numbers(source, predicted)
     if at.size != m:
         raise ValueError(f"{source}: expected {m} number(s), as the measurement has, got {described(at)}")

@@ -25,11 +25,9 @@ _HALF, _SURER = 0.5, 0.7
 
 
 class OutlierShareWarning(RobustFilterWarning):
-    """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains.
-
-    Given once for each class of filter in a process. To switch it off:
-    ``warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)``.
-    """
+    """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains."""
+    # Given once for each class of filter in a process. To switch it off: ``warnings.simplefilter("ignore",
+    # robust_filterpy.filters.OutlierShareWarning)``.
 
 
 class Share:
@@ -66,17 +64,7 @@ class Share:
                 self._judge(kf, share, least, numbers, keeps, len(e))
 
     def look_at_recording(self, kf: Any, weights: Array, y: Array) -> None:
-        """Judge windows of a recording's corrections, each of as many as `look` takes.
-
-        Parameters
-        ----------
-        kf : RobustKalmanFilter
-            Whose they are; of scaling "innovation".
-        weights : ndarray, shape (N, m)
-            psi(e)/e, NaN where missing.
-        y : ndarray, shape (N, m)
-            Innovations, of which only the signs matter.
-        """
+        """Judge windows of a recording's corrections, each of as many as `look` takes."""
         seen = ~np.isnan(weights).all(axis=1)
         weights, signs = weights[seen][::EVERY], np.sign(y[seen][::EVERY])
         here = ~np.isnan(weights)
@@ -141,13 +129,11 @@ _NO_LAG = 0.1
 
 
 class CorrelatedInnovationsWarning(RobustFilterWarning):
-    """Say that the innovations of a filter under ``noise=`` keep their sign.
-
-    Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
-    its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise is colored.
-    Given once for each kind of filter (class and sizes) in a process. To switch it off:
-    ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
-    """
+    """Say that the innovations of a filter under ``noise=`` keep their sign."""
+    # Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
+    # its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise is colored.
+    # Given once for each kind of filter (class and sizes) in a process. To switch it off:
+    # ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
 
 
 class Signs:
@@ -176,24 +162,7 @@ def judges(updates: int) -> bool:
 
 
 def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Signs | None:
-    """Count the signs of a correction's innovations now and then, and warn if they hardly ever change.
-
-    Parameters
-    ----------
-    kf : RobustKalmanFilter
-        Whose correction it is.
-    signs : Signs or None
-        What was counted before.
-    last : Mixed or Correction
-        The correction.
-    updates : int
-        How many the filter has had, this one among them.
-
-    Returns
-    -------
-    Signs or None
-        What is counted now.
-    """
+    """Count the signs of a correction's innovations now and then, and warn if they hardly ever change."""
     place = updates % _PERIOD
     if not _FIRST <= place <= _LAST:
         return signs
@@ -207,19 +176,7 @@ def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Sign
 
 
 def look_at_recording(kf: Any, y: Array, first: int, variances: Callable[[list[int]], Array]) -> None:
-    """Look at a recording as `look_at_signs` does.
-
-    Parameters
-    ----------
-    kf : RobustKalmanFilter
-        Whose recording it is.
-    y : ndarray, shape (N, m)
-        Innovations, NaN where missing.
-    first : int
-        Step that the first row belongs to.
-    variances : callable
-        Returns those of some rows of y, shape (rows, m).
-    """
+    """Look at a recording as `look_at_signs` does."""
     seen = np.flatnonzero(~np.isnan(y).all(axis=1))
     for begin in range(0, len(seen), _PERIOD):
         signs = Signs(y.shape[1])
@@ -261,28 +218,17 @@ def _judge(kf: Any, signs: Signs, where: str) -> None:
 
 
 class StuckSensorWarning(RobustFilterWarning):
-    """Say that a sensor repeats its last reading to the last bit, far from where a filter expects it.
-
-    A sensor that is stuck does, and a logger that writes one number where it has none (-9999, 0, 65535). While it does,
-    its readings count as missing: weight 0, under ``noise=`` outlier probability 1. Given once for each filter. Under
-    ``grouping="joint"``, where ``noise=`` keeps no sensor apart, none is seen: name them, ``grouping=((0, 1, 2),)``. A
-    `ParameterTracker` and a `TrackerBank` say it of y, from the third such reading in a row, and leave residual and
-    weight NaN. To switch it off: ``warnings.simplefilter("ignore", robust_filterpy.filters.StuckSensorWarning)``.
-    """
+    """Say that a sensor repeats its last reading to the last bit, far from where a filter expects it."""
+    # A sensor that is stuck does, and a logger that writes one number where it has none (-9999, 0, 65535). While it
+    # does, its readings count as missing: weight 0, under ``noise=`` outlier probability 1. Given once for each filter.
+    # Under ``grouping="joint"``, where ``noise=`` keeps no sensor apart, none is seen: name them, ``grouping=((0, 1,
+    # 2),)``. A `ParameterTracker` and a `TrackerBank` say it of y, from the third such reading in a row, and leave
+    # residual and weight NaN. To switch it off: ``warnings.simplefilter("ignore",
+    # robust_filterpy.filters.StuckSensorWarning)``.
 
 
 def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
-    """Warn, once for each filter, if a sensor is stuck.
-
-    Parameters
-    ----------
-    kf : RobustKalmanFilter
-        Whose readings they are.
-    weights : ndarray, shape (m,) or (N, m)
-        Of a correction, or of those of a recording: 0 where a sensor is stuck, and nowhere else under ``noise=``.
-    first : int, optional
-        Step of a recording that the first row belongs to.
-    """
+    """Warn, once for each filter, if a sensor is stuck."""
     stuck = np.argwhere(np.atleast_2d(weights) == 0.0)
     if len(stuck):
         step, sensor = stuck[0].tolist()
@@ -291,17 +237,7 @@ def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
 
 
 def look_for_repeats(kf: Any, memory: Array, before: Array | None = None) -> None:
-    """Warn, once for each filter, if far readings that repeat the one before are taken for missing by custom.
-
-    Parameters
-    ----------
-    kf : RobustKalmanFilter
-        Whose readings they are.
-    memory : ndarray, shape (m, 15)
-        What is known of the sensors.
-    before : ndarray, shape (m, 15), optional
-        What was before a recording; by default one step is looked at.
-    """
+    """Warn, once for each filter, if far readings that repeat the one before are taken for missing by custom."""
     more = memory[:, FILLED] > (0.0 if before is None else before[:, FILLED])
     repeats = np.flatnonzero(more & ((memory[:, HELD] > 0.0) | (before is not None)))
     if len(repeats):

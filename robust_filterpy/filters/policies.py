@@ -536,22 +536,7 @@ def policy_of(
     process: Any = None,
     patience: int | None = None,
 ) -> Policy:
-    """Return the policy that a filter's arguments ask for, or raise where they make no sense together.
-
-    Parameters
-    ----------
-    influence, scaling, information, grouping, noise, process, patience
-        As in `robust_filterpy.RobustKalmanFilter`.
-
-    Returns
-    -------
-    Policy
-
-    Raises
-    ------
-    ValueError, TypeError
-        If one is out of range or stands against another one.
-    """
+    """Return the policy that a filter's arguments ask for, or raise where they make no sense together."""
     noise, process = noise_policy(noise), process_policy(process)
     if noise is None:
         if process is not None:

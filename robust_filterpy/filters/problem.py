@@ -47,17 +47,6 @@ def read(
     kf: Any, zs: Any, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None, Bs: Any = None, us: Any = None
 ) -> Problem:
     """Return the model and the data of a filter with x, P, F, H, Q, R as arrays, or raise and name what does not fit.
-
-    Parameters
-    ----------
-    kf : KalmanFilter
-        Of filterpy or of this package.
-    zs, Fs, Qs, Hs, Rs, Bs, us : sequence of length N
-        As in `RobustKalmanFilter.batch_filter`.
-
-    Returns
-    -------
-    Problem
     """
     x, P = state_of(kf)
     n = len(x)

@@ -30,11 +30,9 @@ _MOST = 32
 
 
 class Customs(NamedTuple):
-    """Memories of sensors, w numbers each; nothing in here is ever written to.
-
-    A row of an H that was passed tells the sensor. One that is met for the first time begins with what is known of its
-    place in z, so that an H that varies from step to step goes by places.
-    """
+    """Memories of sensors, w numbers each; nothing in here is ever written to."""
+    # A row of an H that was passed tells the sensor. One that is met for the first time begins with what is known of
+    # its place in z, so that an H that varies from step to step goes by places.
 
     places: Array
     """Of the sensors in z, shape (m, w)."""

@@ -26,25 +26,7 @@ _FEWEST = 20
 
 
 def found_delays(setup: Setup, begin: Moment, rows: Rows, longest: float) -> tuple[dict[str, float], dict[str, str]]:
-    """Return how much later than the least late each sensor's stamps are, and why a delay cannot be told.
-
-    Parameters
-    ----------
-    setup : Setup
-        Motion and sensors.
-    begin : Moment
-        Where the state starts.
-    rows : Rows
-        What was read.
-    longest : float
-        Seconds; no delay is longer.
-
-    Returns
-    -------
-    delays : dict of str to float
-        Seconds, NaN where it cannot be told.
-    reasons : dict of str to str
-    """
+    """Return how much later than the least late each sensor's stamps are, and why a delay cannot be told."""
     layout = setup.layout
     seconds = (rows.keys - rows.keys[0]) / (1e9 if rows.keys.dtype == np.int64 else 1.0)
     own = {name: np.flatnonzero((~np.isnan(rows.zs[:, place])).any(axis=1)) for name, place in layout.places.items()}

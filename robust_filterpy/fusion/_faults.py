@@ -96,19 +96,7 @@ class _Bank(NamedTuple):
 
 
 def judged(stretch: Stretch, left_out: np.ndarray) -> list[Found]:
-    """Return what may explain a stretch, each fault of each component once, the most probable first.
-
-    Parameters
-    ----------
-    stretch : Stretch
-        Model and readings.
-    left_out : ndarray of bool, shape (M,)
-        Components that are not asked.
-
-    Returns
-    -------
-    list of Found
-    """
+    """Return what may explain a stretch, each fault of each component once, the most probable first."""
     calm = _Bank(*np.array([(-1.0, 0.0, 0.0, w, math.log(p)) for w, p in _CALMER]).T)
     as_calm = calm.factor[np.argmax(_run(stretch, calm, left_out)[0] + calm.prior)]
     stretch, bank = stretch._replace(Q=stretch.Q * as_calm), _hypotheses(stretch, left_out)
@@ -211,28 +199,7 @@ def _shares(stretch: Stretch, c: int, factor: Array, spiky: np.ndarray) -> Array
 
 
 def corrected(x: Array, P: Array, z: Any, h: Array, r: Array, scales: Array, shares: Array) -> Array:
-    """Correct N hypotheses by one number each, in place, under noise that is a mixture (`correction.learnt`'s step).
-
-    Parameters
-    ----------
-    x, P : ndarray, shape (N, n), (N, n, n)
-        Their states; written to.
-    z : float or ndarray, shape (N,)
-        What was read.
-    h : ndarray, shape (N, n)
-        What a hypothesis says it is of the state.
-    r : ndarray, shape (N,)
-        Variance of ordinary noise.
-    scales : ndarray, shape (C,)
-        Of the classes of noise.
-    shares : ndarray, shape (N, C)
-        Of the classes.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Log-density of the reading under each.
-    """
+    """Correct N hypotheses by one number each, in place, under noise that is a mixture (`correction.learnt`'s step)."""
     y = z - (h * x).sum(axis=1)
     C = np.einsum("nij,nj->ni", P, h)
     S = (h * C).sum(axis=1)[:, None] + scales * r[:, None]

@@ -45,32 +45,7 @@ class _Ahead(NamedTuple):
 
 
 def forecast(line: Any, clock: Clock, state: State, at: float | int, times: Any, level: float) -> Forecast:
-    """Return what each sensor should read at times to come, with its bands: `Fusion.forecast`.
-
-    Parameters
-    ----------
-    line : Timeline
-        What was read.
-    clock : Clock
-        Of its stamps.
-    state : State
-        After the last entry.
-    at : float or int
-        Key of the last entry.
-    times : stamp or sequence of stamps, length K
-        From then on.
-    level : float
-        Probability that each band should hold.
-
-    Returns
-    -------
-    Forecast
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a time is before the last entry or none.
-    """
+    """Return what each sensor should read at times to come, with its bands: `Fusion.forecast`."""
     # A string and a single stamp are one time.
     wanted = tuple(times) if np.ndim(times) == 1 else (times,)
     if not wanted:
@@ -93,24 +68,7 @@ def forecast(line: Any, clock: Clock, state: State, at: float | int, times: Any,
 
 
 def bands(line: Any, state: State, seconds: float, level: float) -> tuple[Array, Array, Array]:
-    """Return the bands some seconds after the last entry.
-
-    Parameters
-    ----------
-    line : Timeline
-        All of whose entries have been judged.
-    state : State
-        After the last of them.
-    seconds : float
-        Ahead, >= 0.
-    level : float
-        Probability that a band should hold.
-
-    Returns
-    -------
-    middle, signal, readings : ndarray, shape (M,)
-        Middle and half widths of all components; the last is NaN where the noise is not known yet.
-    """
+    """Return the bands some seconds after the last entry."""
     setup: Setup = line.setup
     scales, now = setup.policy.shares(state.memory)[0], _ahead(setup, moved(setup, state, seconds))
     wide = _half_width(now, scales, level)

@@ -26,23 +26,7 @@ _STAMPS = ("since", "model_since", "mended")
 
 
 def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ...]) -> dict[str, Array]:
-    """Return everything as arrays.
-
-    Parameters
-    ----------
-    timeline : Timeline
-        Entries.
-    clock : Clock
-        What the stamps are.
-    counts : mapping of str to mapping of str to int
-        For each sensor and outcome.
-    outcomes : tuple of str
-        In the order in which they are stored.
-
-    Returns
-    -------
-    dict of str to ndarray
-    """
+    """Return everything as arrays."""
     base, names = timeline.base.state, timeline.setup.layout.names
     p = timeline.setup.motion.dim_u
     controls = [np.full(p, np.nan) if e.control is None else e.control for e in timeline.entries]
@@ -63,23 +47,7 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
 
 
 def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Timeline, Clock, Any]:
-    """Return what a state says, for a fusion made like this one, or raise.
-
-    Parameters
-    ----------
-    like : Timeline
-        Of the fusion that takes it over.
-    found : mapping of str to ndarray
-        From `state`.
-    outcomes : tuple of str
-        As stored.
-
-    Returns
-    -------
-    timeline : Timeline
-    clock : Clock
-    counts : dict
-    """
+    """Return what a state says, for a fusion made like this one, or raise."""
     _state.require_kind(found, "Fusion")
     layout, base = like.setup.layout, like.base.state
     policy, M, p, names = like.setup.policy, layout.size, like.setup.motion.dim_u, layout.names

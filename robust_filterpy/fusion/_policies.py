@@ -34,39 +34,12 @@ TRIAL = _SQUARES + _NEEDED
 
 
 def none_yet(size: int) -> Array:
-    """Return what is remembered before the first reading.
-
-    Parameters
-    ----------
-    size : int
-        M.
-
-    Returns
-    -------
-    ndarray, shape (M, 10)
-    """
+    """Return what is remembered before the first reading."""
     return np.zeros((size, TRIAL))
 
 
 def compared(trial: Array, sizes: Array, seconds: float, values: Array) -> tuple[Array, Array]:
-    """Return what is remembered after another moment, and the variances that are known by now.
-
-    Parameters
-    ----------
-    trial : ndarray, shape (M, 10)
-        What was remembered.
-    sizes : ndarray, shape (M,)
-        Variances; NaN where they are not known.
-    seconds : float
-        Since the moment before.
-    values : ndarray, shape (M,)
-        Readings, NaN where missing.
-
-    Returns
-    -------
-    trial : ndarray, shape (M, 10)
-    sizes : ndarray, shape (M,)
-    """
+    """Return what is remembered after another moment, and the variances that are known by now."""
     unknown = np.isnan(sizes)
     if not unknown.any():
         return trial, sizes
@@ -173,22 +146,6 @@ def series(
     policy: Policy, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array
 ) -> tuple[Array, Array, Array, State]:
     """Return x, P, weights of many steps, and the last state; by the kernel, each step that it declines by the policy.
-
-    Parameters
-    ----------
-    policy : Policy
-        What predicts and corrects.
-    state : State
-        Before the first step.
-    zs : ndarray, shape (N, M)
-        Readings, NaN where missing.
-    F, Q, drift, H, R : ndarray, shape (N, ..) or (1, ..)
-        Of each step, or of all.
-
-    Returns
-    -------
-    x, P, weights : ndarray, shape (N, n), (N, n, n), (N, M)
-    state : State
     """
     (N, n), model, first = (len(zs), len(state.x)), (F, Q, H, R, drift), 0
     xs, Ps, weights = np.empty((N, n)), np.empty((N, n, n)), np.empty(zs.shape)

@@ -47,19 +47,7 @@ class Moment(NamedTuple):
 
 
 def begun(setup: Setup, x: Array, P: Array) -> Moment:
-    """Return the moment before the first stamp.
-
-    Parameters
-    ----------
-    setup : Setup
-        What does not change.
-    x, P : ndarray, shape (n,), (n, n)
-        Where the state starts.
-
-    Returns
-    -------
-    Moment
-    """
+    """Return the moment before the first stamp."""
     layout = setup.layout
     sizes, none = np.where(layout.untold, np.nan, 1.0), np.full(layout.size, np.nan)
     watch = fresh(layout.size, len(layout.parties)) if setup.watches else None
@@ -67,46 +55,14 @@ def begun(setup: Setup, x: Array, P: Array) -> Moment:
 
 
 def moved(setup: Setup, state: State, seconds: float) -> State:
-    """Return the state some seconds later, with nothing read.
-
-    Parameters
-    ----------
-    setup : Setup
-        What does not change.
-    state : State
-        Before.
-    seconds : float
-        >= 0; nothing happens in 0 seconds.
-
-    Returns
-    -------
-    State
-    """
+    """Return the state some seconds later, with nothing read."""
     if seconds == 0.0:
         return state
     return predicted(setup.policy, state, *setup.motion.over(seconds, state.x, state.u))
 
 
 def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Array | None) -> Moment:
-    """Return the moment some seconds later, when something was read or a control input changed.
-
-    Parameters
-    ----------
-    setup : Setup
-        What does not change.
-    before : Moment
-        Where it stood.
-    seconds : float
-        Since then, >= 0.
-    z : ndarray, shape (M,)
-        Readings of all sensors, NaN where there is none.
-    control : ndarray, shape (dim_u,), or None
-        Control input from now on.
-
-    Returns
-    -------
-    Moment
-    """
+    """Return the moment some seconds later, when something was read or a control input changed."""
     layout, policy = setup.layout, setup.policy
     state = predicted(policy, before.state, *setup.motion.over(seconds, before.state.x, before.state.u))
     none = np.full(layout.size, np.nan)
@@ -140,21 +96,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
 
 
 def aged(state: State, seconds: float, values: Array) -> State:
-    """Return the state that knows the first readings of sensors that nobody told.
-
-    Parameters
-    ----------
-    state : State
-        Before.
-    seconds : float
-        Since the moment before.
-    values : ndarray, shape (M,)
-        Readings, NaN where missing.
-
-    Returns
-    -------
-    State
-    """
+    """Return the state that knows the first readings of sensors that nobody told."""
     trial, sizes = compared(state.trial, state.sizes, seconds, values)
     if trial is state.trial:
         return state
@@ -167,19 +109,7 @@ def aged(state: State, seconds: float, values: Array) -> State:
 
 
 def covariance(layout: Layout, sizes: Array) -> Array:
-    """Return R of all sensors, where nobody told it as the first readings suggested.
-
-    Parameters
-    ----------
-    layout : Layout
-        Sensors.
-    sizes : ndarray, shape (M,)
-        Of a `State`.
-
-    Returns
-    -------
-    ndarray, shape (M, M)
-    """
+    """Return R of all sensors, where nobody told it as the first readings suggested."""
     if not layout.any_untold:
         return layout.R
     root = np.sqrt(np.where(np.isnan(sizes), 1.0, sizes))

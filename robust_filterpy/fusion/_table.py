@@ -17,40 +17,16 @@ from robust_filterpy.fusion.results import FusionWarning
 __all__ = ["Clock", "Rows", "read", "table_columns", "written"]
 
 class Clock:
-    """Turn stamps into keys that can be compared, keys into seconds between them, and keys into stamps again.
-
-    A number is its own key; an instant's key is an integer, the nanoseconds since 1970: a float of seconds since then
-    would be known to a quarter of a microsecond. The first stamp decides which.
-
-    Parameters
-    ----------
-    kind : {"", "numbers", "instants"}
-        What the stamps are; empty as long as there was none.
-    """
+    """Turn stamps into keys that can be compared, keys into seconds between them, and keys into stamps again."""
+    # A number is its own key; an instant's key is an integer, the nanoseconds since 1970: a float of seconds since then
+    # would be known to a quarter of a microsecond. The first stamp decides which.
 
     def __init__(self, kind: str = "") -> None:
         """Keep what is known."""
         self.kind = kind
 
     def key(self, stamp: Any, name: str = "t") -> float | int:
-        """Return the key of a stamp.
-
-        Parameters
-        ----------
-        stamp : float, numpy.datetime64, pandas.Timestamp or datetime with a time zone
-            When.
-        name : str
-            What a message calls it.
-
-        Returns
-        -------
-        float or int
-
-        Raises
-        ------
-        ValueError, TypeError
-            If it is no time, has no time zone, or is of another kind than those before.
-        """
+        """Return the key of a stamp."""
         found = _stamps.read(name, stamp)
         if self.kind and self._of(found) != self.kind:
             raise TypeError(f"{name}: expected {_WORDS[self.kind]}, as the stamps before, got {_checks.shown(stamp)}")
@@ -103,17 +79,7 @@ class Clock:
 
 
 def written(stamp: Any) -> str:
-    """Return a stamp as a sentence has it, without the zeros at the end of an instant's nanoseconds.
-
-    Parameters
-    ----------
-    stamp : float or numpy.datetime64
-        When.
-
-    Returns
-    -------
-    str
-    """
+    """Return a stamp as a sentence has it, without the zeros at the end of an instant's nanoseconds."""
     text = str(stamp)
     return text.rstrip("0").rstrip(".") if isinstance(stamp, np.datetime64) and "." in text else text
 
@@ -136,27 +102,7 @@ class Rows(NamedTuple):
 def read(
     setup: Setup, clock: Clock, table: Any, time: str, sensor: str, value: Any, controls: tuple[Any, Any] | None
 ) -> Rows:
-    """Return the readings of a table, or raise.
-
-    Parameters
-    ----------
-    setup : Setup
-        Motion and sensors.
-    clock : Clock
-        What the stamps are.
-    table : data frame or dict
-        A row for each reading.
-    time, sensor : str
-        Columns.
-    value : str or sequence of str
-        Column, or columns.
-    controls : tuple, optional
-        Stamps and inputs.
-
-    Returns
-    -------
-    Rows
-    """
+    """Return the readings of a table, or raise."""
     layout = setup.layout
     stamps, who, *columns = table_columns(table, time, sensor, value)
     chosen = [value] if isinstance(value, str) else list(value)
@@ -198,21 +144,7 @@ def read(
 
 
 def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]) -> list[np.ndarray]:
-    """Return columns of a data frame or a dict by name, or raise.
-
-    Parameters
-    ----------
-    table : data frame or dict
-        Where they are.
-    time, sensor : str
-        Which columns.
-    value : str or sequence of str
-        Column, or columns.
-
-    Returns
-    -------
-    list of ndarray
-    """
+    """Return columns of a data frame or a dict by name, or raise."""
     if isinstance(table, Mapping):
         there, column = list(table), lambda name: np.asarray(table[name])
     else:

@@ -27,15 +27,7 @@ MOST, MOST_WATCHED = 50_000, 5000
 
 
 class Entry:
-    """What was read at one stamp.
-
-    Parameters
-    ----------
-    key : float or int
-        Of the stamp.
-    size : int
-        Length of all sensors' measurements.
-    """
+    """What was read at one stamp."""
 
     __slots__ = ("control", "key", "moment", "spoke", "z")
 
@@ -48,19 +40,7 @@ class Entry:
 
 
 class Timeline:
-    """Keep entries in the order of their stamps, and judge them when asked.
-
-    Parameters
-    ----------
-    setup : Setup
-        What does not change.
-    base : Moment
-        What there is before the first entry.
-    window : float
-        Seconds behind the newest stamp within which an entry may still change.
-    history : int
-        Entries that are kept behind the window.
-    """
+    """Keep entries in the order of their stamps, and judge them when asked."""
 
     def __init__(self, setup: Setup, base: Moment, window: float, history: int) -> None:
         """Start empty."""

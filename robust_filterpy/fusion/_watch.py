@@ -91,25 +91,7 @@ def fresh(components: int, sensors: int) -> Watch:
 def looked_at(
     watch: Watch, z: Array, y: Array, spread: Array, R: Array, known: tuple[Array, Array], owner: np.ndarray
 ) -> Watch:
-    """Return what is known after the readings of one moment.
-
-    Parameters
-    ----------
-    watch : Watch
-        Before.
-    z, y : ndarray, shape (M,)
-        Readings and innovations; NaN where missing.
-    spread, R : ndarray, shape (M,)
-        Variances of what was expected, and of ordinary noise before anything was learnt.
-    known : tuple of ndarray, shape (M,)
-        Factor of R and share of outliers, as learnt.
-    owner : ndarray, shape (M,)
-        Place of each component's sensor.
-
-    Returns
-    -------
-    Watch
-    """
+    """Return what is known after the readings of one moment."""
     here = ~np.isnan(y)
     tests = watch.tests.copy()
     factors, shares = known
@@ -157,11 +139,9 @@ def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:
 
 
 def colour(watch: Watch) -> Array:
-    """Return the correlation of each component's readings with those before, (M,), in [0, .95].
-
-    What may be chance is 0. Signs of two normal numbers of correlation phi agree with probability
-    1/2 + arcsin(phi)/pi.
-    """
+    """Return the correlation of each component's readings with those before, (M,), in [0, .95]."""
+    # What may be chance is 0. Signs of two normal numbers of correlation phi agree with probability 1/2 +
+    # arcsin(phi)/pi.
     counts = np.minimum(watch.tests[:, _COUNT], 2.0 * _AVERAGED)
     phi = np.sin(0.5 * math.pi * watch.tests[:, _KEEPS])
     return np.where(phi > _BY_CHANCE / np.sqrt(np.maximum(counts, 1.0)), np.minimum(phi, 0.95), 0.0)

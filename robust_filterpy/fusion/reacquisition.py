@@ -239,21 +239,7 @@ class Reacquisition:
 
 
 def doubted(setup: Setup, before: Moment, seconds: float, key: Any, z: Array, control: Array | None) -> Moment:
-    """Return the moment some seconds later, with what is in doubt.
-
-    Parameters
-    ----------
-    setup : Setup
-        What does not change.
-    before, seconds, z, control
-        As `advanced` takes them.
-    key : float or int
-        Of the stamp.
-
-    Returns
-    -------
-    Moment
-    """
+    """Return the moment some seconds later, with what is in doubt."""
     doubt, owner = before.doubt, setup.layout.owner
     used = z if doubt is None or doubt.off < 0 else np.where(owner == doubt.off, np.nan, z)
     moment = advanced(setup, before, seconds, used, control)

@@ -96,25 +96,7 @@ class Recording:
 
 
 def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -> Recording:
-    """Return the states of a recording.
-
-    Parameters
-    ----------
-    setup : Setup
-        What does not change.
-    begin : Moment
-        Before the first stamp.
-    start : float, int or None
-        Key of that moment; None if it is that of the first stamp.
-    rows : Rows
-        What was read.
-    smoothed : bool
-        Whether from the whole recording.
-
-    Returns
-    -------
-    Recording
-    """
+    """Return the states of a recording."""
     layout, motion, K = setup.layout, setup.motion, len(rows.keys)
     if not K:
         raise ValueError("table: expected a row for each reading, got none")

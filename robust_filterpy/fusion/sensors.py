@@ -146,20 +146,7 @@ class Seen(NamedTuple):
 
 
 class Layout:
-    """Place the measurements of all sensors in one vector of length M, in the order of declaration.
-
-    Parameters
-    ----------
-    sensors : mapping of str to Sensor
-        By name.
-    n : int
-        Length of the state.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If there is none, one is no `Sensor`, a name is no text, or H does not fit the state.
-    """
+    """Place the measurements of all sensors in one vector of length M, in the order of declaration."""
 
     def __init__(self, sensors: Mapping[str, Sensor], n: int) -> None:
         """Check and keep them."""
@@ -207,19 +194,7 @@ class Layout:
         self.curved = tuple(name for name, sensor in self.sensors.items() if sensor.h is not None)
 
     def reading(self, name: str, z: Any) -> Array:
-        """Return a sensor's reading, NaN where a component is missing, or raise.
-
-        Parameters
-        ----------
-        name : str
-            Of the sensor.
-        z : array_like, shape (m,), or float, or None
-            What it says.
-
-        Returns
-        -------
-        ndarray, shape (m,)
-        """
+        """Return a sensor's reading, NaN where a component is missing, or raise."""
         if not isinstance(name, Hashable) or name not in self.places:
             raise ValueError(f"sensor: expected one of {list(self.sensors)}, got {_checks.shown(name)}")
         m = self.sensors[name].dim_z
@@ -233,17 +208,7 @@ class Layout:
         return found.copy()
 
     def never_together(self, zs: Array) -> list[tuple[str, ...]]:
-        """Return groups of sensors that have all spoken often, and never two of them at one stamp.
-
-        Parameters
-        ----------
-        zs : ndarray, shape (K, M)
-            Readings of each stamp, NaN where missing.
-
-        Returns
-        -------
-        list of tuple of str
-        """
+        """Return groups of sensors that have all spoken often, and never two of them at one stamp."""
         spoke = {name: (~np.isnan(zs[:, place])).any(axis=1) for name, place in self.places.items()}
         found = []
         for party in self.parties:
@@ -254,20 +219,7 @@ class Layout:
         return found
 
     def seen_from(self, x: Array, z: Array) -> Seen:
-        """Return readings and H as they are about a state; sensors without a reading are not asked.
-
-        Parameters
-        ----------
-        x : ndarray, shape (n,)
-            State that h is made linear about.
-        z : ndarray, shape (M,)
-            Readings, NaN where missing.
-
-        Returns
-        -------
-        Seen
-            A reading for which a user's function raises, or returns another shape or what is not finite, is missing.
-        """
+        """Return readings and H as they are about a state; sensors without a reading are not asked."""
         curved = [name for name in self.curved if not np.isnan(z[self.places[name]]).all()]
         if not curved:
             return Seen(z, self.H)

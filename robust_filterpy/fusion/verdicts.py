@@ -75,40 +75,12 @@ class Verdict(NamedTuple):
 
 
 def described(fault: str, since: Any = None, probability: float = 1.0, size: float = float("nan")) -> Verdict:
-    """Return a verdict with its remedy.
-
-    Parameters
-    ----------
-    fault : str
-        Its name.
-    since : stamp, optional
-        Onset.
-    probability : float, default 1
-        Of it.
-    size : float, optional
-        How large it is.
-
-    Returns
-    -------
-    Verdict
-    """
+    """Return a verdict with its remedy."""
     return Verdict(fault, since, probability, size, _REMEDIES[fault])
 
 
 def silent(since: Any, refused: int) -> Verdict:
-    """Return the verdict about a sensor that has said nothing for too long.
-
-    Parameters
-    ----------
-    since : stamp or None
-        Of its last word; None if it has never spoken.
-    refused : int
-        Readings of it that came too late to be used.
-
-    Returns
-    -------
-    Verdict
-    """
+    """Return the verdict about a sensor that has said nothing for too long."""
     found = described("silent", since)
     if not refused:
         return found
@@ -117,21 +89,7 @@ def silent(since: Any, refused: int) -> Verdict:
 
 
 def watched(line: Any, i: int, moment: Moment) -> Moment:
-    """Return the moment of an entry with what its readings say about the sensors.
-
-    Parameters
-    ----------
-    line : Timeline
-        Of which all entries before this one have been judged.
-    i : int
-        Its place.
-    moment : Moment
-        As it follows from the one before.
-
-    Returns
-    -------
-    Moment
-    """
+    """Return the moment of an entry with what its readings say about the sensors."""
     owner, before = line.setup.layout.party, moment.watch
     watch = _readmitted(before, owner)
     alarm = alarmed(watch, owner)
@@ -293,19 +251,7 @@ def _mended(line: Any, i: int, watch: Watch) -> Any:
 
 
 def words(name: str, verdict: Verdict) -> str:
-    """Return a verdict as a line.
-
-    Parameters
-    ----------
-    name : str
-        Whose.
-    verdict : Verdict
-        What.
-
-    Returns
-    -------
-    str
-    """
+    """Return a verdict as a line."""
     if verdict.fault == "healthy":
         return f"{name} healthy"
     much = {
@@ -321,19 +267,7 @@ def words(name: str, verdict: Verdict) -> str:
 
 
 def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
-    """Return the verdict about each sensor, and about the "motion".
-
-    Parameters
-    ----------
-    layout : Layout
-        Of the sensors.
-    moment : Moment
-        What is known.
-
-    Returns
-    -------
-    dict of str to Verdict
-    """
+    """Return the verdict about each sensor, and about the "motion"."""
     if moment.watch is None:
         return {
             **dict.fromkeys((*layout.names, "motion"), described("healthy")),

@@ -39,12 +39,7 @@ __all__ = ["available"]
 
 @lru_cache(maxsize=1)
 def extension() -> Any:
-    """Return the extension module, None (after one line in the log that says so) if the definition is to serve.
-
-    Returns
-    -------
-    module or None
-    """
+    """Return the extension module, None (after one line in the log that says so) if the definition is to serve."""
     found = _loaded()
     if isinstance(found, str):
         if not _switched_off():
@@ -56,12 +51,7 @@ def extension() -> Any:
 
 
 def missing() -> str | None:
-    """Return why the kernel does not serve, None if it does.
-
-    Returns
-    -------
-    str or None
-    """
+    """Return why the kernel does not serve, None if it does."""
     found = _loaded()
     return found if isinstance(found, str) else None
 

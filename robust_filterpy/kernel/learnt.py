@@ -27,17 +27,6 @@ PREDICTION, CORRECTION, BOTH = 1, 2, 3
 def rule(noise: NoiseClasses, process: Scales) -> Array:
     """Return what learnt.c takes: sizes and options, scales of Q, scales of R, what is known at first, and who fails
     with whom.
-
-    Parameters
-    ----------
-    noise : NoiseClasses
-        Classes of measurement noise.
-    process : Scales
-        Copies of the filter.
-
-    Returns
-    -------
-    ndarray
     """
     drawn = () if process.probabilities is None else process.probabilities
     groups: Any = () if isinstance(noise.grouping, str) else noise.grouping
@@ -52,19 +41,7 @@ def rule(noise: NoiseClasses, process: Scales) -> Array:
 
 
 def begin(copies: Copies, memory: Array) -> State:
-    """Return copies of the arrays as a state, with room for the mean and the covariance of all.
-
-    Parameters
-    ----------
-    copies : Copies
-        Copies of the filter.
-    memory : ndarray, shape (m, 14 + 2 K + K^2)
-        What is known of each sensor.
-
-    Returns
-    -------
-    State
-    """
+    """Return copies of the arrays as a state, with room for the mean and the covariance of all."""
     n = copies.x.shape[1]
     x, P, belief = copies
     return State(x.copy(), P.copy(), belief.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)))
@@ -75,40 +52,7 @@ def run(
     *, first: int = 0, last: int | None = None, every: int = 1, alpha_sq: float = 1.0, update_first: bool = False,
     which: int = BOTH, readings: Array | None = None, M: Array | None = None,
 ) -> int:  # fmt: skip
-    """Take the steps of a recording as far as the kernel can, in place, and return the first that was not taken.
-
-    Parameters
-    ----------
-    state : State
-        Where it stands; as it was before a step that is not taken.
-    zs : ndarray, shape (steps, m)
-        Measurements, NaN where missing.
-    model : tuple of ndarray, shapes (N, n, n), (N, n, n), (N, m, n), (N, m, m), (N, n)
-        F, Q, H, R and B u or None; N is the number of steps, or 1 where one serves all.
-    noise : NoiseClasses
-        Classes.
-    process : Scales
-        Copies of the filter.
-    kept : Kept
-        What is written.
-    first, last, every, alpha_sq, update_first
-        First step, the one after the last, which are kept, fading memory, whether a step begins with its correction.
-    which : int
-        `PREDICTION` or `CORRECTION` alone, or `BOTH`.
-    readings : ndarray, shape (steps, m), optional
-        What the sensors said, where zs is only how far that is from what was expected.
-    M : ndarray, shape (n, m), optional
-        Covariance of the state's error and the measurement noise.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ValueError
-        If an array is not what a step needs.
-    """
+    """Take the steps of a recording as far as the kernel can, in place, and return the first that was not taken."""
     extension = kernel.extension()
     last = len(zs) if last is None else last
     if extension is None:
@@ -129,31 +73,7 @@ def run(
 def predict(
     copies: Copies, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
 ) -> tuple[Copies, Array, Array]:
-    """Predict copies of a filter: `robust_filterpy.correction.copies.predict`.
-
-    Parameters
-    ----------
-    copies : Copies
-        Before.
-    F : ndarray, shape (n, n)
-        Transition matrix.
-    Q : ndarray, shape (n, n)
-        Process noise covariance.
-    process : Scales
-        Copies of the filter.
-    Bu : ndarray, shape (n,), optional
-        What the control input adds.
-    alpha_sq : float, default 1
-        Fading memory factor.
-
-    Returns
-    -------
-    copies : Copies
-    x : ndarray, shape (n,)
-        Mean of all.
-    P : ndarray, shape (n, n)
-        Its covariance.
-    """
+    """Predict copies of a filter: `robust_filterpy.correction.copies.predict`."""
     n = len(F)
     state = begin(copies, _SENSOR)
     model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
@@ -175,26 +95,7 @@ def correct(
     inv: Inverse | None = None,
     readings: Array | None = None,
 ) -> tuple[Corrected, Array, Array]:
-    """Correct copies of a filter by one measurement: `robust_filterpy.correction.learnt.correct`.
-
-    Parameters
-    ----------
-    copies, memory, z, H, R, noise, process, M, inv, readings
-        As there.
-
-    Returns
-    -------
-    corrected : Corrected
-    x : ndarray, shape (n,)
-        Mean of all copies.
-    P : ndarray, shape (n, n)
-        Its covariance.
-
-    Raises
-    ------
-    SingularInnovationError
-        As there.
-    """
+    """Correct copies of a filter by one measurement: `robust_filterpy.correction.learnt.correct`."""
     if inv is None:
         (m, n), state = H.shape, begin(copies, memory)
         weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)

@@ -16,22 +16,7 @@ from robust_filterpy.kernel.series import SCALINGS, rule
 __all__ = ["Taken", "correct", "correct_linear", "correction_of", "judged_of", "moments_of", "weights_of"]
 
 def correction_of(values: Array, x: Array, P: Array) -> Correction:
-    """Return what a record of numbers says.
-
-    Parameters
-    ----------
-    values : ndarray, shape (4 + 8 m + m^2 + m n,)
-        n, m, scaling, log-likelihood; y, e, weights, psi', d, v, the order, and S_ii
-        with what a sensor is charged, of m numbers each; S and C'.
-    x : ndarray, shape (n,) or (n, 1)
-        Posterior mean.
-    P : ndarray, shape (n, n)
-        Posterior covariance.
-
-    Returns
-    -------
-    Correction
-    """
+    """Return what a record of numbers says."""
     n, m = int(values[0]), int(values[1])
     scaling, rest = SCALINGS[int(values[2])], values[4:]
     y, e, weights, psi_deriv, d, score, order, judged = rest[: 8 * m].reshape(8, m)
@@ -45,17 +30,7 @@ def correction_of(values: Array, x: Array, P: Array) -> Correction:
 
 
 def weights_of(values: Array) -> Array:
-    """Return the weights alone.
-
-    Parameters
-    ----------
-    values : ndarray, shape (4 + 8 m + m^2 + m n,)
-        A record as `correction_of` takes it.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-    """
+    """Return the weights alone."""
     m = int(values[1])
     return values[4 + 2 * m : 4 + 3 * m].copy()
 
@@ -137,42 +112,14 @@ class Taken(NamedTuple):
 def correct_linear(
     choices: Choices, memory: Array, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None
 ) -> Taken | None:
-    """Correct a state by linear sensors, to the last bit as a filter's step by the kernel does.
-
-    Parameters
-    ----------
-    choices : Choices
-        Influence function, scaling, information, grouping.
-    memory : ndarray, shape (m, 15)
-        What is known of the sensors; not changed.
-    x, P, z, H, R, M
-        Shapes (n,), (n, n), (m,) with NaN where missing, (m, n), (m, m) and (n, m).
-
-    Returns
-    -------
-    Taken or None
-        None where that is for the definition; nothing has changed in any case.
-    """
+    """Correct a state by linear sensors, to the last bit as a filter's step by the kernel does."""
     return _by_extension("correct_arrays", choices, (x, P, z, H, R, M), memory)
 
 
 def correct(
     choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array
 ) -> Taken | None:
-    """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_custom`.
-
-    Parameters
-    ----------
-    choices, memory
-        As in `correct_linear`.
-    P, z, y, C, S, R
-        As in these; or the Jacobian H, shape (m, n), as C, and None as S.
-
-    Returns
-    -------
-    Taken or None
-        None where that is for the definition; nothing has changed in any case.
-    """
+    """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_custom`."""
     return _by_extension("correct_moments", choices, (P, z, y, C, S, R), memory)
 
 

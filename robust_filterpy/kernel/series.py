@@ -82,20 +82,7 @@ JOINT_MOST = 16
 
 
 def rule(choices: Choices) -> Array | None:
-    """Return the options as numbers: kind and parameters of psi, scaling, information, E[psi'], normalizers.
-
-    Parameters
-    ----------
-    choices : Choices
-        Influence function, scaling, information, grouping.
-
-    Returns
-    -------
-    ndarray, shape (8,), or None
-        None if the kernel does not know them; where it is psi alone that it does not know, "called" of what is derived
-        has the rest, and a step of one filter calls psi. With grouping "joint" the normalizers of 1 to 16 sensors
-        follow.
-    """
+    """Return the options as numbers: kind and parameters of psi, scaling, information, E[psi'], normalizers."""
     if "rule" not in choices.derived:
         by_number = choices.kernel_psi is not None
         choices.derived["called"] = None if by_number else _encoded(choices)
@@ -124,17 +111,7 @@ def _encoded(choices: Choices) -> Array | None:
 
 
 def serves(choices: Choices) -> bool:
-    """Return whether the kernel is there and knows these options.
-
-    Parameters
-    ----------
-    choices : Choices
-        Influence function, scaling, information, grouping.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether the kernel is there and knows these options."""
     return kernel.available() and rule(choices) is not None
 
 
@@ -154,37 +131,7 @@ def filter_series(
     stop: int | None = None,
     span: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Advance series in place and return the first step of each that was not taken.
-
-    Parameters
-    ----------
-    choices : Choices
-        Influence function, scaling, information, grouping, for which the kernel `serves`.
-    zs : ndarray, shape (series, steps, m)
-        Measurements, NaN where missing.
-    model : Model
-        F, Q, H, R, B u.
-    x, P : ndarray, shape (series, n) and (series, n, n)
-        States, advanced in place; C-contiguous.
-    output : Output
-        What is written.
-    memory : ndarray, shape (series, m, 10), optional
-        What the sensors' spreads are learnt from, advanced in place; needed under scaling "learnt".
-    alpha_sq : float
-        Fading memory: P is multiplied by it at each prediction.
-    update_first : bool
-        Whether a step begins with its correction.
-    every : int
-        Which steps are kept: each of so many.
-    start, stop : int
-        First step, and the one after the last.
-    span : tuple of int, optional
-        First series and the one after the last.
-
-    Returns
-    -------
-    ndarray of int, shape (series,)
-    """
+    """Advance series in place and return the first step of each that was not taken."""
     done = np.full(len(zs), start, dtype=np.intp)
     low, high = (0, len(zs)) if span is None else span
     rows = zs.shape[1] // every
@@ -203,19 +150,7 @@ def run(
     choices: Choices, state: State, zs: Array, model: tuple[Any, ...], kept: Kept,
     *, first: int = 0, last: int | None = None, alpha_sq: float = 1.0, update_first: bool = False,
 ) -> int:  # fmt: skip
-    """Take the steps of one recording as far as the kernel can, in place, and return the first that was not taken.
-
-    Parameters
-    ----------
-    choices : Choices
-        Influence function, scaling, information, grouping.
-    state, zs, model, kept, first, last, alpha_sq, update_first
-        As `robust_filterpy.kernel.learnt.run` takes them.
-
-    Returns
-    -------
-    int
-    """
+    """Take the steps of one recording as far as the kernel can, in place, and return the first that was not taken."""
     if not serves(choices):
         return first
     done, n = np.full(1, first, dtype=np.intp), len(state.x)
@@ -231,15 +166,5 @@ def run(
 
 
 def plain(array: Array) -> Array:
-    """Return an array as the kernel takes it.
-
-    Parameters
-    ----------
-    array : array_like, any shape
-
-    Returns
-    -------
-    ndarray of float64, shape of array
-        C-contiguous.
-    """
+    """Return an array as the kernel takes it."""
     return np.ascontiguousarray(array, dtype=np.float64)

@@ -70,26 +70,7 @@ class Outliers(NamedTuple):
 def found_outliers(
     model: PolynomialModel, p: Array, missing: Any, noise: Noise, before: Outliers | None = None
 ) -> Outliers:
-    """Find the outliers in the output and in the noise of a model that has measured outputs in its regressor.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With the output as measured, of about unit size.
-    p : ndarray, shape (n,)
-        Its free parameters.
-    missing : ndarray of bool, shape (N,)
-        Which samples are missing.
-    noise : Noise
-        Whether there are outliers, and R if it is known; otherwise that comes from the median of the residuals.
-    before : Outliers, optional
-        What was found with other parameters.
-
-    Returns
-    -------
-    Outliers
-        None, where nothing but the last residual tells of a sample: the loss takes care of those.
-    """
+    """Find the outliers in the output and in the noise of a model that has measured outputs in its regressor."""
     h, first, residual = response(model, p), model.first, model.residuals(p)
     wrong, counts = missing.copy(), np.ones(residual.size, dtype=bool)
     R = noise.R if noise.known else None
@@ -139,24 +120,10 @@ class Cleaned(NamedTuple):
 
 
 def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
-    """Return what a model with outputs in its regressor leaves of a recording, None for any other.
-
-    What comes after an outlier tells whether it was the measurement's, and is interpolated, or the process's, and acts
-    on. A prediction, which must not look ahead, takes something between, and is wrong for a while in either case.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-    u : ndarray, shape (N, n_inputs)
-        Input.
-
-    Returns
-    -------
-    Cleaned or None
-    """
+    """Return what a model with outputs in its regressor leaves of a recording, None for any other."""
+    # What comes after an outlier tells whether it was the measurement's, and is interpolated, or the process's, and
+    # acts on. A prediction, which must not look ahead, takes something between, and is wrong for a while in either
+    # case.
     prepared, known = model.prepared(y, u)
     if prepared.nf or not prepared.na:
         return None
@@ -171,15 +138,11 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
 
 
 def _even(deviations: Array) -> float:
-    """Return the threshold at which outliers that are missed add what ordinary samples taken for outliers take away.
-
-    With a share s of outliers of N(0, V), V >> t^2, among standardized deviations d, the mean of d^2 - 1 over the
-    samples that stay is 0 if
-
-        (1 - s) 2 t phi(t) = s (2 t^3/3 - 2 t)/sqrt(2 pi V),   exp(t^2/2) (t^2/3 - 1) = (1 - s)/s sqrt(V)
-
-    Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
-    """
+    """Return the threshold at which outliers that are missed add what ordinary samples taken for outliers take away."""
+    # With a share s of outliers of N(0, V), V >> t^2, among standardized deviations d, the mean of d^2 - 1 over the
+    # samples that stay is 0 if
+    #     (1 - s) 2 t phi(t) = s (2 t^3/3 - 2 t)/sqrt(2 pi V),   exp(t^2/2) (t^2/3 - 1) = (1 - s)/s sqrt(V)
+    # Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
     found: Any = Noise(START, 1.0, known=True).settled(deviations).influence
     odds = (1.0 - found.contamination) / found.contamination * found.scale_ratio
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
@@ -257,12 +220,10 @@ class _Block(NamedTuple):
         return _Found(wrong, counts, scale, unknowns, output[~self.missing & (output > 0.0)])
 
     def unmixed(self, found: _Found) -> tuple[Any, Any]:
-        """Return wrong samples and residuals that count, whose patterns may hide each other: looked for all at once.
-
-        Each sample near outliers has a variance of its own around what the others say. The likelihood of what is
-        measured is largest with most of these at 0 (Tipping, Journal of Machine Learning Research 1, 2001; the steps
-        are MacKay's, Neural Computation 4, 1992).
-        """
+        """Return wrong samples and residuals that count, whose patterns may hide each other: looked for all at once."""
+        # Each sample near outliers has a variance of its own around what the others say. The likelihood of what is
+        # measured is largest with most of these at 0 (Tipping, Journal of Machine Learning Research 1, 2001; the steps
+        # are MacKay's, Neural Computation 4, 1992).
         R, wrong, counts, unknowns = found.scale**2, found.wrong.copy(), found.counts.copy(), found.unknowns
         large = ~counts | (np.abs(unknowns.residual) > self.threshold * found.scale)
         # Whatever depends on the same residuals as an outlier, or may have made one large.

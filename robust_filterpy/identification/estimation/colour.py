@@ -48,17 +48,7 @@ class Colour(NamedTuple):
 
 
 def colour_of(signal: Array) -> Colour:
-    """Return the colour of a signal without outliers.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        0 where it tells nothing.
-
-    Returns
-    -------
-    Colour
-    """
+    """Return the colour of a signal without outliers."""
     most = min(_MOST, signal.size // _SAMPLES_EACH)
     if most < 1 or not signal.any():
         return Colour(np.ones(1), 0.0)
@@ -73,23 +63,7 @@ def colour_of(signal: Array) -> Colour:
 
 
 def evidence(noise: Noise, residual: Array, rows: Any) -> float:
-    """Return the log-likelihood of residuals of an output with the colour that they have.
-
-    Parameters
-    ----------
-    noise : Noise
-        As they show it.
-    residual : ndarray, shape (N,)
-        Residuals.
-    rows : ndarray of bool, shape (N,)
-        Which of them count.
-
-    Returns
-    -------
-    float
-        The larger one of two: outliers of one sample each beside a coloured noise, or a noise that is carried on,
-        outliers and all.
-    """
+    """Return the log-likelihood of residuals of an output with the colour that they have."""
     shown = residual[rows]
     alone = noise.log_likelihood(shown) + colour_of(np.where(rows, noise.psi(residual), 0.0)).gain
     reach = _CLIP * float(np.sqrt(np.mean(np.square(shown))))
@@ -102,20 +76,6 @@ def evidence(noise: Noise, residual: Array, rows: Any) -> float:
 
 
 def evidence_of_outputs(noise: tuple[Noise, ...], residual: Array, spans: Any) -> float:
-    """Return the log-likelihood of what is left of several outputs in several recordings, with its colour.
-
-    Parameters
-    ----------
-    noise : tuple of Noise, length p
-        Of each output.
-    residual : ndarray, shape (N, p)
-        NaN where an output is missing.
-    spans : sequence of slice
-        Samples of each recording.
-
-    Returns
-    -------
-    float
-    """
+    """Return the log-likelihood of what is left of several outputs in several recordings, with its colour."""
     parts = [(one, own[part]) for one, own in zip(noise, residual.T, strict=True) for part in spans]
     return sum(evidence(one, np.nan_to_num(e), ~np.isnan(e)) for one, e in parts if not np.isnan(e).all())

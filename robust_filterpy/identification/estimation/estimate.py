@@ -105,19 +105,7 @@ class Problem(NamedTuple):
         return self._replace(u=self.u[self.spans[i]], begins=(0,))
 
     def residuals_of(self, y: Array, u: Array) -> PolynomialModel:
-        """Return what gives the residuals of these signals.
-
-        Parameters
-        ----------
-        y : ndarray, shape (N,)
-            Output, without gaps.
-        u : ndarray, shape (N, n_inputs)
-            Input.
-
-        Returns
-        -------
-        PolynomialModel
-        """
+        """Return what gives the residuals of these signals."""
         if len(self.begins) == 1:
             return PolynomialModel(self.structure, y, u, self.offset, self.moving)
         return SeveralRecordings(self.structure, y, u, self.offset, self.moving, self.begins)
@@ -142,28 +130,7 @@ class Estimated(NamedTuple):
 
 
 def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: Array | None = None) -> Estimated:
-    """Find the model of an output; its ``warning`` says what is doubtful.
-
-    Parameters
-    ----------
-    problem : Problem
-        What is to be found.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-    columns : ndarray, shape (N, k), optional
-        Levels whose sizes are found with the model, 0 in the last sample of each recording.
-    begin : ndarray, shape (n,), optional
-        Free parameters to begin from. Default: from several starts, the levels left out until the end.
-
-    Returns
-    -------
-    Estimated
-
-    Raises
-    ------
-    ValueError
-        If the recording is too short or does not excite the parameters.
-    """
+    """Find the model of an output; its ``warning`` says what is doubtful."""
     structure, offset, known = problem.structure, problem.offset, problem.R
     signal, missing = problem.u - problem.rest, np.isnan(y)
     units = _Units.of(y, signal, offset, problem.spans)
@@ -284,10 +251,8 @@ def _as_model(
     held: Any,
     others: list[tuple[float, Array]],
 ) -> Model:
-    """Return what was found, for the recording as it was measured, its outliers and gaps interpolated.
-
-    The end's parameters are those of this recording, its noise is that of an output in the unit.
-    """
+    """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
+    # The end's parameters are those of this recording, its noise is that of an output in the unit.
     structure, n, p, rows = model.structure, model.structure.n_theta, end.p, end.rows
     # Of several recordings the constant is that of the last.
     at, residual = n + len(model.pieces) - 1, model.residuals(p)

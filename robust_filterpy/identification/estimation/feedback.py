@@ -28,18 +28,7 @@ _SHARE: Final = 0.02
 
 
 def with_feedback(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
-    """Find out whether a recording comes from a closed loop.
-
-    Parameters
-    ----------
-    problem, y, model
-        As in `level.unlike_in_parts`.
-
-    Returns
-    -------
-    tuple of Finding
-        One, or none.
-    """
+    """Find out whether a recording comes from a closed loop."""
     structure = model.structure
     # What is rounding alone did not go back to the input.
     if not structure.inputs or structure.takes_phi or model.noise.is_rounding:
@@ -58,22 +47,7 @@ def with_feedback(problem: Problem, y: Array, model: Model) -> tuple[Finding, ..
 
 
 def feedback(parts: list[tuple[Array, Array]], direct: bool, meaning: str) -> tuple[Finding, ...]:
-    """Find out whether inputs follow the residuals of any model.
-
-    Parameters
-    ----------
-    parts : list of (ndarray, shape (N, m); ndarray, shape (N, p))
-        Inputs from where they rest, and residuals, NaN where there are none, of each recording.
-    direct : bool
-        Whether u may move y at once: nobody can tell then which of the two follows the other.
-    meaning : str
-        What a closed loop means for the model.
-
-    Returns
-    -------
-    tuple of Finding
-        One, or none.
-    """
+    """Find out whether inputs follow the residuals of any model."""
     lags = range(int(direct), _RESIDUALS + 1)
     pasts, wanted = [], []
     for u, left in parts:

@@ -44,32 +44,7 @@ def identified_grey_box(
     influence: Influence | None = None,
     trend: str = "breaks",
 ) -> GreyBoxModel:
-    """Find the parameters of a physical model.
-
-    Parameters
-    ----------
-    y : array_like, shape (N,) or (N, p), or list of these
-        Outputs, NaN where one is missing.
-    u : array_like, shape (N,) or (N, m), list of these, or None
-        Inputs.
-    structure : GreyBox
-        The equations.
-    t : array_like, shape (N,), or list of these, optional
-        Times in s. Default: those of the index.
-    influence : Influence, optional
-        Loss; default: learnt, for each output.
-    trend : {"none", "line", "breaks"}, default "breaks"
-        What each output has beside the equations.
-
-    Returns
-    -------
-    GreyBoxModel
-
-    Raises
-    ------
-    ValueError, TypeError
-        If the recordings or what f and h return do not fit, or the equations overflow with the first guesses.
-    """
+    """Find the parameters of a physical model."""
     told, known, found = _recordings(y, u, t)
     _require_functions(structure, told[0])
     ends = np.cumsum([len(one.y) for one in told])

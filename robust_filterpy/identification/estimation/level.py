@@ -112,19 +112,7 @@ class Settled(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, samples: int) -> Settled:
-        """Return what a model has beside it.
-
-        Parameters
-        ----------
-        model : Model
-            Of one recording.
-        samples : int
-            Of this.
-
-        Returns
-        -------
-        Settled
-        """
+        """Return what a model has beside it."""
         values = model.trend if model.trend.size else np.zeros(samples)
         input = next((one for one in model.findings if one.kind == "input outliers"), None)
         breaks = [
@@ -136,38 +124,14 @@ class Settled(NamedTuple):
         return cls(Trend(values, tuple(breaks)), input)
 
     def after(self, first: int) -> Settled:
-        """Return the same for the recording from a sample on.
-
-        Parameters
-        ----------
-        first : int
-            The sample.
-
-        Returns
-        -------
-        Settled
-        """
+        """Return the same for the recording from a sample on."""
         breaks = [one._replace(time=max(one.time - first, 0)) for one in self.trend.breaks]
         kept = tuple(one for one in breaks if one.kind == "ramp" or one.time)
         return self._replace(trend=Trend(self.trend.values[first:], kept))
 
 
 def without_endless_motion(problem: Problem, y: Array, best: Beside) -> Beside:
-    """Find the model again from rest if what was in motion when the recording began would outlast it.
-
-    Parameters
-    ----------
-    problem : Problem
-        What is to be found.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-    best : Beside
-        The model of these, and their levels.
-
-    Returns
-    -------
-    Beside
-    """
+    """Find the model again from rest if what was in motion when the recording began would outlast it."""
     model, own = best.model, y - best.levels[:, 0]
     slowest = endless_pole(model, max(part.stop - part.start for part in problem.spans))
     if slowest is None:
@@ -189,37 +153,13 @@ def without_endless_motion(problem: Problem, y: Array, best: Beside) -> Beside:
 
 
 def endless_pole(model: Model, samples: int) -> float | None:
-    """Return the size of a pole that keeps what is in motion for longer than a recording, None if there is none.
-
-    Parameters
-    ----------
-    model : Model
-        Of the recording.
-    samples : int
-        Of the longest one.
-
-    Returns
-    -------
-    float or None
-    """
+    """Return the size of a pole that keeps what is in motion for longer than a recording, None if there is none."""
     slowest = float(np.abs(np.roots(model.parts.f)).max(initial=0.0))
     return slowest if model.structure.n_inputs and abs(1.0 - slowest) * samples < _ENDLESS else None
 
 
 def undisturbed_outputs(problem: Problem, y: Array, plain: Model) -> Iterator[Array]:
-    """Yield outputs of a recording that no level disturbs, shape (N,), NaN where nothing tells them.
-
-    Parameters
-    ----------
-    problem, y
-        As in `without_endless_motion`.
-    plain : Model
-        Beside a constant level.
-
-    Yields
-    ------
-    ndarray, shape (N,)
-    """
+    """Yield outputs of a recording that no level disturbs, shape (N,), NaN where nothing tells them."""
     yield of_impulses(y[:, None], problem.u, problem.spans)[:, 0]
     if _is_slow(plain, len(y)) and len(problem.begins) == 1:
         try:
@@ -239,21 +179,7 @@ def _is_slow(model: Model, samples: int) -> bool:
 
 
 def of_impulses(y: Array, u: Array, spans: Any) -> Array:
-    """Return what long impulse responses make of the inputs, NaN where a recording is too short to tell.
-
-    Parameters
-    ----------
-    y : ndarray, shape (N, p)
-        Outputs, NaN where one is missing.
-    u : ndarray, shape (N, m)
-        Inputs.
-    spans : sequence of slice
-        Samples of each recording.
-
-    Returns
-    -------
-    ndarray, shape (N, p)
-    """
+    """Return what long impulse responses make of the inputs, NaN where a recording is too short to tell."""
     found = np.full(y.shape, np.nan)
     for part in spans:
         for j, own in enumerate(y[part].T):
@@ -263,21 +189,7 @@ def of_impulses(y: Array, u: Array, spans: Any) -> Array:
 
 
 def output_of(model: Model, y: Array, u: Array) -> Array:
-    """Return a model's output, with the motion in which it began if that dies.
-
-    Parameters
-    ----------
-    model : Model
-        Of the recording.
-    y : ndarray, shape (N,)
-        Output less its level, NaN where it is missing.
-    u : ndarray, shape (N, n_inputs)
-        Input.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-    """
+    """Return a model's output, with the motion in which it began if that dies."""
     rest, run = model.simulate(u), model.free_run(y, u)
     motion, known = run - rest, ~np.isnan(run)
     late = motion[y.size // 2 :]
@@ -286,22 +198,7 @@ def output_of(model: Model, y: Array, u: Array) -> Array:
 
 
 def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = False) -> tuple[Finding, ...]:
-    """Find the parts of a recording in which what the model leaves follows the inputs.
-
-    Parameters
-    ----------
-    problem, y
-        As in `without_endless_motion`.
-    model : Model
-        Of this recording.
-    others : bool, default False
-        Whether it is of other recordings too.
-
-    Returns
-    -------
-    tuple of Finding
-        One, from the first of these parts to the last, or none.
-    """
+    """Find the parts of a recording in which what the model leaves follows the inputs."""
     parts = _parts(y.size, others)
     if not model.structure.n_inputs or model.structure.takes_phi or not len(parts) or model.noise.is_rounding:
         return ()
@@ -333,22 +230,7 @@ def unlike_in_parts(problem: Problem, y: Array, model: Model, others: bool = Fal
 
 
 def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Finding, ...]:
-    """Find the parts of a recording in which what any model leaves follows the inputs.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        What it leaves of an output; NaN where there is nothing.
-    signals : ndarray, shape (N, k)
-        What it makes of the inputs, and these, from their rest.
-    others : bool, default False
-        Whether the model is of other recordings too.
-
-    Returns
-    -------
-    tuple of Finding
-        One, from the first of these parts to the last, or none.
-    """
+    """Find the parts of a recording in which what any model leaves follows the inputs."""
     parts = _parts(residual.size, others)
     if not len(parts):
         return ()
@@ -371,20 +253,7 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
 
 
 def another_gain(residual: Array, x: Array) -> tuple[Finding, ...]:
-    """Find out whether the gain of the plant changes in a recording, from all of its samples together.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        What the model leaves, NaN where there is nothing.
-    x : ndarray, shape (M,)
-        What it makes of the inputs, as it stands in the last M residuals (`gain.driven`).
-
-    Returns
-    -------
-    tuple of Finding
-        One, or none.
-    """
+    """Find out whether the gain of the plant changes in a recording, from all of its samples together."""
     sample, before, after, z = gain.broken(residual, x)
     if not z:
         return ()
@@ -405,25 +274,8 @@ def _parts(samples: int, others: bool) -> Any:
 
 
 def beside_input_outliers(u: Array, find: Callable[[Array], Beside], settled: Settled | None = None) -> Beside:
-    """Find the model of inputs, and that with values far outside the others held back, and take it if much likelier.
-
-    Parameters
-    ----------
-    u : ndarray, shape (N, n_inputs)
-        Inputs.
-    find : callable
-        find(u) gives the model of such inputs, with its ``log_likelihood``, beside what its outputs have.
-    settled : Settled, optional
-        Says whether they are held back. Default: both ways are tried.
-
-    Returns
-    -------
-    Beside
-
-    Notes
-    -----
-    Both ways from the beginning: what an outlier of u leaves looks like steps of the level, or like slow motion.
-    """
+    """Find the model of inputs, and that with values far outside the others held back, and take it if much likelier."""
+    # Both ways from the beginning: what an outlier of u leaves looks like steps of the level, or like slow motion.
     if settled is not None and settled.input is not None:
         other, _ = _held_back(u)
         held = find(other)
@@ -445,17 +297,6 @@ def beside_input_outliers(u: Array, find: Callable[[Array], Beside], settled: Se
 
 def without_leverage(problem: Problem, y: Array) -> Beside:
     """Find the linear regression on the caller's rows, those left out that lie far outside and that y does not follow.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of a structure that takes rows.
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-
-    Returns
-    -------
-    Beside
     """
 
     def beside(y: Array) -> Beside:
@@ -533,25 +374,7 @@ def _trend(model: Model, y: Array) -> Array:
 
 
 def break_finding(found: Any, index: Any, gain: float, samples: int, u: Array) -> Finding:
-    """Return a break in words.
-
-    Parameters
-    ----------
-    found : Break
-        The break.
-    index : pandas.Index or None
-        Times of the samples.
-    gain : float
-        Twice the log-likelihood that all breaks explain.
-    samples : int
-        Of the recording.
-    u : ndarray, shape (N,) or (N, n_inputs)
-        Inputs: one that stays far from 0 turns a gain that changes into a level that does.
-
-    Returns
-    -------
-    Finding
-    """
+    """Return a break in words."""
     when = f"sample {found.time}" + ("" if index is None else f" ({index[found.time]})")
     if found.kind == "step":
         text = f"the level of y steps by {found.size:.4g} at {when}"

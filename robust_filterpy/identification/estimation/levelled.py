@@ -13,17 +13,8 @@ __all__ = ["Levelled"]
 
 
 class Levelled:
-    """Residuals and their derivatives for an output less levels of sizes that are found with the model.
-
-    The free parameters are those of the model, then the sizes.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With the output as measured.
-    columns : ndarray, shape (N, k)
-        What each level of size 1 adds to the output.
-    """
+    """Residuals and their derivatives for an output less levels of sizes that are found with the model."""
+    # The free parameters are those of the model, then the sizes.
 
     def __init__(self, model: PolynomialModel, columns: Array) -> None:
         """Keep both."""
@@ -34,18 +25,7 @@ class Levelled:
         return getattr(self.model, name)
 
     def inner(self, p: Array) -> tuple[PolynomialModel, Array]:
-        """Return the model of the output less the levels, and its own free parameters.
-
-        Parameters
-        ----------
-        p : ndarray, shape (n,)
-            Free parameters.
-
-        Returns
-        -------
-        model : PolynomialModel
-        q : ndarray
-        """
+        """Return the model of the output less the levels, and its own free parameters."""
         return self.model.with_output(self.model.y - self.columns @ p[self.model.n :]), p[: self.model.n]
 
     def with_output(self, y: Array) -> Levelled:

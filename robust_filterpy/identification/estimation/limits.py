@@ -32,29 +32,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, structure: Structure, fixed: Any, bounds: Any) -> Limits:
-        """Return them from names, checked.
-
-        Parameters
-        ----------
-        structure : Structure
-            Whose parameters these are.
-        fixed : dict of str to float, or None
-            Parameters that are known.
-        bounds : dict of str to (float, float), or None
-            Between what others are; None or inf for no limit.
-
-        Returns
-        -------
-        Limits
-
-        Raises
-        ------
-        ValueError
-            If there is no such parameter, a number is not finite, an interval is empty, one is in both, or all are
-            fixed.
-        TypeError
-            If an argument is no dict of numbers.
-        """
+        """Return them from names, checked."""
         told = {"fixed": dict(_mapping("fixed", fixed)), "bounds": _mapping("bounds", bounds)}
         if structure.integrated:
             told["fixed"] = {"d1": -1.0, **told["fixed"]}
@@ -94,24 +72,7 @@ class Limits(NamedTuple):
         return np.concatenate((np.clip(p[:n], self.lower, self.upper), p[n:]))
 
     def start(self, model: PolynomialModel, p: Array) -> Array:
-        """Return the stable parameters within the limits that are next to some, or of many drawn ones.
-
-        Parameters
-        ----------
-        model : PolynomialModel
-            Says what is stable.
-        p : ndarray, shape (n,)
-            Free parameters, theta first.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-
-        Raises
-        ------
-        ValueError
-            If none is found.
-        """
+        """Return the stable parameters within the limits that are next to some, or of many drawn ones."""
         best, nearest, rng = self.inside(p), np.inf, np.random.default_rng(0)
         if model.is_stable(best):
             return best
@@ -130,19 +91,7 @@ class Limits(NamedTuple):
         return best
 
     def held(self, p: Array, gradient: Array) -> Any:
-        """Return which free parameters are fixed, or at a limit beyond which the loss would fall.
-
-        Parameters
-        ----------
-        p : ndarray, shape (n,)
-            Free parameters, theta first.
-        gradient : ndarray, shape (n,)
-            Of the loss.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
+        """Return which free parameters are fixed, or at a limit beyond which the loss would fall."""
         n = self.lower.size
         found = np.zeros(p.size, dtype=bool)
         at_lower, at_upper = p[:n] <= self.lower, p[:n] >= self.upper

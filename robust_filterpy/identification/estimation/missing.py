@@ -190,17 +190,7 @@ class Unknowns:
 
 
 class CompletedModel:
-    """A model with outputs of which some are unknown: for any parameters those of the least sum of squares.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With any numbers in the unknown samples.
-    unknown : ndarray of bool, shape (N,)
-        Which samples are unknown.
-    weights : ndarray, shape (N - first,)
-        Weights of the residuals.
-    """
+    """A model with outputs of which some are unknown: for any parameters those of the least sum of squares."""
 
     def __init__(self, model: PolynomialModel, unknown: Any, weights: Array) -> None:
         """Interpolate where it is asked for."""
@@ -276,38 +266,12 @@ def _without_start(model: PolynomialModel, p: Array) -> Array:
 
 
 def response(model: PolynomialModel, p: Array) -> Array:
-    """Return h, what one unit more in an output adds to its residual and to those after it, until it is small.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        The model.
-    p : ndarray, shape (n,)
-        Its free parameters.
-
-    Returns
-    -------
-    ndarray, shape (L,)
-    """
+    """Return h, what one unit more in an output adds to its residual and to those after it, until it is small."""
     h = _impulse(model, min(_LONGEST, model.y.size)).residuals(_without_start(model, p))
     return h[: np.flatnonzero(np.abs(h) > _SMALL)[-1] + 1]
 
 
 def touched(unknown: Any, h: Array, first: int) -> Any:
-    """Return which residuals the unknown samples change by more than a little.
-
-    Parameters
-    ----------
-    unknown : ndarray of bool, shape (first + N,)
-        Which samples are unknown.
-    h : ndarray, shape (L,)
-        Response of the residuals to a sample.
-    first : int
-        Sample that the first residual belongs to.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Return which residuals the unknown samples change by more than a little."""
     reach = np.flatnonzero(np.abs(h) > _LEAST_TOUCH)[-1] + 1
     return np.convolve(unknown, np.ones(reach))[first : unknown.size] > 0.5

@@ -20,15 +20,7 @@ __all__ = ["Neighbours"]
 
 
 class Neighbours:
-    """A symmetric matrix G that couples each row to those up to ``reach`` - 1 after it.
-
-    Parameters
-    ----------
-    band : ndarray, shape (reach, m)
-        G[i, i + d] in row d, column i; of any value where i + d is in another chain.
-    begins : ndarray of bool, shape (m,)
-        Which rows begin a chain, the first one among them.
-    """
+    """A symmetric matrix G that couples each row to those up to ``reach`` - 1 after it."""
 
     def __init__(self, band: Array, begins: Any) -> None:
         """Eliminate block after block, from the first of each chain on."""
@@ -53,16 +45,7 @@ class Neighbours:
             self._gain[at] = self._inverse[at] @ beside[at]
 
     def solve(self, right: Array) -> Array:
-        """Return G^-1 times a vector or some columns.
-
-        Parameters
-        ----------
-        right : ndarray, shape (m,) or (m, n)
-
-        Returns
-        -------
-        ndarray, shape of right
-        """
+        """Return G^-1 times a vector or some columns."""
         x = np.zeros((len(self._inverse), self._reach, right[0].size))
         x[self._block, self._slot] = right.reshape(len(right), -1)
         for at in self._turns[1:]:

@@ -73,32 +73,11 @@ class Outputs(NamedTuple):
     settled: Callable[[Beside], Beside] = lambda best: best
 
     def beside(self, trend: str) -> Beside:
-        """Find the model beside levels that break and outliers of the inputs.
-
-        Parameters
-        ----------
-        trend : {"none", "constant", "line", "breaks"}
-            What each output has beside a model.
-
-        Returns
-        -------
-        Beside
-            Its levels are 0 in the last sample of each recording.
-        """
+        """Find the model beside levels that break and outliers of the inputs."""
         return beside_input_outliers(self.u, lambda u: self._replace(u=u).beside_levels(trend))
 
     def beside_levels(self, trend: str | Settled) -> Beside:
-        """Find the model beside levels that break.
-
-        Parameters
-        ----------
-        trend : str or Settled
-            As of `beside`, or what another model of the recording has beside it.
-
-        Returns
-        -------
-        Beside
-        """
+        """Find the model beside levels that break."""
         if isinstance(trend, Settled) and trend.trend.breaks:
             breaks = {(0, 0): trend.trend}
             return self._named_breaks(self.settled(self._fitted(breaks)[0]), breaks, np.inf)
@@ -179,29 +158,7 @@ class Outputs(NamedTuple):
         meaning: str,
         driven: Array | None = None,
     ) -> tuple[Finding, ...]:
-        """Find what a model leaves: another plant, wraps, feedback.
-
-        Parameters
-        ----------
-        best : Beside
-            The model.
-        output : ndarray, shape (N, p)
-            What it makes of the inputs alone.
-        residual : ndarray, shape (N, p)
-            What it leaves of the outputs.
-        rest : ndarray, shape (m,)
-            Where the inputs rest.
-        direct : bool
-            Whether inputs may move outputs at once.
-        meaning : str
-            What a closed loop means for the model.
-        driven : ndarray, shape (N, p), optional
-            What the model makes of the inputs as it stands in the residuals. Default: `output`.
-
-        Returns
-        -------
-        tuple of Finding
-        """
+        """Find what a model leaves: another plant, wraps, feedback."""
         found: list[Finding] = []
         for i, part in enumerate(self.spans):
             for j, (own, e) in enumerate(zip(output[part].T, residual[part].T, strict=True)):

@@ -61,31 +61,7 @@ def minimised(
     limits: Limits | None = None,
     precision: float = 0.0,
 ) -> Optimum:
-    """Minimise the loss of the residuals from p on.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        Gives ``residuals(p)``, ``jacobian(p)`` and ``is_stable(p)``; a `CompletedModel` also what is unknown.
-    p : ndarray, shape (n,)
-        Where to begin, stable.
-    noise : Noise or Noises
-        Noise to begin with.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count.
-    clear : ndarray of bool, shape (N - first,)
-        Which of them show the noise.
-    most_steps : int, default 100
-        Ends the search.
-    limits : Limits, optional
-        Where the parameters may be, as p is.
-    precision : float, default 0.0
-        A step of so many standard deviations of the parameters is small.
-
-    Returns
-    -------
-    Optimum
-    """
+    """Minimise the loss of the residuals from p on."""
     unknown = model if isinstance(model, CompletedModel) else None
     residual, damping = model.residuals(p), 1e-3
     for _ in range(most_steps):
@@ -135,32 +111,12 @@ def _step(triangle: Array, damping: float) -> tuple[Array, float]:
 
 
 def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tuple[Array, float]:
-    """Return the covariance of the free parameters at an optimum.
-
-    ``(N/(N - n)) R (J'J)^-1 J' C J (J'J)^-1 / mean(psi')^2`` with C the covariance of psi: diag(psi^2) where psi is
-    white (Huber, Robust Statistics, 1981, section 7.6), otherwise that of the autoregression that it shows. This holds
-    whatever the distribution of the residuals is. Rounding counts as white and as no less than R in each sample. With
-    a noise for each output, J and psi are weighted by mean(psi')/R of it, and each psi has a colour; directions that
-    nothing depends on have no variance.
-
-    Parameters
-    ----------
-    jacobian : ndarray, shape (N, n)
-        Derivatives of the residuals that count.
-    residual : ndarray, shape (N,)
-        These residuals.
-    noise : Noise or Noises
-        Their noise.
-    shared : int
-        How many of them, the first ones, are no levels and starts.
-
-    Returns
-    -------
-    P : ndarray, shape (n, n)
-    colour : float
-        How many times as large the standard deviations are as those of white residuals, in the
-        quadratic mean of those that are shared.
-    """
+    """Return the covariance of the free parameters at an optimum."""
+    # ``(N/(N - n)) R (J'J)^-1 J' C J (J'J)^-1 / mean(psi')^2`` with C the covariance of psi: diag(psi^2) where psi is
+    # white (Huber, Robust Statistics, 1981, section 7.6), otherwise that of the autoregression that it shows. This
+    # holds whatever the distribution of the residuals is. Rounding counts as white and as no less than R in each
+    # sample. With a noise for each output, J and psi are weighted by mean(psi')/R of it, and each psi has a colour;
+    # directions that nothing depends on have no variance.
     psi, slope = noise.psi(residual), noise.slope(residual)
     weighted = jacobian * np.broadcast_to(np.sqrt(slope / noise.variance), residual.shape)[:, None]
     size = np.linalg.norm(weighted, axis=0)

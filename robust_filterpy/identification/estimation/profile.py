@@ -50,35 +50,7 @@ def profiled(
     sampled: bool,
     colour: float = 1.0,
 ) -> tuple[Array, str]:
-    """Return the covariance of the free parameters, wider where the loss bends, and how it was found.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        Whose residuals no unknown output enters.
-    p : ndarray, shape (n,)
-        Free parameters.
-    noise : Noise
-        Of the residuals.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count.
-    P : ndarray, shape (n, n)
-        Covariance by linearization.
-    held : ndarray of bool, shape (n,)
-        Parameters without a variance.
-    others : list of (float, ndarray), each of shape (n,)
-        Other ends: how much less likely each is, and its free parameters.
-    sampled : bool
-        Whether models may be drawn from the likelihood.
-    colour : float, default 1.0
-        How many times as large standard deviations are as those of white residuals.
-
-    Returns
-    -------
-    P : ndarray, shape (n, n)
-    found : str
-        "profile likelihood", "sampled likelihood", or nothing where the loss does not bend.
-    """
+    """Return the covariance of the free parameters, wider where the loss bends, and how it was found."""
     loss = _Loss.of(model, p, noise, rows, held, colour)
     places = np.flatnonzero(loss.bent)
     if not places.size:

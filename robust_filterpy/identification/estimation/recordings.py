@@ -58,24 +58,7 @@ class Recordings(NamedTuple):
 
 
 def recordings(structure: Structure | Signals, y: Any, u: Any, groups: Any = None) -> Recordings:
-    """Return what was recorded, checked.
-
-    Parameters
-    ----------
-    structure : Structure or Signals
-        Which inputs there are; of Signals also how many outputs.
-    y, u, groups
-        As of `identify`.
-
-    Returns
-    -------
-    Recordings
-
-    Raises
-    ------
-    ValueError, TypeError
-        If they do not fit.
-    """
+    """Return what was recorded, checked."""
     told = _grouped(y, u, groups) if groups is not None else _listed(y, u)
     if told is None:
         told = _split_in_time(structure, y, u)

@@ -57,10 +57,8 @@ _UNMOVED: Final = 0.2
 
 
 class _Effort(NamedTuple):
-    """How often outliers are looked for, steps of the parameters in between, turns of weights and steps at the end.
-
-    Where no outlier is in a regressor, a step of so many standard deviations ends the search.
-    """
+    """How often outliers are looked for, steps of the parameters in between, turns of weights and steps at the end."""
+    # Where no outlier is in a regressor, a step of so many standard deviations ends the search.
 
     cleanings: int
     steps: int
@@ -119,30 +117,7 @@ def ends(
     model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None = None,
     least: float = ROUNDING**2, begin: Array | None = None,
 ) -> list[Ranked]:  # fmt: skip
-    """Search from every start.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With an output of about unit size, any numbers where it is missing.
-    missing : ndarray of bool, shape (N,)
-        Where it is.
-    influence : Influence or None
-        Loss; None: Huber's first, then that of the noise as it is learnt.
-    R : float or None
-        Variance of the noise, if it is known.
-    limits : Limits, optional
-        Where theta may be.
-    least : float, default 1e-24
-        R never becomes smaller.
-    begin : ndarray, shape (n,), optional
-        Free parameters that are the only start.
-
-    Returns
-    -------
-    list of Ranked
-        Ends that differ, the best first.
-    """
+    """Search from every start."""
     if begin is not None:
         noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
         end = _searched(model, begin, noise, missing, ("the model before",), _ROUGH, limits)
@@ -199,42 +174,12 @@ def _ends_of_long(
 
 
 def searched_again(model: Any, end: End, missing: Any, limits: Limits | None) -> End:
-    """Return where the search goes on to from an end, for a model with more free parameters.
-
-    Parameters
-    ----------
-    model : PolynomialModel or Levelled
-        The model.
-    end : End
-        Where it begins, with as many free parameters.
-    missing : ndarray of bool, shape (N,)
-        Where the output is missing.
-    limits : Limits or None
-        Where theta may be.
-
-    Returns
-    -------
-    End
-    """
+    """Return where the search goes on to from an end, for a model with more free parameters."""
     return _searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, end.outliers)
 
 
 def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
     """Return the derivatives of the residuals that count less what unknown outputs could make of them, and residuals.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With the output of the end, in any unit.
-    end : End
-        Parameters, and which outputs are unknown.
-
-    Returns
-    -------
-    derivatives : ndarray, shape (number of residuals that count, n)
-        Without the part that corrections of unknown outputs explain.
-    residual : ndarray, shape (number of residuals that count,)
-        As large as they would be, had not the unknown outputs been chosen to make them small.
     """
     derivatives, residual, h = model.jacobian(end.p), model.residuals(end.p), response(model, end.p)
     if h.size > 1 and end.outliers.wrong.any():
@@ -312,12 +257,10 @@ def _counting(model: Any, measured: bool, unknown: Any) -> Any:
 def _best_first(
     model: PolynomialModel, missing: Any, found: list[End], limits: Limits | None = None, same: float = _SAME
 ) -> list[Ranked]:
-    """Sort ends by what the data say for them, and join those that are the same.
-
-    Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
-    one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
-    nearly as good for a robust loss, the noise that their residuals show still tells them apart.
-    """
+    """Sort ends by what the data say for them, and join those that are the same."""
+    # Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
+    # one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
+    # nearly as good for a robust loss, the noise that their residuals show still tells them apart.
     # A start that takes many good samples for outliers may end where the noise cannot be computed.
     found = [end for end in found if np.isfinite(end.noise.R) and np.isfinite(end.residual).all()]
     if not found:

@@ -67,19 +67,7 @@ def bounded_mean(residual: Array) -> float:
 
 
 def regression_start(model: PolynomialModel, rows: Any) -> Start:
-    """Return the robust regression of a model that is linear, or becomes so where C = D = F = 1.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        The model.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count.
-
-    Returns
-    -------
-    Start
-    """
+    """Return the robust regression of a model that is linear, or becomes so where C = D = F = 1."""
     places, p = model.structure.polynomials, np.zeros(model.n)
     free = np.ones(model.n, dtype=bool)
     for place in (places.f, places.c, places.d):
@@ -91,65 +79,21 @@ def regression_start(model: PolynomialModel, rows: Any) -> Start:
 
 
 def autocorrelation_start(model: PolynomialModel, rows: Any) -> Start:
-    """Return the Yule-Walker solution for a model without input, from robust autocorrelations.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        The model.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count; not used, a pair with a missing sample is one of many.
-
-    Returns
-    -------
-    Start
-    """
+    """Return the Yule-Walker solution for a model without input, from robust autocorrelations."""
     p = np.zeros(model.n)
     p[model.structure.polynomials.a] = _autoregression(model.y, model.na)[1:]
     return Start("autocorrelations", p)
 
 
 def disturbance_start(name: str, model: PolynomialModel, p: Array, rows: Any) -> Start:
-    """Return parameters whose D is that of an autoregression of the disturbance.
-
-    Parameters
-    ----------
-    name : str
-        How p was found.
-    model : PolynomialModel
-        With a model of the noise.
-    p : ndarray, shape (n,)
-        Its free parameters, those of the noise left out.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count.
-
-    Returns
-    -------
-    Start
-    """
+    """Return parameters whose D is that of an autoregression of the disturbance."""
     p = p.copy()
     p[model.structure.polynomials.d] = _autoregression(_disturbance(model, p, rows), model.nd)[1:]
     return Start(name, p)
 
 
 def whitened(model: PolynomialModel, p: Array, rows: Any, order: int) -> Array:
-    """Return the polynomial that makes the disturbance white.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        A model.
-    p : ndarray, shape (n,)
-        Its free parameters.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count.
-    order : int
-        Degree of the polynomial.
-
-    Returns
-    -------
-    ndarray, shape (order + 1,)
-    """
+    """Return the polynomial that makes the disturbance white."""
     return _autoregression(_disturbance(model, p, rows), order)
 
 
@@ -173,19 +117,7 @@ def _autoregression(signal: Array, order: int) -> Array:
 
 
 def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
-    """Yield starts for an output-error model.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        With a denominator F and A = C = D = 1.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count.
-
-    Yields
-    ------
-    Start
-    """
+    """Yield starts for an output-error model."""
     longest = max(int(rows.sum()) // (3 * len(model.inputs)), model.nf + 2)
     best, completed = np.inf, model.y
     for length in sorted({min(length, longest) for length in _LENGTHS}):

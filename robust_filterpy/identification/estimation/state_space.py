@@ -75,32 +75,7 @@ def identified_state_space(
     groups: Any = None,
     trend: str = "breaks",
 ) -> StateSpaceModel:
-    """Find a state-space model of recordings of several outputs.
-
-    Parameters
-    ----------
-    y : array_like, shape (N, p), or list of these
-        Outputs, NaN where one is missing.
-    u : array_like, shape (N, m), or list of these
-        Inputs.
-    structure : StateSpace
-        Its order, or that it is to be found.
-    influence : Influence, optional
-        Loss; default: learnt, for each output.
-    groups : array_like, shape (N,), optional
-        Labels of recordings.
-    trend : {"constant", "line", "breaks"}, default "breaks"
-        What level each output has.
-
-    Returns
-    -------
-    StateSpaceModel
-
-    Raises
-    ------
-    ValueError, TypeError
-        If the recordings do not fit, are too short, an output is constant or the inputs do not excite.
-    """
+    """Find a state-space model of recordings of several outputs."""
     told = recordings(Signals.of(y, u), y, u, groups)
     spans = [slice(b, e) for b, e in zip(told.begins, ends_of(told.begins, len(told.y)), strict=True)]
 

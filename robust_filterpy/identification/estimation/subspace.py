@@ -41,21 +41,7 @@ class Start(NamedTuple):
 
 
 def impulse_start(model: StateSpaceResiduals, known: list[Any], lags: int) -> Start | None:
-    """Return the start from impulse responses of so many lags, None if the recordings do not tell them.
-
-    Parameters
-    ----------
-    model : StateSpaceResiduals
-        With outputs of about unit size.
-    known : list of ndarray of bool, shape (N, p)
-        Which outputs are measured, in each recording.
-    lags : int
-        Length of the responses.
-
-    Returns
-    -------
-    Start or None
-    """
+    """Return the start from impulse responses of so many lags, None if the recordings do not tell them."""
     m, least = model.inputs, 0 if model.shapes["D"][1] else 1
     X, Y, seen = _stacked(model, known, [("u", range(least, least + lags))])
     if len(X) < _EQUATIONS_EACH * X.shape[1]:
@@ -83,21 +69,7 @@ def impulse_start(model: StateSpaceResiduals, known: list[Any], lags: int) -> St
 
 
 def predictor_start(model: StateSpaceResiduals, known: list[Any], cleaned: list[Array], reach: int) -> Start | None:
-    """Return the start from a long autoregression of cleaned outputs.
-
-    Parameters
-    ----------
-    model, known
-        As in `impulse_start`.
-    cleaned : list of ndarray, shape (N, p)
-        The outputs, what a model says in the place of outliers and gaps.
-    reach : int
-        How many samples the autoregression looks back, and the state ahead.
-
-    Returns
-    -------
-    Start or None
-    """
+    """Return the start from a long autoregression of cleaned outputs."""
     p, m, n = model.outputs, model.inputs, model.order
     feeds = bool(model.shapes["D"][1])
     reach = max(reach, n // p + 1)
@@ -143,21 +115,7 @@ def predictor_start(model: StateSpaceResiduals, known: list[Any], cleaned: list[
 
 
 def refitted(model: StateSpaceResiduals, known: list[Any], q: Array) -> Array:
-    """Return free parameters with the same A and C, and all else but K by robust regression.
-
-    Parameters
-    ----------
-    model : StateSpaceResiduals
-        The model.
-    known : list of ndarray of bool, shape (N, p)
-        Which outputs are measured.
-    q : ndarray, shape (n,)
-        Free parameters.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Return free parameters with the same A and C, and all else but K by robust regression."""
     q = q.copy()
     free = np.ones(model.n, dtype=bool)
     for name in ("A", "C", "K"):

@@ -87,19 +87,7 @@ class Trend(NamedTuple):
 
 
 def impulse_output(y: Array, u: Array) -> Array:
-    """Return the part of the output that a robust long impulse response explains, without the constant, shape (N,).
-
-    Parameters
-    ----------
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing; levels in it are taken off in a few rounds.
-    u : ndarray, shape (N, n_inputs)
-        Input.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-    """
+    """Return the part of the output that a robust long impulse response explains, without the constant, shape (N,)."""
     lags = max(min(LAGS_OF_IMPULSES, y.size // (8 * u.shape[1])), 2)
     columns = [np.concatenate((np.full(j, c[0]), c[: c.size - j])) - c.mean() for c in u.T for j in range(lags)]
     X, known = np.column_stack((*columns, np.ones(y.size))), ~np.isnan(y)
@@ -116,21 +104,7 @@ def impulse_output(y: Array, u: Array) -> Array:
 
 
 def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
-    """Find the steps and ramps of a signal that is noise otherwise.
-
-    Parameters
-    ----------
-    r : ndarray, shape (N,)
-        Signal, NaN where it is missing.
-    u : ndarray, shape (N, n_inputs)
-        Inputs: what these may do is no break.
-    line : bool, default False
-        One ramp from the beginning to the end, whatever the evidence, and nothing else.
-
-    Returns
-    -------
-    Trend
-    """
+    """Find the steps and ramps of a signal that is noise otherwise."""
     N = r.size
     if line:
         fit = _Fit.of(r, ~np.isnan(r), u, [Break("ramp", 0, 0.0, 0.0)])

@@ -74,17 +74,7 @@ class Sections(NamedTuple):
 
     @classmethod
     def of(cls, polynomials: list[Array]) -> Sections:
-        """Return the factors.
-
-        Parameters
-        ----------
-        polynomials : list of ndarray, each of shape (degree + 1,)
-            With their leading 1.
-
-        Returns
-        -------
-        Sections
-        """
+        """Return the factors."""
         degrees, values = [], []
         for polynomial in polynomials:
             roots = np.roots(polynomial)
@@ -102,17 +92,7 @@ class Sections(NamedTuple):
         return tuple(slice(begin, end) for begin, end in zip((0, *ends[:-1]), ends, strict=True))
 
     def multiplied(self, values: Array) -> Array:
-        """Return the coefficients of all polynomials, without the leading ones.
-
-        Parameters
-        ----------
-        values : ndarray, shape (k,)
-            Of the factors.
-
-        Returns
-        -------
-        ndarray, shape (k,)
-        """
+        """Return the coefficients of all polynomials, without the leading ones."""
         found, places = [], iter(self.places)
         for degrees in self.degrees:
             product = np.ones(1)
@@ -122,38 +102,12 @@ class Sections(NamedTuple):
         return np.concatenate(found)
 
     def are_stable(self, values: Array) -> bool:
-        """Tell whether all roots are within the unit circle.
-
-        Parameters
-        ----------
-        values : ndarray, shape (k,)
-            Of the factors.
-
-        Returns
-        -------
-        bool
-        """
+        """Tell whether all roots are within the unit circle."""
         return all(_is_inside(values[place]) for place in self.places)
 
 
 def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: list[Sections]) -> Array:
-    """Return the mean square distance of the free parameters from the estimate.
-
-    Parameters
-    ----------
-    at : function
-        The best of what is linear, of the coefficients of all polynomials that have roots to walk.
-    p : ndarray, shape (n,)
-        The estimate.
-    covariance : ndarray, shape (k, k)
-        Of these coefficients, by linearization.
-    begins : list of Sections
-        Where walks begin, the first at the estimate; of the same degrees.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-    """
+    """Return the mean square distance of the free parameters from the estimate."""
     # Always the same draws, so that a recording gives the same P twice.
     rng = np.random.default_rng(0)
     sections = begins[0]

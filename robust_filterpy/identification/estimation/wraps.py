@@ -24,34 +24,12 @@ _MOST: Final = 0.5
 
 
 def with_wraps(problem: Problem, y: Array, model: Model) -> tuple[Finding, ...]:
-    """Find out whether an output wraps round.
-
-    Parameters
-    ----------
-    problem, y, model
-        As in `level.unlike_in_parts`.
-
-    Returns
-    -------
-    tuple of Finding
-        One, or none.
-    """
+    """Find out whether an output wraps round."""
     return wraps(y, model.residuals(y, problem.u)) if model.structure.n_inputs else ()
 
 
 def wraps(y: Array, residual: Array) -> tuple[Finding, ...]:
-    """Find out whether an output wraps round, from what any model leaves of it.
-
-    Parameters
-    ----------
-    y, residual : ndarray, shape (N,)
-        Output, and what is left of it; NaN where it is missing.
-
-    Returns
-    -------
-    tuple of Finding
-        One, or none.
-    """
+    """Find out whether an output wraps round, from what any model leaves of it."""
     low, high = np.nanquantile(y, [0.005, 0.995])
     size = float(high - low)
     if not size > 0.0 or y.size < 4:

@@ -144,10 +144,8 @@ def _memory_of_states(model: StateSpaceModel) -> Array:
 
 
 def _untouched(memory: Array, known: Any, weights: Array) -> Any:
-    """Return which residuals no outlier or gap before them reaches: what stands in its place is wrong for a while.
-
-    Two residuals after the same outlier share that error, and would look as if the noise were not white.
-    """
+    """Return which residuals no outlier or gap before them reaches: what stands in its place is wrong for a while."""
+    # Two residuals after the same outlier share that error, and would look as if the noise were not white.
     doubtful = (~known | (weights < _BELIEVED)).astype(float)
     reached = np.zeros(known.shape)
     for i, j in np.ndindex(memory.shape[1:]):

@@ -284,13 +284,11 @@ class _Comparison:
         return model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
 
     def tried_on_rest(self, kept: int) -> dict[Structure, float]:
-        """Return how the best structure of each number of parameters fits what it has not seen, in percent.
-
-        The model of the first samples misses some of the others, and the model of all samples is another one. Where it
-        is further away than that, a part of the recording does not confirm it: it may fit all of it and nothing else.
-        What no part tells of another is no matter of orders: a trend is taken off as the best model of all samples has
-        it, and inputs that did not act as they were read tell nothing here.
-        """
+        """Return how the best structure of each number of parameters fits what it has not seen, in percent."""
+        # The model of the first samples misses some of the others, and the model of all samples is another one. Where
+        # it is further away than that, a part of the recording does not confirm it: it may fit all of it and nothing
+        # else. What no part tells of another is no matter of orders: a trend is taken off as the best model of all
+        # samples has it, and inputs that did not act as they were read tell nothing here.
         model, y = self.tried[self.best].model, self.y.copy()
         if any(one.kind == "input outliers" for one in model.findings):
             return {}

@@ -25,22 +25,7 @@ _INTEGRATES: Final = 1e-9
 
 
 def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
-    """Return a recording without gaps and outliers, and the free parameters with what was in motion as it began.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    y : array_like, shape (N,)
-        Output of a recording that ends where the simulation begins.
-    u : array_like, shape (N,) or (N, n_inputs)
-        Its input.
-
-    Returns
-    -------
-    recorded : PolynomialModel
-    p : ndarray
-    """
+    """Return a recording without gaps and outliers, and the free parameters with what was in motion as it began."""
     recorded, known = model.prepared(y, u)
     n, cleaned = model.theta.size, model.without_outliers(recorded, known)
     if cleaned is not recorded:
@@ -53,26 +38,7 @@ def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
 
 
 def held_input(structure: Any, u: Any, rest: Array) -> Array:
-    """Return an input whose missing samples have the value before them, with a warning if there are any.
-
-    Parameters
-    ----------
-    structure : Structure or Signals
-        Which inputs there are.
-    u : array_like, shape (N,) or (N, n_inputs)
-        NaN where it is missing.
-    rest : ndarray, shape (n_inputs,) or (0,)
-        What stands before the first sample.
-
-    Returns
-    -------
-    ndarray, shape (N, n_inputs)
-
-    Raises
-    ------
-    ValueError
-        If it does not fit.
-    """
+    """Return an input whose missing samples have the value before them, with a warning if there are any."""
     if structure.takes_phi or not structure.inputs or u is None:
         return recorded_input(structure, u, None)
     signal = input_columns("u", u, structure.n_inputs)
@@ -96,19 +62,7 @@ def resting_level(parts: Parts) -> float:
 
 
 def filled_memory(model: PolynomialModel, p: Array) -> Memory:
-    """Return what a tracker would remember after a recording.
-
-    Parameters
-    ----------
-    model : PolynomialModel
-        The recording, its outliers and gaps interpolated.
-    p : ndarray, shape (n,)
-        Free parameters.
-
-    Returns
-    -------
-    Memory
-    """
+    """Return what a tracker would remember after a recording."""
     structure, layout = model.structure, Layout(model.structure)
     n, level, disturbance = structure.n_theta, resting_level(model.parts(p)), model.equation_error(p)
     without_noise = p.copy()

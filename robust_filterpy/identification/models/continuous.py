@@ -91,34 +91,7 @@ class ContinuousModel:
 def continuous(
     matrices: tuple[Array, Array, Array, Array], delays: Any, dt: Any, theta: Array, P: Array, roots: Any, level: float
 ) -> ContinuousModel:
-    """Return the system whose samples a model gives.
-
-    Parameters
-    ----------
-    matrices : tuple of ndarray, shape (n, n), (n, m), (p, n), (p, m)
-        A, B, C and D in discrete time.
-    delays : sequence of int
-        Whole samples of dead time of each input.
-    dt : float
-        Sampling period in s.
-    theta : ndarray, shape (s,)
-        Parameters of the model.
-    P : ndarray, shape (s, s)
-        Their covariance.
-    roots : function
-        The poles in discrete time, of a theta.
-    level : float
-        Probability of each region.
-
-    Returns
-    -------
-    ContinuousModel
-
-    Raises
-    ------
-    ValueError
-        If a pole has no counterpart in continuous time, or dt is not known.
-    """
+    """Return the system whose samples a model gives."""
     if dt is None:
         raise ValueError("dt: expected the sampling period in s, since the index of the recording did not tell it")
     period = _checks.positive("dt", dt)
@@ -136,25 +109,7 @@ def continuous(
 
 
 def realized(structure: Structure, theta: Array) -> tuple[tuple[Array, Array, Array, Array], list[int]]:
-    """Return a polynomial model as matrices in observer form, and the dead time of each input in samples.
-
-    Parameters
-    ----------
-    structure : Structure
-        Which polynomials there are.
-    theta : ndarray, shape (n,)
-        Parameters.
-
-    Returns
-    -------
-    matrices : tuple of ndarray
-    delays : list of int
-
-    Raises
-    ------
-    ValueError
-        If there is no input, the regressor is the caller's, or an input has more b's than there are poles for.
-    """
+    """Return a polynomial model as matrices in observer form, and the dead time of each input in samples."""
     if structure.takes_phi or not structure.inputs:
         raise ValueError(f"{structure}: expected a model with an input, this one has no way from u to y")
     a = coefficients.denominator(structure, theta)[1:]

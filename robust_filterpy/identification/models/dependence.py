@@ -45,31 +45,10 @@ class Dependence(NamedTuple):
 def dependence(
     residuals: Array, inputs: Array, lags: int = LAGS, whitening: tuple[float, ...] | None = None
 ) -> Dependence:
-    """Regress clipped residuals of a window on the inputs of the same window and before.
-
-    Parameters
-    ----------
-    residuals : ndarray, shape (.., n)
-        NaN where y is missing.
-    inputs : ndarray, shape (.., n, n_inputs)
-        What the model makes of the inputs, in the unit of the residuals, and the inputs.
-    lags : int, default 16
-        How many samples of the inputs to look back at, shared by several inputs.
-    whitening : tuple of float, optional
-        Coefficients d1, .. of the filter 1 + d1 q^-1 + .. that makes ordinary residuals white: coloured noise and a
-        slow input look alike by chance. Default: white as they are.
-
-    Returns
-    -------
-    Dependence
-        Of each window.
-
-    Notes
-    -----
-    A model that is right leaves nothing of u in its residuals, however large the noise has become and however slow u
-    is; after a change of gain, sign or pole, and while a sensor is stuck, they follow u. Clipped at 2 robust standard
-    deviations, an outlier counts little. Residuals that are rounding of the model's output follow nothing.
-    """
+    """Regress clipped residuals of a window on the inputs of the same window and before."""
+    # A model that is right leaves nothing of u in its residuals, however large the noise has become and however slow u
+    # is; after a change of gain, sign or pole, and while a sensor is stuck, they follow u. Clipped at 2 robust standard
+    # deviations, an outlier counts little. Residuals that are rounding of the model's output follow nothing.
     n, k = inputs.shape[-2:]
     lags = max(lags // max(k, 1), 2)
     columns = np.concatenate([inputs[..., lags - 1 - j : n - j, :] for j in range(lags)], axis=-1)
@@ -118,17 +97,7 @@ def _filtered(signals: Array, whitening: tuple[float, ...]) -> Array:
 
 
 def autocovariances(residuals: Array) -> Array:
-    """Return the autocovariances at lags 0 to 2 of clipped residuals in units of their scale.
-
-    Parameters
-    ----------
-    residuals : ndarray, shape (N,)
-        NaN where y is missing.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-    """
+    """Return the autocovariances at lags 0 to 2 of clipped residuals in units of their scale."""
     known = ~np.isnan(residuals)
     level = np.median(residuals[known]) if known.any() else 0.0
     scale = mad_scale(residuals[known] - level) if known.any() else 0.0
@@ -137,21 +106,8 @@ def autocovariances(residuals: Array) -> Array:
 
 
 def level_and_scale(values: Array, known: Any) -> tuple[Array, Array]:
-    """Return the median of known values along the last axis, and their standard deviation by the median deviation.
-
-    Both are 0 where none is known.
-
-    Parameters
-    ----------
-    values : ndarray, shape (.., n)
-        Any number where it is not known.
-    known : ndarray of bool, shape (.., n)
-        Which values count.
-
-    Returns
-    -------
-    level, scale : ndarray, shape (..)
-    """
+    """Return the median of known values along the last axis, and their standard deviation by the median deviation."""
+    # Both are 0 where none is known.
     level = _median(values, known)
     return level, 1.4826 * _median(np.abs(values - level[..., None]), known)
 
@@ -166,18 +122,7 @@ def _median(values: Array, known: Any) -> Array:
 
 
 def whitening_of(covariances: Array) -> tuple[float, ...]:
-    """Return the filter of second order that makes noise with these autocovariances white.
-
-    Parameters
-    ----------
-    covariances : ndarray, shape (3,)
-        Of `autocovariances`.
-
-    Returns
-    -------
-    tuple of float
-        Its coefficients after the leading 1; none without noise.
-    """
+    """Return the filter of second order that makes noise with these autocovariances white."""
     r0, r1, r2 = covariances
     if not r0 > 0.0:
         return ()

@@ -32,32 +32,12 @@ class Finding(NamedTuple):
 
 
 def of_fill_values(fills: FillValues) -> tuple[Finding, ...]:
-    """Return the finding that y has fill values, or none.
-
-    Parameters
-    ----------
-    fills : FillValues
-        Of y.
-
-    Returns
-    -------
-    tuple of Finding
-    """
+    """Return the finding that y has fill values, or none."""
     if not fills.values:
         return ()
     return (Finding("fill value", f"y has {fills.said}", float("nan"), (0, fills.signal.size)),)
 
 
 def said(findings: tuple[Finding, ...]) -> str:
-    """Return all findings in one sentence, empty if there are none.
-
-    Parameters
-    ----------
-    findings : tuple of Finding
-        Of a model.
-
-    Returns
-    -------
-    str
-    """
+    """Return all findings in one sentence, empty if there are none."""
     return "; ".join(finding.text for finding in findings)

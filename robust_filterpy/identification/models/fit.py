@@ -71,22 +71,7 @@ def _constant(scale: Any) -> Any:
 
 
 def least_variance(y: Array, size: float, in_steps: bool = True) -> float:
-    """Return what the noise of an output has at least, in units of a size: rounding, of numbers or of its sensor.
-
-    Parameters
-    ----------
-    y : ndarray, shape (N,)
-        NaN where it is missing.
-    size : float
-        Of y, > 0.
-    in_steps : bool, default True
-        Whether few values are the steps of a sensor; else rounding is that of numbers alone.
-
-    Returns
-    -------
-    float
-        A variance; a sensor in steps of q has q^2/12.
-    """
+    """Return what the noise of an output has at least, in units of a size: rounding, of numbers or of its sensor."""
     known = y[~np.isnan(y)]
     numbers = _NUMBERS * moving_size(known - np.median(known)) if known.size else 0.0
     steps = resolution(known) if in_steps else 0.0

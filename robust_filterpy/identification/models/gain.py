@@ -40,24 +40,7 @@ _BESIDE: Final = 2.5
 
 
 def driven(structure: Structure, theta: Array, prediction: Array, u: Array) -> Array:
-    """Return what the model makes of the inputs of a window, as it stands in the residuals.
-
-    Parameters
-    ----------
-    structure : Structure
-        Of the model.
-    theta : ndarray, shape (n_theta,)
-        Its parameters.
-    prediction : ndarray, shape (N,)
-        What it predicted in the window.
-    u : ndarray, shape (N, n_inputs)
-        Inputs.
-
-    Returns
-    -------
-    ndarray, shape (N - L,)
-        For the last samples; none where the window is shorter than what the model remembers.
-    """
+    """Return what the model makes of the inputs of a window, as it stands in the residuals."""
     if not structure.na + structure.nc + structure.nd:
         return prediction
     u = u - np.median(u, axis=0)
@@ -69,21 +52,7 @@ def driven(structure: Structure, theta: Array, prediction: Array, u: Array) -> A
 
 
 def score(residuals: Array, x: Array, n: int) -> tuple[float, float]:
-    """Return score and information of the gain in the last n samples of a window, 0 and 0 where they tell nothing.
-
-    Parameters
-    ----------
-    residuals : ndarray, shape (N,)
-        NaN where y is missing.
-    x : ndarray, shape (M,)
-        Of `driven`, for the last samples.
-    n : int
-        Which samples add to it; level and scatter are those of the window.
-
-    Returns
-    -------
-    score, information : float
-    """
+    """Return score and information of the gain in the last n samples of a window, 0 and 0 where they tell nothing."""
     samples = _of_samples(residuals, x)
     if samples is None or x.size < n:
         return 0.0, 0.0
@@ -91,17 +60,7 @@ def score(residuals: Array, x: Array, n: int) -> tuple[float, float]:
 
 
 def changed(scores: Array) -> float:
-    """Return by how much of the model's the gain has changed, 0 if by no more than chance or too little to matter.
-
-    Parameters
-    ----------
-    scores : ndarray, shape (BLOCKS, 2)
-        Score and information of each block, 0 and 0 where there is none.
-
-    Returns
-    -------
-    float
-    """
+    """Return by how much of the model's the gain has changed, 0 if by no more than chance or too little to matter."""
     s, i = scores.T
     if not i.any() or i.sum() ** 2 < _FEWEST * (i @ i):
         return 0.0
@@ -111,24 +70,7 @@ def changed(scores: Array) -> float:
 
 
 def broken(residual: Array, x: Array) -> tuple[int, float, float, float]:
-    """Return where the gain of a plant has changed in a recording, if it has.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        What the model of the whole recording leaves, NaN where y is missing.
-    x : ndarray, shape (M,)
-        Of `driven`, for the last samples.
-
-    Returns
-    -------
-    sample : int
-        The first one after the change.
-    before, after : float
-        By how much of the model's the gain is another one, about 0 on both sides if it is the same.
-    z : float
-        Their difference in standard deviations, 0 if by no more than chance or too little to matter.
-    """
+    """Return where the gain of a plant has changed in a recording, if it has."""
     nothing, samples, span = (residual.size, 0.0, 0.0, 0.0), _of_samples(residual, x), x.size // _SPLIT
     if samples is None or span < _SHORTEST:
         return nothing

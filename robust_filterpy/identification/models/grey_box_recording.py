@@ -41,28 +41,7 @@ class Checked(NamedTuple):
 
 
 def grey_recording(y: Any, u: Any, t: Any, i: int = 0) -> Checked:
-    """Return a recording, checked.
-
-    Parameters
-    ----------
-    y : array_like, shape (N,) or (N, p)
-        Outputs, NaN where one is missing.
-    u : array_like, shape (N,) or (N, m), or None
-        Inputs; where one is NaN it is held at the value before.
-    t : array_like, shape (N,), or None
-        Times in s; None: those of the index of y.
-    i : int, default 0
-        Its number, for messages.
-
-    Returns
-    -------
-    Checked
-
-    Raises
-    ------
-    ValueError
-        If they do not fit.
-    """
+    """Return a recording, checked."""
     axis, y, u = recording(ANY_TIMES, y=y, u=u)
     output = _columns("y", y)
     require_squares(output)
@@ -88,22 +67,7 @@ def grey_recording(y: Any, u: Any, t: Any, i: int = 0) -> Checked:
 
 
 def require_inputs(structure: Any, one: GreyRecording, p: Array) -> None:
-    """Raise unless equations take the inputs of a recording.
-
-    Parameters
-    ----------
-    structure : GreyBox
-        The equations.
-    one : GreyRecording
-        The recording.
-    p : ndarray, shape (k,)
-        Parameters.
-
-    Raises
-    ------
-    ValueError
-        If f or h cannot do with them.
-    """
+    """Raise unless equations take the inputs of a recording."""
     for name, function in (("f", structure.f), ("h", structure.h)):
         try:
             if function is not None:

@@ -56,50 +56,18 @@ def is_stable(coefficients: Sequence[float]) -> bool:
 
 
 def are_stable(theta: Array, parts: Sequence[slice]) -> bool:
-    """Tell whether each of some parts of theta is a stable polynomial.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (n,)
-        Parameters.
-    parts : sequence of slice
-        Where the polynomials stand.
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether each of some parts of theta is a stable polynomial."""
     return all(is_stable(theta[part].tolist()) for part in parts)
 
 
 def mirrored(roots: Any) -> Any:
-    """Return roots, those outside a circle of radius .995 mirrored into it.
-
-    Parameters
-    ----------
-    roots : ndarray of complex, shape (n,)
-        Any.
-
-    Returns
-    -------
-    ndarray of complex, shape (n,)
-    """
+    """Return roots, those outside a circle of radius .995 mirrored into it."""
     radius = np.maximum(np.abs(roots), np.finfo(float).tiny)
     return np.where(radius > _LARGEST_RADIUS, roots * np.minimum(_LARGEST_RADIUS, 1.0 / radius) / radius, roots)
 
 
 def stabilised(f: Array) -> Array:
-    """Return a polynomial, its leading 1 included, with its roots mirrored.
-
-    Parameters
-    ----------
-    f : ndarray, shape (n + 1,)
-        Coefficients of 1, q^-1, ..
-
-    Returns
-    -------
-    ndarray, shape (n + 1,)
-    """
+    """Return a polynomial, its leading 1 included, with its roots mirrored."""
     roots = np.roots(f)
     if (np.abs(roots) <= _LARGEST_RADIUS).all():
         return f
@@ -109,26 +77,7 @@ def stabilised(f: Array) -> Array:
 
 
 def restrained(theta: Array, old: Array, parts: Sequence[slice], guard: str) -> tuple[Array, int]:
-    """Return theta as far towards its new value as the guard lets it, and what the guard did.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (n,)
-        New parameters.
-    old : ndarray, shape (n,)
-        Parameters before the step.
-    parts : sequence of slice
-        Where the polynomials that must be stable stand in theta.
-    guard : {"none", "reject", "halve"}
-        What to do with a step out of the stable region.
-
-    Returns
-    -------
-    theta : ndarray, shape (n,)
-        The same array if the step is taken as it is.
-    event : int
-        0: as it is; h > 0: the step was halved h times; -1: it was not taken.
-    """
+    """Return theta as far towards its new value as the guard lets it, and what the guard did."""
     if guard == "none" or are_stable(theta, parts):
         return theta, 0
     if guard == "halve":

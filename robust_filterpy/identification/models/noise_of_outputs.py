@@ -34,19 +34,7 @@ class Noises(NamedTuple):
         return np.array([noise.R for noise in self.parts])[self.which]
 
     def refitted(self, residual: Array, steps: int = 5) -> Noises:
-        """Return the noise that these residuals show.
-
-        Parameters
-        ----------
-        residual : ndarray, shape (N,)
-            Residuals.
-        steps : int, default 5
-            Steps of expectation-maximisation.
-
-        Returns
-        -------
-        Noises
-        """
+        """Return the noise that these residuals show."""
         parts = enumerate(self.parts)
         return self._replace(parts=tuple(noise.refitted(residual[self.which == j], steps) for j, noise in parts))
 

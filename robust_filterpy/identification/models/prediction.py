@@ -47,23 +47,7 @@ class CleanedResiduals(NamedTuple):
 
 
 def cleaned_residuals(parts: Parts, equation_error: Array, known: Array, noise: Noise) -> CleanedResiduals:
-    """Predict each output from those before it, outliers among them replaced.
-
-    Parameters
-    ----------
-    parts : Parts
-        The model.
-    equation_error : ndarray, shape (N,)
-        A y - B/F u - d, any number standing for a missing y.
-    known : ndarray of bool, shape (N,)
-        Which samples are measured.
-    noise : Noise
-        Says how much of a residual to believe.
-
-    Returns
-    -------
-    CleanedResiduals
-    """
+    """Predict each output from those before it, outliers among them replaced."""
     order = max(parts.a.size + parts.d.size - 1, parts.c.size) - 1
     g, c = (np.pad(p[1:], (1, order + 1 - p.size)) for p in (np.convolve(parts.a, parts.d), parts.c))
     # In units of R, what an innovation that was not believed adds to the variance of the next residuals, and its limit.
@@ -98,23 +82,7 @@ def cleaned_residuals(parts: Parts, equation_error: Array, known: Array, noise: 
 
 
 def predicted(parts: Parts, y: Array, found: CleanedResiduals, steps: int) -> Array:
-    """Return the output predicted so many samples ahead, from what was found one by one.
-
-    Parameters
-    ----------
-    parts : Parts
-        The model.
-    y : ndarray, shape (N,)
-        Output, the numbers that stood for missing ones among it.
-    found : CleanedResiduals
-        Residuals and their weights.
-    steps : int
-        How many samples ahead, >= 1.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-    """
+    """Return the output predicted so many samples ahead, from what was found one by one."""
     believed = found.weights * found.residual
     impulse = np.concatenate(([1.0], np.zeros(max(steps - 1, 0))))
     h = lfilter(parts.c, np.convolve(parts.a, parts.d), impulse)[:steps]

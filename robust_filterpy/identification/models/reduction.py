@@ -17,19 +17,7 @@ __all__ = ["balancing", "observer_form", "truncated"]
 
 
 def observer_form(a: Array, numerators: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the matrices of b/(1 + a_1 q^-1 + ..) for each input.
-
-    Parameters
-    ----------
-    a : ndarray, shape (n,)
-        Coefficients of the denominator after the leading 1.
-    numerators : ndarray, shape (m, n + 1)
-        Those of each input, from q^0 on.
-
-    Returns
-    -------
-    A, B, C, D : ndarray, shape (n, n), (n, m), (1, n), (1, m)
-    """
+    """Return the matrices of b/(1 + a_1 q^-1 + ..) for each input."""
     n = a.size
     A, C = np.zeros((n, n)), np.zeros((1, n))
     if n:
@@ -38,18 +26,7 @@ def observer_form(a: Array, numerators: Array) -> tuple[Array, Array, Array, Arr
 
 
 def balancing(A: Array, B: Array, C: Array) -> Array:
-    """Return the basis in which each state is as easy to reach as to see, those that do most first.
-
-    Parameters
-    ----------
-    A, B, C : ndarray, shape (n, n), (n, m), (p, n)
-        Matrices.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        The identity where there is none.
-    """
+    """Return the basis in which each state is as easy to reach as to see, those that do most first."""
     try:
         reached = solve_discrete_lyapunov(A, B @ B.T)
         seen = solve_discrete_lyapunov(A.T, C.T @ C)
@@ -63,26 +40,7 @@ def balancing(A: Array, B: Array, C: Array) -> Array:
 
 
 def truncated(matrices: tuple[Any, Any, Any, Any], n: Any, dt: Any) -> control.StateSpace:
-    """Return a system in a balanced basis with its first states alone.
-
-    Parameters
-    ----------
-    matrices : tuple of ndarray, shape (k, k), (k, m), (p, k), (p, m)
-        A, B, C, D.
-    n : int
-        How many states are left.
-    dt : float or True
-        Sampling period in s.
-
-    Returns
-    -------
-    control.StateSpace
-
-    Raises
-    ------
-    ValueError
-        If there are not so many.
-    """
+    """Return a system in a balanced basis with its first states alone."""
     import control
 
     A, B, C, D = matrices

@@ -26,11 +26,9 @@ def bounded(value: float) -> float:
 
 
 class Layout:
-    """Where each signal stands in phi and in the memory of a structure.
-
-    The inputs of all lags stand in one array, u(k), u(k-1), .. of the first input and then of the next, so that one
-    shift by one place makes them all a sample older.
-    """
+    """Where each signal stands in phi and in the memory of a structure."""
+    # The inputs of all lags stand in one array, u(k), u(k-1), .. of the first input and then of the next, so that one
+    # shift by one place makes them all a sample older.
 
     def __init__(self, structure: Structure, constant: int = -1) -> None:
         """Work out the places; constant: which input is 1 in every sample and not among those that are given."""
@@ -142,10 +140,8 @@ class Memory(NamedTuple):
 
 
 def gradient(layout: Layout, phi: Array, theta: Array, memory: Memory) -> tuple[Array, Array]:
-    """Return psi(k), the derivative of the prediction, and what of it goes through F alone.
-
-    chi = phi/F for inputs and what they do, and phi for past outputs; C psi = D chi for these, = phi for the others.
-    """
+    """Return psi(k), the derivative of the prediction, and what of it goes through F alone."""
+    # chi = phi/F for inputs and what they do, and phi for past outputs; C psi = D chi for these, = phi for the others.
     chi = phi
     if layout.nf:
         chi = _bounded(phi - theta[layout.f].dot(memory.prefiltered[: layout.nf]) * layout.goes_through)

@@ -22,15 +22,7 @@ _BETWEEN: Final = 30
 
 
 class SeveralRecordings(PolynomialModel):
-    """Residuals and their derivatives for recordings that follow each other in ``y`` and ``u``.
-
-    Parameters
-    ----------
-    structure, y, u, offset, moving
-        As of a `PolynomialModel`.
-    begins : tuple of int
-        First sample of each recording.
-    """
+    """Residuals and their derivatives for recordings that follow each other in ``y`` and ``u``."""
 
     def __init__(
         self, structure: Structure, y: Array, u: Array, offset: bool, moving: bool, begins: tuple[int, ...]
@@ -64,20 +56,7 @@ class SeveralRecordings(PolynomialModel):
         return found
 
     def of(self, i: int, p: Array) -> tuple[PolynomialModel, Array]:
-        """Return the model of one recording, and its own free parameters.
-
-        Parameters
-        ----------
-        i : int
-            Which one.
-        p : ndarray, shape (n,)
-            Free parameters of all.
-
-        Returns
-        -------
-        model : PolynomialModel
-        q : ndarray
-        """
+        """Return the model of one recording, and its own free parameters."""
         return self._models[i], p[self._places[i]]
 
     def residuals(self, p: Array) -> Array:
@@ -128,17 +107,5 @@ class SeveralRecordings(PolynomialModel):
 
 
 def ends_of(begins: tuple[int, ...], size: int) -> tuple[int, ...]:
-    """Return the sample after the last of each recording.
-
-    Parameters
-    ----------
-    begins : tuple of int
-        First sample of each.
-    size : int
-        Samples of all together.
-
-    Returns
-    -------
-    tuple of int
-    """
+    """Return the sample after the last of each recording."""
     return (*begins[1:], size)

@@ -79,17 +79,7 @@ def measured_outputs(y: Any, n_outputs: int) -> Array:
 
 
 def are_several(y: Any, u: Any = None) -> bool:
-    """Tell a list of recordings from one recording: its entries have samples of their own, as those of u have.
-
-    Parameters
-    ----------
-    y, u : array_like or list of these
-        Outputs and inputs as they came.
-
-    Returns
-    -------
-    bool
-    """
+    """Tell a list of recordings from one recording: its entries have samples of their own, as those of u have."""
     if not isinstance(y, (list, tuple)) or len(y) == 0 or not all(np.ndim(one) > 0 for one in y):
         return False
     if isinstance(u, (list, tuple)) and any(one is not None and np.ndim(one) == 0 for one in u):
@@ -172,33 +162,11 @@ def _require_finite(values: Array) -> None:
 
 
 def fingerprint(y: Array) -> int:
-    """Return a number by which a recording is known again.
-
-    Parameters
-    ----------
-    y : ndarray, shape (N,)
-        Output, NaN where it is missing.
-
-    Returns
-    -------
-    int
-    """
+    """Return a number by which a recording is known again."""
     return crc32(np.ascontiguousarray(y).tobytes())
 
 
 def trend_of(known: Iterable[tuple[int, Array]], y: Array) -> Array:
-    """Return what was taken off a recording, 0 if it is not known again.
-
-    Parameters
-    ----------
-    known : iterable of (int, ndarray)
-        Fingerprint of each recording that is known, and what was taken off it.
-    y : ndarray, shape (N,) or (N, p)
-        Output, NaN where it is missing.
-
-    Returns
-    -------
-    ndarray, of the shape of `y`
-    """
+    """Return what was taken off a recording, 0 if it is not known again."""
     found = {(number, trend.shape): trend for number, trend in known if trend.size}
     return found.get((fingerprint(y), y.shape), np.zeros(y.shape)) if found else np.zeros(y.shape)

@@ -85,17 +85,7 @@ class Signals(NamedTuple):
 
     @classmethod
     def of(cls, y: Any, u: Any) -> Signals:
-        """Return those of recordings, or raise.
-
-        Parameters
-        ----------
-        y, u : array_like, shape (N,) or (N, n), or list of these
-            Outputs and inputs.
-
-        Returns
-        -------
-        Signals
-        """
+        """Return those of recordings, or raise."""
         if u is None:
             raise ValueError("u: expected a recording of the inputs for a state-space model, got None")
         several = are_several(y, u)

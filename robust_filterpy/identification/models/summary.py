@@ -116,23 +116,7 @@ class Summary:
 
 
 def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, ...], colour: float) -> dict[str, str]:
-    """Return what a summary says of a model whose outputs have each a noise.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (N, p)
-        How much each sample was believed; NaN where it is missing.
-    log_likelihood : float
-        Of what is measured.
-    noise : tuple of Noise, length p
-        Of each output.
-    colour : float
-        What makes of standard deviations of white residuals those of a coloured one.
-
-    Returns
-    -------
-    dict of str to str
-    """
+    """Return what a summary says of a model whose outputs have each a noise."""
     known = int((~np.isnan(weights)).sum())
     facts = {"Samples": f"{known} of {weights.size}", "Log-likelihood": f"{log_likelihood:.1f}"}
     for j, one in enumerate(noise):
@@ -143,17 +127,7 @@ def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, 
 
 
 def coloured(colour: float) -> dict[str, str]:
-    """Return what a summary says of residuals that are not white.
-
-    Parameters
-    ----------
-    colour : float
-        How many times as large standard deviations are as those of white residuals.
-
-    Returns
-    -------
-    dict of str to str
-    """
+    """Return what a summary says of residuals that are not white."""
     return {} if colour == 1.0 else {"Colored residuals": f"std times {colour:.2g}"}
 
 
@@ -167,34 +141,7 @@ def summarized(
     warning: str,
     found: str = "",
 ) -> Summary:
-    """Return the summary of parameters.
-
-    Parameters
-    ----------
-    title : str
-        The structure.
-    facts : dict of str to str
-        What was found beside the parameters.
-    names : tuple of str, length n
-        Names of the parameters.
-    theta, std : ndarray, shape (n,)
-        Parameters and their standard deviations.
-    level : float
-        Probability of each interval, in (0, 1).
-    warning : str
-        What makes them doubtful.
-    found : str
-        What the recording has beside them.
-
-    Returns
-    -------
-    Summary
-
-    Raises
-    ------
-    ValueError
-        If level is no probability.
-    """
+    """Return the summary of parameters."""
     lower, upper = intervals(theta, std, level)
     z = np.divide(theta, std, out=np.full(np.shape(theta), np.nan), where=std != 0.0)
     columns = (column.tolist() for column in (theta, std, z, lower, upper))

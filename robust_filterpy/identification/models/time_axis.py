@@ -38,19 +38,7 @@ class TimeAxis(NamedTuple):
     dt: float | None = None
 
     def series(self, values: Any, name: str) -> Any:
-        """Return values as a pandas Series on this axis, or as they are if there is no index.
-
-        Parameters
-        ----------
-        values : ndarray, shape (N,)
-            One for each sample.
-        name : str
-            Name of the Series.
-
-        Returns
-        -------
-        pandas.Series or ndarray
-        """
+        """Return values as a pandas Series on this axis, or as they are if there is no index."""
         return values if self.index is None else sys.modules["pandas"].Series(values, index=self.index, name=name)
 
     @property
@@ -62,24 +50,7 @@ class TimeAxis(NamedTuple):
         return None if len(self.index) == 0 or pd.isna(self.index[-1]) else self.index[-1]
 
     def missing_after(self, before: tuple[Any, int], dt: float | None) -> int:
-        """Return how many samples are missing between what came before this recording and its first sample.
-
-        Parameters
-        ----------
-        before : tuple of a time and an int
-            A time, and how many samples came after it without one.
-        dt : float or None
-            Sampling period in s; None if it is not known, and then no sample is known to be missing.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        ValueError
-            If the recording begins no later than what came before it.
-        """
+        """Return how many samples are missing between what came before this recording and its first sample."""
         last, since = before
         first = self.index[0]
         try:
@@ -100,18 +71,7 @@ class TimeAxis(NamedTuple):
         return 0 if math.isnan(steps) else round(steps) - 1
 
     def require_period(self, dt: float | None) -> None:
-        """Refuse a recording with another sampling period.
-
-        Parameters
-        ----------
-        dt : float or None
-            The period that is expected, in s; None if nothing is known of it.
-
-        Raises
-        ------
-        ValueError
-            If both are known and differ by more than 1 %.
-        """
+        """Refuse a recording with another sampling period."""
         if dt is not None and self.dt is not None and abs(self.dt - dt) > _SAME * dt:
             # What lies between slow samples cannot be had by resampling.
             mend = f'resample with df.resample("{dt:.6g}s").mean()' if self.dt < dt else "identify one at this period"
@@ -160,26 +120,7 @@ def recording(structure: Any, /, **signals: Any) -> tuple[Any, ...]:
 
 
 def table(columns: dict[Any, Any], index: Any = None, name: str | None = None) -> Any:
-    """Return a pandas DataFrame.
-
-    Parameters
-    ----------
-    columns : dict
-        Values by name.
-    index : pandas.Index or array_like, shape (rows,), optional
-        Labels of the rows. Default: 0, 1, ..
-    name : str, optional
-        Name of an index that has none.
-
-    Returns
-    -------
-    pandas.DataFrame
-
-    Raises
-    ------
-    ImportError
-        If pandas is not installed.
-    """
+    """Return a pandas DataFrame."""
     try:
         import pandas as pd
     except ImportError:

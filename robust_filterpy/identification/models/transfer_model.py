@@ -19,10 +19,8 @@ from robust_filterpy.influence.regression import mad_scale
 
 
 def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
-    """Return a Model as it is, and one of a transfer function whose level and noise the recording tells; or raise.
-
-    Its parameters are taken as known for sure. The level is the median of what the transfer function leaves of y.
-    """
+    """Return a Model as it is, and one of a transfer function whose level and noise the recording tells; or raise."""
+    # Its parameters are taken as known for sure. The level is the median of what the transfer function leaves of y.
     if isinstance(given, Model):
         return given
     if not (hasattr(given, "num_list") or hasattr(given, "num")) or not hasattr(given, "isdtime"):

@@ -130,29 +130,7 @@ class Regions:
 def bands(
     is_inside: Callable[[Array], bool], theta: Any, P: Any, h: Callable[[Array], Array], level: float, rng: Any
 ) -> tuple[Array, Array, Any]:
-    """Return the band of h(theta) about its value.
-
-    Parameters
-    ----------
-    is_inside : function
-        Whether a theta is one that can be, such as a stable one.
-    theta : ndarray, shape (n,)
-        Parameters.
-    P : ndarray, shape (n, n)
-        Their covariance.
-    h : function
-        Of rows of theta.
-    level : float
-        Probability of the band.
-    rng : numpy.random.Generator, int or None
-        Where it is sampled.
-
-    Returns
-    -------
-    lower, upper : ndarray, shape of h(theta)
-        From its value on.
-    sampled : ndarray of bool, shape of h(theta)
-    """
+    """Return the band of h(theta) about its value."""
     theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * probability(level)))
     center = h(theta[None])[0]
     steps = principal_axes(np.asarray(P))
@@ -176,25 +154,7 @@ def bands(
 
 
 def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float, rng: Any) -> Regions:
-    """Return roots that theta determines, with their regions.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (n,)
-        Parameters.
-    P : ndarray, shape (n, n)
-        Their covariance.
-    roots : function
-        The roots, of a theta.
-    level : float
-        Probability of each region.
-    rng : numpy.random.Generator, int or None
-        Where a region is sampled.
-
-    Returns
-    -------
-    Regions
-    """
+    """Return roots that theta determines, with their regions."""
     level = probability(level)
     values, steps = roots(theta), principal_axes(P)
     ahead, behind = (np.array([_matched(values, roots(row)) for row in theta + sign * steps]) for sign in (1.0, -1.0))
@@ -219,18 +179,7 @@ def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float,
 
 
 def principal_axes(P: Array) -> Array:
-    """Return a standard deviation along each principal axis of P in units of its diagonal.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n, n)
-        Covariance.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        Axes, as rows.
-    """
+    """Return a standard deviation along each principal axis of P in units of its diagonal."""
     size = np.sqrt(np.maximum(P.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(P / np.outer(size, size))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T * size)
@@ -267,22 +216,7 @@ def _distance(difference: complex, covariance: Array, size: float) -> float:
 
 
 def probability(level: Any) -> float:
-    """Return a probability of a band or a test, checked.
-
-    Parameters
-    ----------
-    level : float
-        In (0, 1).
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ValueError
-        If it is not.
-    """
+    """Return a probability of a band or a test, checked."""
     value = _checks.real("level", level)
     if not 0.0 < value < 1.0:
         raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")

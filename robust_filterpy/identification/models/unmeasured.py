@@ -39,20 +39,7 @@ _BESIDE: Final = 10.0
 
 
 def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
-    """Return outputs with NaN where they are no measurement, and what was found.
-
-    Parameters
-    ----------
-    y : ndarray, shape (N,) or (N, p)
-        Outputs, NaN where one is missing.
-    u : ndarray, shape (N, m)
-        Inputs.
-
-    Returns
-    -------
-    y : ndarray, of the shape of `y`
-    findings : tuple of Finding
-    """
+    """Return outputs with NaN where they are no measurement, and what was found."""
     columns, found = [], []
     several = y.ndim > 1 and y.shape[1] > 1
     for j, column in enumerate(y.reshape(len(y), -1).T):
@@ -71,20 +58,7 @@ def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
 
 
 def require_motion(y: Array, u: Array) -> None:
-    """Raise if a sensor is stuck in nearly all samples, so that the others tell no dynamics.
-
-    Parameters
-    ----------
-    y : ndarray, shape (N,) or (N, p)
-        Outputs, NaN where one is missing.
-    u : ndarray, shape (N, m)
-        Inputs.
-
-    Raises
-    ------
-    ValueError
-        If it is.
-    """
+    """Raise if a sensor is stuck in nearly all samples, so that the others tell no dynamics."""
     columns = y.reshape(len(y), -1).T
     for j, column in enumerate(columns):
         signal = fill_values(column).signal

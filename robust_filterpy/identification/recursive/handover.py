@@ -16,23 +16,7 @@ __all__ = ["gone_on", "with_gain"]
 
 
 def gone_on(form: Form, now: State, i: int, model: Model) -> State:
-    """Return what becomes of actuator i by a model: it goes on at the end of the model's recording.
-
-    Parameters
-    ----------
-    form : Form
-        What the recursion is.
-    now : State
-        All actuators as they stand.
-    i : int
-        Which of them.
-    model : Model
-        Of this actuator's last samples.
-
-    Returns
-    -------
-    State
-    """
+    """Return what becomes of actuator i by a model: it goes on at the end of the model's recording."""
     structure, layout, which = form.structure, form.layout, np.array([i])
     row = now.rows(which)
     n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
@@ -72,26 +56,7 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
 
 
 def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
-    """Return what becomes of actuator i by a gain that has changed: theta moves by it, and P says how surely.
-
-    Parameters
-    ----------
-    form : Form
-        What the recursion is.
-    now : State
-        All actuators as they stand.
-    i : int
-        Which of them.
-    g : float
-        What is to be added to the gain, as a share of it. Its standard deviation is taken to be as large: it is a mean
-        over samples before and after the change.
-    u : ndarray, shape (n_inputs,)
-        The inputs at which the output stays as it is.
-
-    Returns
-    -------
-    State
-    """
+    """Return what becomes of actuator i by a gain that has changed: theta moves by it, and P says how surely."""
     theta, P = now.theta.copy(), now.P.copy()
     along, places = np.zeros(theta.shape[1]), form.structure.polynomials
     for j, b in enumerate(places.b):

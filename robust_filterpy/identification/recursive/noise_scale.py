@@ -40,23 +40,7 @@ class NoiseScale(NamedTuple):
 
 
 def followed(R: float, scale: NoiseScale, nu: float, S: float) -> tuple[float, float]:
-    """Return R after one more innovation, and how many samples it stands on.
-
-    Parameters
-    ----------
-    R : float
-        Variance of the ordinary noise, > 0.
-    scale : NoiseScale
-        What it stands on, memory > 0.
-    nu : float
-        Innovation.
-    S : float
-        Its variance, phi' P phi + R: where the parameters are uncertain it tells little of R.
-
-    Returns
-    -------
-    R, samples : float
-    """
+    """Return R after one more innovation, and how many samples it stands on."""
     # A sample whose regressor overflows tells nothing of R.
     if not S < 1e290:
         return R, scale.samples
@@ -69,17 +53,7 @@ def followed(R: float, scale: NoiseScale, nu: float, S: float) -> tuple[float, f
 
 
 def ordinary_mean(influence: Any) -> float:
-    """Return the mean of min(e^2, 4) for normal noise, or for a learnt mixture.
-
-    Parameters
-    ----------
-    influence : Influence
-        A `Contaminated`, or anything else for normal noise.
-
-    Returns
-    -------
-    float
-    """
+    """Return the mean of min(e^2, 4) for normal noise, or for a learnt mixture."""
     if not isinstance(influence, Contaminated):
         return _mean(1.0)
     c = influence.contamination

@@ -91,28 +91,7 @@ def _given(key: str, value: Any) -> str:
 def checked(
     state: Any, form: Form, axes: tuple[int, ...], needed: Mapping[str, Any], optional: Mapping[str, Any]
 ) -> dict[str, Array]:
-    """Return the arrays of a state, copied, or raise.
-
-    Parameters
-    ----------
-    state : mapping of str to ndarray
-        Its label has been looked at.
-    form : Form
-        What the recursion is.
-    axes : tuple of int
-        What stands before the shape of each array: () for a tracker, (n,) for a bank.
-    needed, optional : mapping of str to shape
-        Settings that it holds besides, and those it may hold.
-
-    Returns
-    -------
-    dict of str to ndarray
-
-    Raises
-    ------
-    ValueError
-        If an array is missing, does not fit, or cannot be what a recursion has.
-    """
+    """Return the arrays of a state, copied, or raise."""
     d, signals = form.layout.n, form.n_signals
     shapes: dict[str, Any] = {"theta": (d,), "P": (d, d), **form.layout.shapes(), "enabled": (), "recursion": (7,)}
     shapes |= {"start": (None, signals)} if "start" in state else {}

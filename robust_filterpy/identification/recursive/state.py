@@ -237,27 +237,7 @@ _ARRAYS = ("theta", "P", "scale", "readings", "centre", "windup", "begun", "rest
 
 
 def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
-    """Return the state of n actuators that have seen nothing; told: whether they are to begin without a start.
-
-    Parameters
-    ----------
-    form : Form
-        What the recursion is.
-    theta : ndarray, shape (n, d)
-        Parameters to begin with.
-    P : ndarray, shape (n, d, d)
-        Their covariances.
-    scale : ndarray, shape (n, 5)
-        R and the fields of `NoiseScale`.
-    samples : int
-        How many samples a start may look at.
-    told : bool
-        Whether theta is to be begun with, instead of looking for a model.
-
-    Returns
-    -------
-    State
-    """
+    """Return the state of n actuators that have seen nothing; told: whether they are to begin without a start."""
     n, structure = len(theta), form.structure
     past = Memory.at_rest(form.layout, n)
     starts = {} if told else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}

@@ -74,10 +74,8 @@ def settled(form: Form, now: State) -> tuple[State, News]:
 def step(
     form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None
 ) -> tuple[State, Columns, News, bool]:
-    """Return what `advance` does of one sample, N = 1, and whether the kernel has taken it for all actuators.
-
-    What is looked at from time to time waits until that is due.
-    """
+    """Return what `advance` does of one sample, N = 1, and whether the kernel has taken it for all actuators."""
+    # What is looked at from time to time waits until that is due.
     news: News = []
     waiting = now.unjudged
     if waiting.samples and waiting.enabled != using.enabled.tobytes():
@@ -115,10 +113,8 @@ def shown(form: Form, using: Settings, now: State, signals: tuple[Array, Array, 
 def advance(
     form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None
 ) -> tuple[State, Columns, News]:
-    """Return what checked samples make of now, their columns with the axes (n, N), and what is to be said.
-
-    y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state.
-    """
+    """Return what checked samples make of now, their columns with the axes (n, N), and what is to be said."""
+    # y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state.
     length = y.shape[1]
     now, said = settled(form, now)
     out, k = Columns.empty(*y.shape, form.layout.n), 0

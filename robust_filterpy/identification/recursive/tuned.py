@@ -122,28 +122,7 @@ class TunedTracker(Pictured):
 
 
 def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int | None) -> TunedTracker:
-    """Choose Q or the forgetting factor of a tracker.
-
-    Parameters
-    ----------
-    tracker : ParameterTracker
-        It is not changed.
-    y, u : array_like, shape (N,) or (N, n_inputs)
-        Recording.
-    over : mapping of str to iterable
-        Values to try.
-    leave_out : int or None
-        How many samples not to judge by, after the start.
-
-    Returns
-    -------
-    TunedTracker
-
-    Raises
-    ------
-    ValueError, TypeError
-        As `ParameterTracker.tuned`.
-    """
+    """Choose Q or the forgetting factor of a tracker."""
     axis, y, u = recording(tracker.structure, y=y, u=u)
     axis.require_period(tracker.dt)
     output = recorded_output(y)

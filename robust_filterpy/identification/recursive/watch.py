@@ -306,19 +306,7 @@ _STUCK: Final = (
 
 
 def long_held(left_out: np.ndarray, before: Array) -> np.ndarray:
-    """Return which sensors were stuck for more than a few samples in a row.
-
-    Parameters
-    ----------
-    left_out : ndarray of bool, shape (n, N)
-        Samples that were left out since a sensor was stuck.
-    before : ndarray, shape (n,)
-        For how many samples each had been stuck before.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-    """
+    """Return which sensors were stuck for more than a few samples in a row."""
     earlier = before[:, None] >= np.arange(_HELD - 1, 0, -1)
     row = np.concatenate((earlier, left_out), axis=1)
     n = row.shape[1] - _HELD + 1

@@ -71,20 +71,7 @@ REFUSALS = (ValueError, TypeError, np.linalg.LinAlgError)
 
 
 def visible(estimator: Any, names: Iterable[str] | None = None) -> dict[str, Any]:
-    """Return copies of the numbers and arrays that an estimator shows: public attributes and properties.
-
-    Parameters
-    ----------
-    estimator : object
-        Filter or tracker.
-    names : iterable of str, optional
-        Which. Default: all that do not begin with "_".
-
-    Returns
-    -------
-    dict of str to ndarray
-        A property that raises is left out.
-    """
+    """Return copies of the numbers and arrays that an estimator shows: public attributes and properties."""
     found = {}
     for name in dir(estimator) if names is None else names:
         if name.startswith("_") and names is None:
@@ -105,22 +92,7 @@ def _of_none_and_numbers(array: np.ndarray) -> bool:
 
 
 def assert_unchanged(before: dict[str, Any], estimator: Any, what: str = "the call") -> None:
-    """Assert that an estimator shows what it showed before, to the last bit.
-
-    Parameters
-    ----------
-    before : mapping of str to ndarray
-        What `visible` returned.
-    estimator : object
-        The same estimator later, or another one that should be like it.
-    what : str
-        What happened in between, for the message.
-
-    Raises
-    ------
-    AssertionError
-        If not; it names the attributes.
-    """
+    """Assert that an estimator shows what it showed before, to the last bit."""
     now = visible(estimator, before)
     changed = [name for name, value in before.items() if name not in now or not _identical(value, now[name])]
     if changed:
@@ -274,24 +246,7 @@ def assert_same_filter(
 
 
 def assert_close(actual: Any, desired: Any, rtol: float = 1e-10, what: str = "", size: float = 0.0) -> None:
-    """Assert that two arrays differ by little of the size of the whole array.
-
-    Parameters
-    ----------
-    actual, desired : array_like, of one shape (...)
-        To be compared; that is how rounding enters a matrix, not entry by entry.
-    rtol : float, default 1e-10
-        Difference that is allowed, over the largest entry of desired.
-    what : str
-        Name of the array, for the message.
-    size : float, default 0
-        Size to use where that of desired is smaller.
-
-    Raises
-    ------
-    AssertionError
-        If they differ, in shape or in value, or actual is not finite.
-    """
+    """Assert that two arrays differ by little of the size of the whole array."""
     actual, desired = np.asarray(actual, dtype=float), np.asarray(desired, dtype=float)
     if actual.shape != desired.shape:
         raise AssertionError(f"{what}: shape {actual.shape}, expected {desired.shape}")

@@ -173,26 +173,7 @@ def assert_efficient(
 
 
 def ratio_of_errors(errors: Array, reference: Array, at_least: float, false_alarm: float) -> str | None:
-    """Return what is wrong if squared errors are too large against those of a reference, run by run.
-
-    Parameters
-    ----------
-    errors, reference : ndarray, shape (M,)
-        Squared errors of the same M runs.
-    at_least : float
-        Efficiency that must not be missed, in (0, 1].
-    false_alarm : float
-        Probability that this efficiency is said to be missed when it is just met.
-
-    Returns
-    -------
-    str or None
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than ten runs.
-    """
+    """Return what is wrong if squared errors are too large against those of a reference, run by run."""
     M = len(errors)
     if M < 10:
         raise ValueError(f"runs: expected at least 10 independent runs for a mean and its deviation, got {M}")

@@ -105,22 +105,7 @@ class Check(Promise):
         return self.name
 
     def __call__(self, make: Callable[..., Any], *, seed: int | None = None) -> None:
-        """Test the promise.
-
-        Parameters
-        ----------
-        make : callable
-            Returns a new estimator.
-        seed : int, optional
-            Another seed than the one that was given when the checks were listed.
-
-        Raises
-        ------
-        AssertionError
-            If it is not kept.
-        unittest.SkipTest
-            If it has no meaning for this estimator, or fails as expected.
-        """
+        """Test the promise."""
         try:
             with np.errstate(all="ignore"):
                 self.function(self.subject(make, self.name, seed))

@@ -175,23 +175,7 @@ def _named(name: str, options: Mapping[str, float]) -> Contamination:
 
 
 def spoilt(z: Array, clean: Array, sigma: Array, kinds: Sequence[Contamination], rng: np.random.Generator) -> Spoilt:
-    """Spoil measurements.
-
-    Parameters
-    ----------
-    z, clean : ndarray, shape (N, m)
-        Measurements with their ordinary noise, and without.
-    sigma : ndarray, shape (m,)
-        Deviation of the ordinary noise.
-    kinds : sequence of Contamination
-        What happens to them, in this order.
-    rng : numpy.random.Generator
-        Draws it.
-
-    Returns
-    -------
-    Spoilt
-    """
+    """Spoil measurements."""
     result = Spoilt(z, np.ones(z.shape), np.zeros(z.shape, dtype=bool))
     for kind in kinds:
         result = kind(result, clean, sigma, rng)

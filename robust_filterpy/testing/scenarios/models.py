@@ -171,17 +171,7 @@ class StateModel:
 
 
 def constant_velocity(dt: float = 1.0) -> StateModel:
-    """Return a point in the plane whose position is measured, state [p_1, v_1, p_2, v_2].
-
-    Parameters
-    ----------
-    dt : float, default 1
-        Time between samples, in s.
-
-    Returns
-    -------
-    StateModel
-    """
+    """Return a point in the plane whose position is measured, state [p_1, v_1, p_2, v_2]."""
     dt = _checks.positive("dt", dt)
     Q = 0.02 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     return StateModel(
@@ -200,35 +190,14 @@ def _twice(block: ArrayLike) -> Array:
 
 
 def level(jump_probability: float = 0.005) -> StateModel:
-    """Return a level that wanders by a tenth of the sensor's deviation a step, and now and then jumps.
-
-    Parameters
-    ----------
-    jump_probability : float, default .005
-        Of each step.
-
-    Returns
-    -------
-    StateModel
-        Jumps have a deviation of ten times the sensor's.
-    """
+    """Return a level that wanders by a tenth of the sensor's deviation a step, and now and then jumps."""
     one = np.eye(1)
     probability = _checks.fraction("jump_probability", jump_probability)
     return StateModel(np.zeros(1), one, one, one, 0.01 * one, one, jump_probability=probability, jump_ratio=100.0)
 
 
 def paper(P0: float = 0.1) -> StateModel:
-    """Return the state-estimation problem of the paper, equations 31-34, from P(0|0) = P0 I.
-
-    Parameters
-    ----------
-    P0 : float, default .1
-        Variance of each state at the start.
-
-    Returns
-    -------
-    StateModel
-    """
+    """Return the state-estimation problem of the paper, equations 31-34, from P(0|0) = P0 I."""
     F = np.array(
         [
             [0.99, -0.012, 0.001, -0.001],
@@ -241,17 +210,7 @@ def paper(P0: float = 0.1) -> StateModel:
 
 
 def vehicle(jump_probability: float = 0.1) -> StateModel:
-    """Return the vehicle of Yang and Boyd (2025): gusts and position fixes, state [p_1, p_2, v_1, v_2].
-
-    Parameters
-    ----------
-    jump_probability : float, default .1
-        Share of gusts that are ten times as strong as the filter is told.
-
-    Returns
-    -------
-    StateModel
-    """
+    """Return the vehicle of Yang and Boyd (2025): gusts and position fixes, state [p_1, p_2, v_1, v_2]."""
     dt, drag = 0.05, 0.05
     one, zero = np.eye(2), np.zeros((2, 2))
     B = np.sqrt(10) * np.vstack([0.5 * dt * dt * one, dt * one])
@@ -300,22 +259,7 @@ def range_bearing() -> StateModel:
 def random_stable(
     dim_x: int = 4, dim_z: int = 2, dim_u: int = 0, *, rng: np.random.Generator | int | None = None
 ) -> StateModel:
-    """Draw a stable system whose matrices are full and far from symmetric.
-
-    Parameters
-    ----------
-    dim_x, dim_z : int
-        Lengths of the state and of the measurement, >= 1.
-    dim_u : int, default 0
-        Length of the input.
-    rng : numpy.random.Generator or int, optional
-        Draws it.
-
-    Returns
-    -------
-    StateModel
-        F of spectral radius .95; P >= Q; R with correlations.
-    """
+    """Draw a stable system whose matrices are full and far from symmetric."""
     n, m = _checks.count("dim_x", dim_x, 1), _checks.count("dim_z", dim_z, 1)
     p, rng = _checks.count("dim_u", dim_u), np.random.default_rng(rng)
 

@@ -159,21 +159,7 @@ class PlantScenario:
 def linear(
     structure: Callable[..., Structure], system: control.TransferFunction | None = None, **options: Any
 ) -> Plant:
-    """Return a plant of a structure, its orders and parameters those of a transfer function.
-
-    Parameters
-    ----------
-    structure : callable
-        ``structure(na, nb, nk)``.
-    system : control.TransferFunction, optional
-        Discrete, one input and one output. Default: (q + .5)/(q^2 - 1.5 q + .7).
-    **options : optional
-        sigma, drift, jump_probability and jump_size of `Plant`.
-
-    Returns
-    -------
-    Plant
-    """
+    """Return a plant of a structure, its orders and parameters those of a transfer function."""
     if system is None:
         import control
 
@@ -183,58 +169,20 @@ def linear(
 
 
 def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,), **options: Any) -> Plant:
-    """Return a plant whose noise has a colour, A(q) y = B(q) u + C(q) v.
-
-    Parameters
-    ----------
-    system : control.TransferFunction, optional
-        As in `linear`.
-    **options : optional
-        As in `linear`.
-    c : array_like, shape (nc,), default (-.8,)
-        Coefficients of C after its leading 1.
-
-    Returns
-    -------
-    Plant
-    """
+    """Return a plant whose noise has a colour, A(q) y = B(q) u + C(q) v."""
     c = _checks.finite_vector("c", c)
     plant = linear(lambda na, nb, nk: ARMAX(na, nb, c.size, nk), system, **options)
     return replace(plant, theta=np.concatenate((_required(plant.theta), c)))
 
 
 def fir(b: ArrayLike = (1.0, 0.5, -0.3, 0.2), **options: Any) -> Plant:
-    """Return a finite impulse response, y = B(q) u + v.
-
-    Parameters
-    ----------
-    b : array_like, shape (nb,)
-        Its coefficients.
-    **options : optional
-        As in `linear`.
-
-    Returns
-    -------
-    Plant
-    """
+    """Return a finite impulse response, y = B(q) u + v."""
     b = _checks.finite_vector("b", b)
     return Plant(FIR(b.size), b, **options)
 
 
 def servo(order: int = 4, sigma: float = 0.05) -> Plant:
-    """Return the pneumatic servo in its position loop, positions in cm, to be fitted by an output-error model.
-
-    Parameters
-    ----------
-    order : int, default 4
-        na and nb of the model.
-    sigma : float, default .05
-        Deviation of the ordinary noise, in cm.
-
-    Returns
-    -------
-    Plant
-    """
+    """Return the pneumatic servo in its position loop, positions in cm, to be fitted by an output-error model."""
     return Plant(OutputError(order, order), None, sigma)
 
 
@@ -251,25 +199,7 @@ PLANTS: dict[str, Callable[..., Plant]] = {
 def draw_plant(
     plant: Plant, steps: int, contamination: Kinds, jumps: Mapping[int, ArrayLike], rng: np.random.Generator
 ) -> PlantScenario:
-    """Draw a recording of a plant; see `robust_filterpy.testing.draw`.
-
-    Parameters
-    ----------
-    plant : Plant
-        Whose.
-    steps : int
-        Its length N.
-    contamination : str, Contamination or sequence of these
-        How the measurements go wrong.
-    jumps : mapping of int to array_like, shape (n_theta,)
-        What is added to theta before which sample.
-    rng : numpy.random.Generator
-        Draws everything.
-
-    Returns
-    -------
-    PlantScenario
-    """
+    """Draw a recording of a plant; see `robust_filterpy.testing.draw`."""
     structure, kinds, sigma = plant.structure, objects(contamination), np.array([plant.sigma])
     v = plant.sigma * rng.standard_normal((steps, 1))
     theta, is_jump = None, np.zeros(steps, dtype=bool)
@@ -301,19 +231,7 @@ def draw_plant(
 
 
 def jump_rows(jumps: Mapping[int, ArrayLike], steps: int, n: int) -> Array:
-    """Return what is added at each step, shape (steps, n), or raise.
-
-    Parameters
-    ----------
-    jumps : mapping of int to array_like, shape (n,)
-        What is added at which step.
-    steps, n : int
-        Shape of the result.
-
-    Returns
-    -------
-    ndarray, shape (steps, n)
-    """
+    """Return what is added at each step, shape (steps, n), or raise."""
     rows = np.zeros((steps, n))
     for k, shift in jumps.items():
         if _checks.count("jumps", k) >= steps:

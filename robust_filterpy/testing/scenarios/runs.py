@@ -116,22 +116,7 @@ def _whitened(covariance: Array, values: Array, name: str) -> Array:
 
 
 def as_runs(runs: Runs) -> list[FilterRun]:
-    """Return a list of runs from a run, a `filterpy.common.Saver`, or several of them.
-
-    Parameters
-    ----------
-    runs : FilterRun, Saver or iterable of these
-        What to read.
-
-    Returns
-    -------
-    list of FilterRun
-
-    Raises
-    ------
-    TypeError
-        If it is none of these.
-    """
+    """Return a list of runs from a run, a `filterpy.common.Saver`, or several of them."""
     if isinstance(runs, FilterRun):
         return [runs]
     if is_saver(runs):
@@ -145,27 +130,7 @@ def as_runs(runs: Runs) -> list[FilterRun]:
 
 
 def load(kf: Any, model: StateModel) -> Any:
-    """Put a model into a filter of filterpy's kind, its x in the shape that the filter has it in.
-
-    Parameters
-    ----------
-    kf : filter object
-        With ``x, P, F, H, Q, R`` that can be set.
-    model : StateModel
-        What to put in.
-
-    Returns
-    -------
-    filter object
-        kf itself.
-
-    Raises
-    ------
-    TypeError
-        If kf is no filter, or what it shows cannot be set.
-    ValueError
-        If it is made for other lengths.
-    """
+    """Put a model into a filter of filterpy's kind, its x in the shape that the filter has it in."""
     n, m, _ = model.dims
     for name in ("x", "predict", "update"):
         if not hasattr(kf, name):
@@ -187,17 +152,7 @@ def load(kf: Any, model: StateModel) -> Any:
 
 
 def measure(kf: Any, z: Any, model: StateModel) -> None:
-    """Correct a filter, an extended one with the model's sensor and Jacobian.
-
-    Parameters
-    ----------
-    kf : filter object
-        With ``update(z)``, or ``update(z, HJacobian, Hx)``.
-    z : array_like, shape (m,), or None
-        Measurement.
-    model : StateModel
-        Where the sensor is.
-    """
+    """Correct a filter, an extended one with the model's sensor and Jacobian."""
     if not is_extended(kf):
         kf.update(z)
         return
@@ -218,19 +173,7 @@ def is_extended(kf: Any) -> bool:
 
 
 def step(kf: Any, z: Any, model: StateModel, u: Array | None = None) -> None:
-    """Predict and correct once.
-
-    Parameters
-    ----------
-    kf : filter object
-        With ``predict()`` and ``update(z)``.
-    z : array_like, shape (m,), or None
-        Measurement.
-    model : StateModel
-        Where the sensor is.
-    u : ndarray, shape (dim_u,), optional
-        Input.
-    """
+    """Predict and correct once."""
     predict(kf, u)
     measure(kf, z, model)
 
@@ -356,22 +299,7 @@ class TrackerRun:
 
 
 def as_tracker_runs(runs: Any) -> list[TrackerRun]:
-    """Return a list of runs from a run or several.
-
-    Parameters
-    ----------
-    runs : TrackerRun or iterable of TrackerRun
-        What to read.
-
-    Returns
-    -------
-    list of TrackerRun
-
-    Raises
-    ------
-    TypeError
-        If it is neither.
-    """
+    """Return a list of runs from a run or several."""
     found = [runs] if isinstance(runs, TrackerRun) else list(runs) if isinstance(runs, Iterable) else []
     if not found or not all(isinstance(run, TrackerRun) for run in found):
         raise TypeError(f"runs: expected a TrackerRun or a list of these, got {_checks.shown(runs)}")

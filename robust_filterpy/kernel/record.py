@@ -1,0 +1,82 @@
+"""What a correction by the kernel left, as `robust_filterpy.correction.result.Correction`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.options import length_and_direction
+from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.standardization import group_scaling
+from robust_filterpy.kernel.series import SCALINGS
+
+__all__ = ["correction_of", "judged_of", "moments_of", "weights_of"]
+
+
+def correction_of(values: Array, x: Array, P: Array) -> Correction:
+    """Return what a record of numbers says."""
+    n, m = int(values[0]), int(values[1])
+    scaling, rest = SCALINGS[int(values[2])], values[4:]
+    y, e, weights, psi_deriv, d, score, order, judged = rest[: 8 * m].reshape(8, m)
+    S, C = rest[8 * m : (8 + m) * m].reshape(m, m), rest[(8 + m) * m :].reshape(m, n).T
+    groups = _groups(order[: np.count_nonzero(psi_deriv == psi_deriv)])
+    information = _information(S - np.diag(S.diagonal() - judged), e, d, groups, scaling)
+    return Correction(
+        np.ravel(x), P, C, y, S, score, information, e, weights, psi_deriv,
+        tuple(map(tuple, groups)), scaling, float(values[3]),
+    )  # fmt: skip
+
+
+def weights_of(values: Array) -> Array:
+    """Return the weights alone."""
+    m = int(values[1])
+    return values[4 + 2 * m : 4 + 3 * m].copy()
+
+
+class Judged(NamedTuple):
+    """How a correction judged each sensor."""
+
+    e: Array
+    psi_deriv: Array
+
+
+def judged_of(values: Array) -> Judged:
+    """Return standardized innovations and psi' of a record."""
+    m = int(values[1])
+    return Judged(values[4 + m : 4 + 2 * m], values[4 + 3 * m : 4 + 4 * m])
+
+
+def moments_of(values: Array) -> tuple[Array, Array, bool]:
+    """Return y, S of a record, and whether every sensor was there."""
+    m = int(values[1])
+    at, weights = 4 + 8 * m, values[4 + 2 * m : 4 + 3 * m]
+    return values[4 : 4 + m], values[at : at + m * m].reshape(m, m), bool((weights == weights).all())
+
+
+def _groups(order: Array) -> list[list[int]]:
+    """Return the sensors in the order in which they were taken; -1 - i is taken together with the one before."""
+    groups: list[list[int]] = []
+    for place in map(int, order):
+        if place < 0:
+            groups[-1].append(-1 - place)
+        else:
+            groups.append([place])
+    return groups
+
+
+def _information(S: Array, e: Array, d: Array, groups: list[list[int]], scaling: str) -> Array:
+    """Return B in P+ = P - C B C', which few look at; d: information along e, then across it."""
+    S, W, B = S.copy(), np.eye(len(S)), np.zeros_like(S)
+    for group in groups:
+        T = group_scaling(S[np.ix_(group, group)], scaling)
+        D = d[group[-1]] * np.eye(len(group))
+        if len(group) > 1:
+            _, direction = length_and_direction(e[group])
+            D += (d[group[0]] - d[group[-1]]) * np.outer(direction, direction)
+        q, w = S[:, group] @ T.T, W[:, group] @ T.T
+        B += w @ D @ w.T
+        W -= w @ D @ q.T
+        S -= q @ D @ q.T
+    return B
