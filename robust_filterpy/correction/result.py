@@ -42,7 +42,7 @@ class Correction(NamedTuple):
     log_density: float
     """Log-likelihood of the innovation under the density of psi; 0 if all is missing."""
     memory: Array | None = None
-    """Of the sensors afterwards, shape (m, 15), under scaling "learnt"."""
+    """Of the sensors afterwards, shape (m, 17), under scaling "learnt"."""
 
     @property
     @np.errstate(under="ignore", over="ignore")

@@ -1,10 +1,11 @@
 """How large a sensor's innovations usually are, learnt: the unit of its thresholds under scaling="learnt".
 
-Nothing is an outlier before there is a custom. What a memory of fifteen numbers a sensor does to a correction does not
-depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
+Nothing is an outlier before there is a custom. What a memory of seventeen numbers a sensor does to a correction does
+not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
 correction and `after` behind it; B = H P H' as told, B+ what the last correction left of it::
 
     w_i   max(1, (1 + B/R) / (1 + e^g B+/R)), g the usual growth of log(B/R)  only the noise has outliers
+          as far as such e_i have been, if they were many
     s_i   the median of |e_i| / w_i over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as told
     p_i   the share of those beyond 3 s_i
     width w_i s_i (1 - 1.5 p_i) sqrt(S_ii)                                    the unit of psi's threshold
@@ -19,9 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Columns of a memory, shape (m, 15); those of a state that was stored before there were so many begin at 0.
-WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP, LAST, REPEATS, STEP, LEFT, GROWTH, USED, HELD, FILLED = range(15)
-NUMBERS = 15
+#: Columns of a memory, shape (m, 17); those of a state that was stored before there were so many begin at 0.
+WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP, LAST, REPEATS = range(9)
+STEP, LEFT, GROWTH, USED, HELD, FILLED, WIDE, WIDENED = range(9, 17)
+NUMBERS = 17
 
 QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
@@ -33,7 +35,8 @@ LOST = 10  #: so many far ones in a row, and the custom is another one
 RUN_LENGTH, AGREE = 4, 2.5  #: a jump: so many clipped in a row, each within 2.5 spreads of where the last left x
 RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
 SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
-WHOLE, MOST_STEPS = 0.01, 1e6  #: a change within so much of a whole number of steps, up to so many, is steps
+WHOLE = 0.01  #: a change within so much of a whole number of steps is steps, and so little wider is as usual
+MOST_STEPS = 1e6  #: more steps are no number of steps
 SUDDEN = 4.0  #: what is so many spreads off has not crept there
 STEEP = 1.5  #: a run goes on while it grows by less than half
 HABIT = 0.2  #: a share of repeats from which on one that is merely clipped says something
@@ -47,7 +50,7 @@ class Prepared(NamedTuple):
     """What a correction begins with under scaling "learnt"; C and S are as told unless P has grown."""
 
     memory: np.ndarray
-    """Memory after the innovation, shape (m, 15)."""
+    """Memory after the innovation, shape (m, 17)."""
     width: np.ndarray
     """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
     charge: np.ndarray
@@ -77,12 +80,15 @@ def prepared(
     memory, here = memory.copy(), np.isfinite(y) & (np.diag(S) > 0)
     told, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
     ratio = _ratio(np.diag(S - R), R, S)
-    wider = np.where(here, _wider(memory, ratio), 1.0)
+    coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / told
+    excess = np.where(here, _excess(memory, ratio), 1.0)
+    wider = _wider(memory, excess, coarse)
     # Below a number whose square is a number.
     size[here] = np.minimum(np.abs(y[here]) / told[here], 1e100) / wider[here]
-    coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / told
     held = np.array([bool(here[i]) and _holds(memory[i], z[i], size[i], coarse[i]) for i in range(len(y))], dtype=bool)
     here &= ~held
+    for i in np.flatnonzero(here & (excess > 1 + WHOLE)):
+        _widen(memory[i], size[i] * wider[i], excess[i])
     # A custom does not begin with rounding: of a state that was set from the reading itself, say.
     begins = (memory[:, WEIGHT] > 0) | (np.abs(y) > ROUNDED * (np.abs(z) + told))
     for i in np.flatnonzero(here & begins & (size > 0)):
@@ -96,7 +102,7 @@ def prepared(
     out, near = here & (size > BEND * narrowed), AGREE * s * told * wider
     for i in np.flatnonzero(here):
         _note_reading(memory[i], z[i], not out[i] and memory[i, RUN] == 0)
-        if not out[i]:
+        if not out[i] and memory[i, RUN] == 0:
             _learn_growth(memory[i], ratio[i])
     _count_runs(memory, y, near, out, here)
     # Back where the state was before a jump.
@@ -130,17 +136,41 @@ def _ratio(known: np.ndarray, R: np.ndarray, S: np.ndarray) -> np.ndarray:
     return np.maximum(known / np.where(noise > 0, noise, 1.0), FLOOR)
 
 
-def _wider(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+def _excess(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     """Return S / R over what would be, had the usual time passed since a sensor's last reading, at least 1 (m,)."""
     usual = memory[:, LEFT] * np.exp(np.minimum(memory[:, GROWTH], STEEPEST))
     return np.where(memory[:, USED] > 0, np.maximum((1 + ratio) / (1 + usual), 1.0), 1.0)
 
 
+def _wider(memory: np.ndarray, excess: np.ndarray, coarse: np.ndarray) -> np.ndarray:
+    """Return by what a width grows with S / R: no further than readings that were wider than usual have been (m,)."""
+    usual = BEND * np.maximum(memory[:, SPREAD], coarse)
+    bounded = (excess > 1 + WHOLE) & (memory[:, WIDENED] > PRIOR) & (usual > 0)
+    most = FAR * memory[:, WIDE] / np.where(usual > 0, usual, 1.0)
+    return np.where(bounded, np.maximum(np.minimum(excess, most), 1.0), excess)
+
+
+def _widen(own: np.ndarray, e: float, excess: float) -> None:
+    """Learn how far readings are that are wider than usual."""
+    before, weight, aim = own[WIDENED], 1 - 1 / excess, e / QUARTILE
+    own[WIDENED] += weight
+    pace = PACE * max(weight / before, weight / MEMORY) if before > 0 else 0.0
+    own[WIDE] = _towards(own[WIDE], aim, pace, pace) if before > 0 else aim
+
+
 def _learn_growth(own: np.ndarray, ratio: float) -> None:
-    """Learn how the logarithm of H P H' / R grows from one reading to the next."""
+    """Learn how the logarithm of H P H' / R grows from one ordinary reading to the next, a step at most e-fold."""
     if own[LEFT] > 0:
         own[USED] += 1
-        own[GROWTH] += (math.log(max(ratio, FLOOR) / own[LEFT]) - own[GROWTH]) * max(1 / own[USED], 1 / MEMORY)
+        grown = math.log(max(ratio, FLOOR) / own[LEFT]) - own[GROWTH]
+        own[GROWTH] += min(grown, 1.0) * max(1 / own[USED], 1 / MEMORY)
+
+
+def _towards(median: float, aim: float, up: float, down: float) -> float:
+    """Return a median by recursion after one step: up or down by a pace, but never beyond what was seen."""
+    if aim > median:
+        return min(aim, median * math.exp(min(up, 700.0)))
+    return max(aim, median * math.exp(-down))
 
 
 def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
@@ -153,12 +183,9 @@ def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
         own[SPREAD] = aim
         return
     pace, far = max(weight / known, 1 / MEMORY), size > FAR * max(own[SPREAD], coarse)
-    # A median by recursion: up or down by a pace, but never beyond what was seen. The far ones are left out of it.
-    spread, share = float(own[SPREAD]), float(own[SHARE])
-    if aim > spread:
-        own[SPREAD] = min(aim, spread * math.exp(min(PACE * pace * (1 - share), 700.0)))
-    else:
-        own[SPREAD] = max(aim, spread * math.exp(-PACE * pace * (1 + share)))
+    # The far ones are left out of it.
+    share = float(own[SHARE])
+    own[SPREAD] = _towards(float(own[SPREAD]), aim, PACE * pace * (1 - share), PACE * pace * (1 + share))
     own[STRANGE] = own[STRANGE] + 1 if far else 0
     own[SHARE] = min(own[SHARE] + (far - own[SHARE]) * max(weight / (own[WEIGHT] + PRIOR), 1 / MEMORY), MOST)
 

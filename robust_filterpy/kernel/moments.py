@@ -92,7 +92,7 @@ class Taken(NamedTuple):
     record: Array
     """As `robust_filterpy.kernel.moments.correction_of` reads it."""
     memory: Array | None
-    """Of the sensors afterwards, shape (m, 15), under scaling "learnt"."""
+    """Of the sensors afterwards, shape (m, 17), under scaling "learnt"."""
 
     @property
     def log_density(self) -> float:

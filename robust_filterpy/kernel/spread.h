@@ -27,8 +27,10 @@ typedef struct {
     real used;    /* the mean of so many */
     real held;    /* far readings in a row that repeat the one before */
     real filled;  /* how many were taken for missing in all */
+    real wide;    /* median of |e| over .6745 of readings that are wider than usual, */
+    real widened; /* so many, each less the less it is wider */
 } spread_memory;
-#define SPREAD_NUMBERS 15
+#define SPREAD_NUMBERS 17
 
 #define SPREAD_QUARTILE REAL(0.6744897501960817) /* median of |e| for a normal e of deviation 1 */
 #define SPREAD_BEND REAL(1.345)                  /* beyond so many spreads an innovation counts as clipped */
@@ -68,11 +70,17 @@ typedef struct {
     int charges, grows;
 } spread_change;
 
-#define spread_work(n, m) ((size_t)((n) + 10 * (m)))
+#define spread_work(n, m) ((size_t)((n) + 11 * (m)))
 
 /* What one smallest step of a sensor whose readings repeat asks of its spread, in units of told; none: not above 0. */
 INLINE real spread_coarse(const spread_memory *const own, const real told) {
     return own->repeats > 0 ? own->step / SPREAD_BEND / told : 0;
+}
+
+/* A step of a median by recursion towards aim, up or down by a pace, but never beyond it. */
+INLINE real spread_towards(const real median, const real aim, const real up, const real down) {
+    if (aim > median) return real_min(aim, median * real_exp(real_min(up, 700)));
+    return real_max(aim, median * real_exp(-down));
 }
 
 /* Let one |e| move the spread and the share of outliers; weight: the root of R_ii / S_ii. */
@@ -88,11 +96,7 @@ INLINE void spread_learn(spread_memory *const own, const real size, const real c
     }
     pace = SPREAD_PACE * real_max(weight / known, SPREAD_FADING);
     far = size > SPREAD_FAR * real_max(own->spread, coarse) ? REAL(1.0) : REAL(0.0);
-    /* Up or down by a pace, but never beyond what was seen. */
-    if (aim > own->spread)
-        own->spread = real_min(aim, own->spread * real_exp(real_min(pace * (1 - own->share), 700)));
-    else
-        own->spread = real_max(aim, own->spread * real_exp(-pace * (1 + own->share)));
+    own->spread = spread_towards(own->spread, aim, pace * (1 - own->share), pace * (1 + own->share));
     own->strange = far != 0 ? own->strange + 1 : 0;
     own->share += (far - own->share) * real_max(weight / (own->weight + SPREAD_PRIOR), SPREAD_FADING);
     own->share = real_min(own->share, SPREAD_MOST);
@@ -218,17 +222,36 @@ INLINE int spread_holds(spread_memory *const own, const real z, const real size,
 }
 
 /* What S / R of a sensor is over what would be, had the usual time passed since its last reading: at least 1. */
-INLINE real spread_wider(const spread_memory *const own, const real ratio) {
+INLINE real spread_excess(const spread_memory *const own, const real ratio) {
     if (!(own->used > 0)) return 1;
     return real_max((1 + ratio) / (1 + own->left * real_exp(real_min(own->growth, SPREAD_STEEPEST))), 1);
 }
 
-/* Learn how H P H' / R grows from one reading to the next. */
+/* By what a width grows with it: no further than readings that were wider than usual have been, if they were many. */
+INLINE real spread_wider(const spread_memory *const own, const real excess, const real coarse) {
+    const real usual = SPREAD_BEND * real_max(own->spread, coarse);
+    if (!(excess > 1 + SPREAD_WHOLE && own->widened > SPREAD_PRIOR && usual > 0)) return excess;
+    return real_max(real_min(excess, SPREAD_FAR * own->wide / usual), 1);
+}
+
+/* Learn how far readings are that are so much wider than usual. */
+INLINE void spread_widen(spread_memory *const own, const real e, const real excess) {
+    const real before = own->widened, aim = e / SPREAD_QUARTILE;
+    own->widened += 1 - 1 / excess;
+    if (before > 0) {
+        const real pace = SPREAD_PACE * real_max((1 - 1 / excess) / before, SPREAD_FADING * (1 - 1 / excess));
+        own->wide = spread_towards(own->wide, aim, pace, pace);
+    } else {
+        own->wide = aim;
+    }
+}
+
+/* Learn how H P H' / R grows from one ordinary reading to the next, a step at most e-fold. */
 INLINE void spread_grown(spread_memory *const own, const real ratio) {
     const real grown = own->left > 0 ? real_log(real_max(ratio, SPREAD_FLOOR) / own->left) : 0;
     if (!(own->left > 0)) return;
     own->used += 1;
-    own->growth += (grown - own->growth) * real_max(1 / own->used, SPREAD_FADING);
+    own->growth += real_min(grown - own->growth, 1) * real_max(1 / own->used, SPREAD_FADING);
 }
 
 /* H P H' / R of a sensor, R at least what is not rounding of S. */
@@ -240,13 +263,13 @@ INLINE real spread_ratio(const real known, const real R, const real variance) {
    say nothing new are then left out of c, and have no width. */
 CALLED void spread_before(const int n, const int m, const real *z, const real *P, const real *R, correction *const c,
                           spread_memory *const memory, spread_change *const change, real *work) {
-    real *s, *told, *size, *out, *ratio, *seen, coarse;
+    real *s, *told, *size, *out, *ratio, *excess, *seen, coarse, e;
     change->growth = work;
     change->width = work + n;
     change->charge = work + n + m;
     change->opened = work + n + 2 * m;
     change->told = told = work + n + 3 * m;
-    s = told + m, size = s + m, out = size + m, ratio = out + m, seen = ratio + m; /* and m more */
+    s = told + m, size = s + m, out = size + m, ratio = out + m, excess = ratio + m, seen = excess + m; /* and m more */
     change->charges = change->grows = 0;
     for (int k = 0; k < n; k++) change->growth[k] = 1;
     for (int i = 0; i < m; i++) {
@@ -255,16 +278,19 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         change->charge[i] = change->opened[i] = 0;
         told[i] = real_sqrt(variance);
         ratio[i] = spread_ratio(variance - R[i * m + i], R[i * m + i], variance);
-        out[i] = spread_wider(own, ratio[i]); /* until it is known who is clipped */
-        /* Below a number whose square is a number. */
-        size[i] = real_min(real_abs(c->y[i]) / told[i], REAL_PRODUCT) / out[i];
         coarse = spread_coarse(own, told[i]);
+        excess[i] = spread_excess(own, ratio[i]);
+        out[i] = spread_wider(own, excess[i], coarse); /* until it is known who is clipped */
+        /* Below a number whose square is a number. */
+        e = real_min(real_abs(c->y[i]) / told[i], REAL_PRODUCT);
+        size[i] = e / out[i];
         change->width[i] = 0;
         if (c->left[i] != 0 && spread_holds(own, z[i], size[i], coarse)) {
             c->left[i] = c->y[i] = 0;
             c->observed -= 1;
             change->width[i] = -1;
         }
+        if (c->left[i] != 0 && excess[i] > 1 + SPREAD_WHOLE) spread_widen(own, e, excess[i]);
         /* A custom does not begin with rounding: of a state that was set from the reading itself, say. */
         if (c->left[i] != 0 && size[i] > 0 &&
             (own->weight > 0 || real_abs(c->y[i]) > SPREAD_ROUNDED * (real_abs(z[i]) + told[i])))
@@ -288,8 +314,8 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         out[i] = size[i] > SPREAD_BEND * s[i];
         spread_repeat(own, z[i], out[i] == 0 && own->run == 0);
         if (out[i] == 0) {
+            if (own->run == 0) spread_grown(own, ratio[i]);
             own->run = 0;
-            spread_grown(own, ratio[i]);
             continue;
         }
         if (own->run > 0 && rest != 0 && (y > 0) == (rest > 0) &&

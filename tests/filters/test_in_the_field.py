@@ -162,3 +162,26 @@ def test_what_a_jump_opens_does_not_depend_on_the_order_of_the_sensors():
                 assert kf.S[0, 0] > 1e3
     assert_allclose(pair[0].x, pair[1].x, rtol=1e-9)
     assert_allclose(pair[0].P, pair[1].P, rtol=1e-9)
+
+
+def test_a_long_step_among_the_first_is_not_what_is_usual():
+    pair = [moving(kind, R=25.0, q=0.1) for kind in (RobustKalmanFilter, KalmanFilter)]
+    for h, z in ((1.0, 2.0), (1.0, -1.5), (20.0, 17.0), (20.0, -28.0)):
+        for kf in pair:
+            F, Q = white(h, 0.1)
+            kf.predict(F=F, Q=Q)
+            kf.update(z)
+    assert_allclose(pair[0].x[0], pair[1].x[0], atol=1.0)
+
+
+def test_where_the_growth_of_P_varies_an_outlier_beyond_all_such_readings_is_clipped():
+    rng, kf = np.random.default_rng(0), moving(RobustKalmanFilter)
+    for k in range(400):
+        kf.predict()
+        # One prior in five is much less certain than usual, as where F is linearized at each estimate.
+        kf.P[0, 0] += 100.0 if k % 5 == 0 else 0.0
+        kf.update(rng.normal())
+    kf.predict()
+    kf.P[0, 0] += 100.0
+    kf.update(50.0)
+    assert abs(kf.x[0, 0]) < 15.0

@@ -88,7 +88,10 @@ def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping, jump, 
             shown = found.as_arrays()
             for name in ("x", "P", "C", "S", "e", "weights"):
                 a, b = getattr(shown, name), getattr(expected, name)
-                np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * (1.0 + np.nanmax(np.abs(b), initial=0.0)))
+                # What is left of a P that had grown to the size of S has its rounding.
+                rounding = 1e-15 * np.abs(expected.S).max()
+                near = 1e-9 * (1.0 + np.nanmax(np.abs(b), initial=0.0)) + rounding
+                np.testing.assert_allclose(a, b, rtol=1e-9, atol=near)
             np.testing.assert_allclose(found.memory, expected.memory, rtol=1e-9, atol=1e-9 * np.nanmax(np.abs(y_now)))
     assert grew > draws / 9
 
