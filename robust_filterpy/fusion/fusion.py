@@ -442,7 +442,8 @@ class Fusion:
         controls : tuple of array_like, shape (K,) and (K, dim_u), optional
             Stamps and control inputs from then on.
         smoothed : bool, default False
-            Whether each state is to be estimated from the whole recording (`robust_filterpy.smoothing.smooth`).
+            Whether each state is to be estimated from the whole recording (`robust_filterpy.smoothing.smooth`), with
+            this fusion's ``influence=``; without one the outliers are learned from the recording.
 
         Returns
         -------

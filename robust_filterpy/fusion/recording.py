@@ -242,7 +242,8 @@ def _smoothed(
     root = np.sqrt(np.where(np.isnan(last.state.sizes), 1.0, setup.policy.factors(last.state.memory)))
     kf.R = covariance(layout, last.state.sizes) * np.multiply.outer(root, root)
     us = np.broadcast_to(drift, (len(dts), motion.dim_x))
-    found = smooth(kf, rows.zs, Fs=F, Qs=Q, us=us)
+    influence = setup.policy.choices.influence if setup.policy.noise is None else None
+    found = smooth(kf, rows.zs, Fs=F, Qs=Q, us=us, influence=influence)
     return found.x, found.P, found.weights
 
 

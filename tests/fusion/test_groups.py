@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robust_filterpy.fusion import (
@@ -38,6 +39,23 @@ def together(seed, length=400):
 
 def fused(sensors, **more):
     return Fusion(constant_velocity(1, 0.1), sensors, 5.0, P0=100.0 * np.eye(2), **more)
+
+
+@pytest.mark.filterwarnings("ignore:smooth. Q and R do not fit")
+def test_a_recording_is_smoothed_by_the_influence_of_the_fusion():
+    table, _ = together(0, 60)
+    motion = constant_velocity(1, 0.1)
+    found = Fusion(motion, pair(None), 5.0, P0=100.0 * np.eye(2), influence=Linear()).run(table, smoothed=True)
+    kf = KalmanFilter(2, 2)
+    kf.P, kf.H, kf.R = 100.0 * np.eye(2), np.eye(2), np.diag([4.0, 0.09])
+    kf.F, kf.Q, _ = motion.matrices(0.5)
+    # The first stamp is the start's.
+    Fs, Qs = [np.eye(2)] + [kf.F] * 59, [np.zeros((2, 2))] + [kf.Q] * 59
+    zs = np.reshape(table["value"], (-1, 2, 1))
+    means, covariances, _, _ = kf.batch_filter(list(zs), Fs=Fs, Qs=Qs)
+    x, P, _, _ = kf.rts_smoother(means, covariances, Fs=Fs, Qs=Qs)
+    assert_allclose(found.x, x[..., 0], atol=1e-6)
+    assert_allclose(found.P, P, atol=1e-6)
 
 
 @pytest.mark.parametrize("way", WAYS)
