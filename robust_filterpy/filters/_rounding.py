@@ -41,7 +41,8 @@ def without_rounding(
 def _mended(stack: Array, H: Array, R: Array) -> Array | None:
     """Return the nearest covariances; None if sensors see nothing negative, or rounding is no match for their noise."""
     variances, noise = np.diagonal(stack, axis1=1, axis2=2), R.diagonal()
-    if not (np.isfinite(stack).all() and np.linalg.eigvalsh(H @ stack @ H.T).min() < 0.0):
+    seen = H @ stack @ H.T
+    if not (np.isfinite(stack).all() and np.isfinite(seen).all() and np.linalg.eigvalsh(seen).min() < 0.0):
         return None
     rounding = stack.shape[1] ** 2 * np.finfo(float).eps
     if not (0.0 < noise).all() or not (rounding * H**2 @ variances.T > noise[:, None]).any():

@@ -181,7 +181,7 @@ def test_the_label_knowing_tracker_is_least_squares_where_nothing_is_to_be_known
         (lambda: draw("level", 10, jumps={10: [1.0]}), ValueError, "jumps: expected steps below 10"),
         (lambda: draw("level", 10, jumps={1: [1.0, 2.0]}), ValueError, r"jumps: expected shape \(1, 1\)"),
         (lambda: draw("level", dt=0.1), TypeError, "dt"),
-        (lambda: draw(random_stable(2, 1, rng=0), dt=1), TypeError, "dt: expected only beside the name"),
+        (lambda: draw(random_stable(2, 1, rng=0), dt=1), TypeError, "dt: expected only with the name of a problem"),
         (lambda: draw("level", jump_probability=2.0), ValueError, "jump_probability"),
         (lambda: random_stable(0, 1), ValueError, "dim_x"),
         (lambda: StateModel(np.zeros(2), *[np.eye(2)] * 2, np.eye(3), *[np.eye(2)] * 2), ValueError, "H: expected"),
