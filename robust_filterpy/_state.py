@@ -27,8 +27,10 @@ _COVARIANCES: Final[dict[str, dict[str, float]]] = {
 }
 
 
-# Numbers that a state held of a sensor's spread before it held more.
-_FORMER: Final = 10
+# Numbers that a state held of a sensor's spread before it held more, which then follow.
+_FORMER: Final = (10, 15)
+# What is learnt of a sensor's noise had nothing of jumps once; these stand before the last ten.
+_OF_JUMPS, _BEHIND = 5, 10
 
 
 class StateError(ValueError):
@@ -114,9 +116,13 @@ def checked(
 def widened(name: str, value: Array, width: int | None) -> Array:
     """Return what a state holds of sensors, with 0 in the columns that there were not yet when it was stored."""
     missing = (width or 0) - (value.shape[-1] if value.ndim else 0)
-    if not name.endswith("spread") or value.ndim < 2 or missing <= 0 or value.shape[-1] != _FORMER:
+    if value.ndim < 2 or missing <= 0:
         return value
-    return np.concatenate((value, np.zeros((*value.shape[:-1], missing))), axis=-1)
+    if name.endswith("spread") and value.shape[-1] in _FORMER:
+        return np.concatenate((value, np.zeros((*value.shape[:-1], missing))), axis=-1)
+    if name.endswith(("learnt", "memory")) and missing == _OF_JUMPS and value.shape[-1] > _BEHIND:
+        return np.insert(value, [value.shape[-1] - _BEHIND] * missing, 0.0, axis=-1)
+    return value
 
 
 def require_covariance(name: str, stack: Array) -> None:

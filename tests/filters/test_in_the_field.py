@@ -6,7 +6,7 @@ import support
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robust_filterpy import RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters import StuckSensorWarning
 
@@ -139,15 +139,33 @@ def test_sensors_that_see_the_same_bear_any_finite_reading(far):
     assert np.abs(kf.x).max() < 1.0
 
 
-def test_a_state_with_fewer_columns_is_read():
+@pytest.mark.parametrize("width", [10, 15])
+def test_a_state_with_fewer_columns_is_read(width):
     kf, _ = settled()
     state = kf.state()
-    state["spread"] = state["spread"][:, :10]
+    state["spread"] = state["spread"][:, :width]
     other = moving(RobustKalmanFilter)
     other.restore(state)
     assert other._memory.shape == (1, NUMBERS)
     assert_array_equal(other.spread, kf.spread)
     assert_allclose(other.x, kf.x)
+
+
+def test_a_state_of_learned_noise_without_jumps_is_read():
+    kf, rng = moving(AdaptiveKalmanFilter), np.random.default_rng(5)
+    for z in rng.normal(size=40):
+        kf.predict()
+        kf.update(z)
+    state, other = kf.state(), moving(AdaptiveKalmanFilter)
+    assert state["learnt"][0, -15] == 0.0, "no jump has been believed"
+    state["learnt"] = np.delete(state["learnt"], np.s_[-15:-10], axis=1)
+    other.restore(state)
+    for one in (kf, other):
+        one.predict()
+        one.update(0.3)
+    assert_allclose(other.x, kf.x, rtol=1e-9)
+    apart = np.s_[-15:-10]
+    assert_allclose(np.delete(other.learnt, apart, axis=1), np.delete(kf.learnt, apart, axis=1), rtol=1e-9)
 
 
 def test_what_a_jump_opens_does_not_depend_on_the_order_of_the_sensors():
