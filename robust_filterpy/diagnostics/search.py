@@ -115,19 +115,12 @@ def scores(model: LinearModel, z: Array, repairs: list[Repair]) -> Scores:
             continue
         H[:, :, states] = np.where(own, replaced, shaped["gain"][:, :, None] * model.H[k])
         R = np.where(memory != 0.0, 1e-6 * R, R)
-        _correct(
-            x,
-            P,
-            H[:, seen],
-            R[:, seen][:, :, seen],
-            z[k, seen],
-            shaped["missing"][:, seen],
-            parts["tail"][:, None],
-            total,
-        )
+        missing, tail = shaped["missing"][:, seen], parts["tail"][:, None]
+        _correct(x, P, H[:, seen], R[:, seen][:, :, seen], z[k, seen], missing, tail, total)
     return Scores(np.where(np.isfinite(total), total, -np.inf), path)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _correct(x: Array, P: Array, H: Array, R: Array, z: Array, missing: Array, tail: Array, total: Array) -> None:
     """Correct x and P in place by z and add its log density to total."""
     PH = P @ H.transpose(0, 2, 1)
@@ -135,6 +128,10 @@ def _correct(x: Array, P: Array, H: Array, R: Array, z: Array, missing: Array, t
     if missing.any():
         # A sensor that is not to be used has a noise without bound.
         S = S + missing[:, :, None] * np.eye(len(z)) * 1e12 * np.einsum("cii->ci", S)[:, :, None]
+    lost = ~(np.abs(S) < 1e150).all(axis=(1, 2)) & (len(z) > 1)
+    if lost.any():
+        # What grows beyond numbers whose square is a number explains nothing.
+        total[lost], x[lost], P[lost], PH[lost], S[lost] = -np.inf, 0.0, 0.0, 0.0, np.eye(len(z))
     if len(z) == 1:
         T = 1.0 / np.sqrt(np.maximum(S, 1e-300))
         logdet = np.log(T[:, 0, 0])
@@ -281,6 +278,9 @@ def _regressed(x: Array, z: Array) -> Array | None:
     if seen.sum() < 5 * x.shape[1]:
         return None
     x, z = x[seen], z[seen]
+    # Sums of squares have to be numbers.
+    far = 1e50 * max(float(np.median(np.abs(z - np.median(z)))), 1e-300)
+    z = np.clip(z, np.median(z) - far, np.median(z) + far)
     # The unit of a state must not decide how much it counts.
     size = np.maximum(np.abs(x).max(axis=0), 1e-300)
     start = np.linalg.lstsq(x / size, z, rcond=1e-9)[0]

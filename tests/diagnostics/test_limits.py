@@ -26,6 +26,16 @@ def test_a_spike_of_any_size_is_nothing_unusual(size):
     assert diagnose(level(), zs).causes == ()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_outliers_of_any_size_in_several_sensors_are_diagnosed(seed):
+    rng = np.random.default_rng(seed)
+    kf, z = RobustKalmanFilter(2, 3), rng.normal(size=(150, 3))
+    kf.H, kf.Q = rng.normal(size=(3, 2)), 0.01 * np.eye(2)
+    bad = rng.random((150, 3)) < 0.1
+    z[bad] *= 10.0 ** rng.uniform(100.0, 300.0, bad.sum())
+    assert str(diagnose(kf, z))
+
+
 def test_nothing_is_said_of_nothing():
     found = diagnose(level(), np.full(50, np.nan))
     assert found.findings == () and str(found).startswith("Nothing was measured")
