@@ -128,7 +128,7 @@ def _correct(x: Array, P: Array, H: Array, R: Array, z: Array, missing: Array, t
     if missing.any():
         # A sensor that is not to be used has a noise without bound.
         S = S + missing[:, :, None] * np.eye(len(z)) * 1e12 * np.einsum("cii->ci", S)[:, :, None]
-    lost = ~(np.abs(S) < 1e150).all(axis=(1, 2)) & (len(z) > 1)
+    lost = ~(np.abs(S) < 1e150 * max(float(np.abs(R).max()), 1.0)).all(axis=(1, 2)) & (len(z) > 1)
     if lost.any():
         # What grows beyond numbers whose square is a number explains nothing.
         total[lost], x[lost], P[lost], PH[lost], S[lost] = -np.inf, 0.0, 0.0, 0.0, np.eye(len(z))

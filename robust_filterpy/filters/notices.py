@@ -25,9 +25,11 @@ _HALF, _SURER = 0.5, 0.7
 
 
 class OutlierShareWarning(RobustFilterWarning):
-    """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains."""
-    # Given once for each class of filter in a process. To switch it off: ``warnings.simplefilter("ignore",
-    # robust_filterpy.filters.OutlierShareWarning)``.
+    """Say that a filter clipped most of its last innovations, which no sensor with some outliers explains.
+
+    Given once for each class of filter in a process. To switch it off: ``warnings.simplefilter("ignore",
+    robust_filterpy.filters.OutlierShareWarning)``.
+    """
 
 
 class Share:
@@ -129,11 +131,13 @@ _NO_LAG = 0.1
 
 
 class CorrelatedInnovationsWarning(RobustFilterWarning):
-    """Say that the innovations of a filter under ``noise=`` keep their sign."""
-    # Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
-    # its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise is colored.
-    # Given once for each kind of filter (class and sizes) in a process. To switch it off:
-    # ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
+    """Say that the innovations of a filter under ``noise=`` keep their sign.
+
+    Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
+    its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise is colored.
+    Given once for each kind of filter (class and sizes) in a process. To switch it off:
+    ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
+    """
 
 
 class Signs:
@@ -218,13 +222,15 @@ def _judge(kf: Any, signs: Signs, where: str) -> None:
 
 
 class StuckSensorWarning(RobustFilterWarning):
-    """Say that a sensor repeats its last reading to the last bit, far from where a filter expects it."""
-    # A sensor that is stuck does, and a logger that writes one number where it has none (-9999, 0, 65535). While it
-    # does, its readings count as missing: weight 0, under ``noise=`` outlier probability 1. Given once for each filter.
-    # Under ``grouping="joint"``, where ``noise=`` keeps no sensor apart, none is seen: name them, ``grouping=((0, 1,
-    # 2),)``. A `ParameterTracker` and a `TrackerBank` say it of y, from the third such reading in a row, and leave
-    # residual and weight NaN. To switch it off: ``warnings.simplefilter("ignore",
-    # robust_filterpy.filters.StuckSensorWarning)``.
+    """Say that a sensor repeats its last reading to the last bit, far from where a filter expects it.
+
+    A sensor that is stuck does, and a logger that writes one number where it has none (-9999, 0, 65535). While it
+    does, its readings count as missing: weight 0, under ``noise=`` outlier probability 1. Given once for each filter.
+    Under ``grouping="joint"``, where ``noise=`` keeps no sensor apart, none is seen: name them, ``grouping=((0, 1,
+    2),)``. A `ParameterTracker` and a `TrackerBank` say it of y, from the third such reading in a row, and leave
+    residual and weight NaN. To switch it off: ``warnings.simplefilter("ignore",
+    robust_filterpy.filters.StuckSensorWarning)``.
+    """
 
 
 def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:

@@ -36,6 +36,12 @@ def test_outliers_of_any_size_in_several_sensors_are_diagnosed(seed):
     assert str(diagnose(kf, z))
 
 
+def test_two_sensors_in_a_tiny_unit_are_nothing_unusual():
+    kf, z = RobustKalmanFilter(2, 2), np.random.default_rng(0).normal(size=(200, 2))
+    kf.H, kf.Q, kf.R, kf.P = np.eye(2), 1e150 * np.eye(2), 1e152 * np.eye(2), 1e152 * np.eye(2)
+    assert diagnose(kf, 1e76 * z).causes == ()
+
+
 def test_nothing_is_said_of_nothing():
     found = diagnose(level(), np.full(50, np.nan))
     assert found.findings == () and str(found).startswith("Nothing was measured")
