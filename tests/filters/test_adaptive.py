@@ -6,15 +6,13 @@ from functools import partial
 
 import numpy as np
 import pytest
-from filterpy.common import Saver
 from filterpy.kalman import KalmanFilter
-from scipy.integrate import quad
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from support import TOLD, cart, make, random_problem, simulate, with_, without_kernel
 
-from robust_filterpy import ARX, AdaptiveKalmanFilter, Contaminated, Learnt, ParameterTracker, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, copies
 
 # How probable the classes are before anything has been seen.
@@ -113,16 +111,6 @@ def test_sensors_that_fail_together_can_be_named():
     np.testing.assert_array_equal(run("learnt", ((0,), (1,)))[0], run("learnt", ((0,), (1,), (2,)))[0])
     assert not np.allclose(run("learnt", ((0,), (1,)))[0], run("learnt", "component")[0], rtol=1e-3)
     assert not np.allclose(run("learnt", ((0, 1),))[0], run("learnt", "component")[0], rtol=1e-3)
-
-
-def test_the_density_of_a_measurement_integrates_to_one():
-    problem, _, zs, _ = moving(0, 60, contaminated(0, 60, 0.2))
-    kf = make(AdaptiveKalmanFilter, problem, 1)
-    advance(kf, zs)
-    kf.predict()
-    at = float(kf.x[0])
-    total = quad(lambda z: np.exp(kf.log_likelihood_of(z)), at - 400, at + 400, points=[at], limit=400)[0]
-    assert total == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
@@ -431,17 +419,6 @@ def test_what_is_handed_on_is_checked(value):
     np.testing.assert_array_equal(kf.learnt, before)
 
 
-def test_a_saver_shows_what_was_learnt_at_each_step():
-    problem = random_problem(13, 3, 2)
-    kf = make(AdaptiveKalmanFilter, problem)
-    saver = Saver(kf)
-    kf.batch_filter(simulate(problem, 12, 13)[0], saver=saver)
-    saver.to_array()
-    assert saver.learnt.shape == (12, *kf.learnt.shape)
-    assert saver.R_learnt.shape == (12, 2, 2) and saver.outlier_probability.shape == (12,)
-    assert (np.diff(saver.learnt[:, 0, 0]) != 0.0).all()
-
-
 def test_another_grouping_starts_to_learn_anew():
     problem = random_problem(14, 4, 2)
     kf = make(AdaptiveKalmanFilter, problem, 1)
@@ -476,30 +453,6 @@ def test_another_grouping_starts_to_learn_anew():
 def test_bad_options_are_named(kind, options, match):
     with pytest.raises((ValueError, TypeError), match=f"^{match}: expected"):
         kind(**options)
-
-
-@pytest.mark.parametrize("name, value", [("influence", 1.0), ("scaling", "unit"), ("information", "weight")])
-def test_what_follows_from_the_noise_cannot_be_set(name, value):
-    with pytest.raises(AttributeError, match=name):
-        setattr(AdaptiveKalmanFilter(2, 1), name, value)
-
-
-@pytest.mark.parametrize("R", [1e-4, 1.0])
-def test_in_a_tracker_r_need_not_be_known(R):
-    rng = np.random.default_rng(0)
-    n, theta = 1200, np.array([-1.5, 0.7, 1.0, 0.5])
-    u, y = rng.choice([-1.0, 1.0], n), np.zeros(n)
-    v = 0.1 * rng.standard_normal(n) * np.where(rng.random(n) < 0.1, 20.0, 1.0)
-    for k in range(2, n):
-        y[k] = -theta[:2] @ y[[k - 1, k - 2]] + theta[2:] @ u[[k - 1, k - 2]] + v[k]
-    errors = []
-    kinds = [AdaptiveKalmanFilter, AdaptiveKalmanFilter(4, 1), *(RobustKalmanFilter(4, 1, **TOLD) for _ in range(2))]
-    for kind, told in zip(kinds, [R, R, R, 0.01], strict=True):
-        tracker = ParameterTracker(ARX(2, 2), filter=kind, P=1.0, Q=1e-6 * np.eye(4), R=told)
-        errors.append(np.linalg.norm(tracker.run(y, u).theta[600:] - theta, axis=1).mean())
-    by_class, by_instance, told_wrong, told = errors
-    assert by_class == by_instance
-    assert by_class < 1.15 * told and by_class < 0.9 * told_wrong
 
 
 def test_the_probability_of_an_outlier_is_that_of_any_sensor():

@@ -5,7 +5,6 @@ import itertools
 
 import numpy as np
 import pytest
-from filterpy.common import Saver
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
@@ -14,8 +13,6 @@ from support import FILTERPY_2, cart, make, paper_problem, random_problem, simul
 from robust_filterpy import (
     AdaptiveKalmanFilter,
     Contaminated,
-    OutputError,
-    ParameterTracker,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     StudentT,
@@ -158,20 +155,6 @@ def test_looking_changes_nothing(cls, options):
     np.testing.assert_array_equal(kf.P, P)
 
 
-@pytest.mark.parametrize("cls, options", KINDS)
-def test_batch_saver_and_columns(cls, options):
-    problem = random_problem(5, 3, 2)
-    zs = [*simulate(problem, 15, 5, contamination=0.2)[0], None]
-    loop, batch = make(cls, problem, 1, **options), make(cls, problem, 2, **options)
-    expected = advance(loop, zs)
-    saver = Saver(batch)
-    means, _, _, _ = batch.batch_filter(zs, saver=saver)
-    np.testing.assert_allclose(means[:, :, 0], expected, rtol=1e-12, atol=1e-14)
-    saver.to_array()
-    assert saver.x.shape == (16, 3, 1)
-    assert repr(batch).startswith(type(batch).__name__)
-
-
 def test_correlated_noise_equals_kalman_for_ordinary_noise():
     if not FILTERPY_2:
         pytest.skip("1.4.5 has M of the wrong shape")
@@ -246,18 +229,6 @@ def test_two_sided_with_a_linear_psi_is_filterpys_interacting_multiple_models():
         np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-8)
 
 
-def test_an_imm_of_these_filters_runs():
-    problem = cart()
-    zs = simulate(problem, 40, 1, contamination=0.1)[0]
-    for cls, options in ((told, BOTH), (two_sided, {})):
-        pair = [make(cls, with_(problem, Q=q * problem.Q), 1, **options) for q in (1, 50)]
-        imm = IMMEstimator(pair, [0.5, 0.5], np.array([[0.95, 0.05], [0.05, 0.95]]))
-        for z in zs:
-            imm.predict()
-            imm.update(z)
-        assert np.isfinite(imm.x).all() and imm.mu.sum() == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("make_it, error, words", [
     (lambda: Contaminated(1.0), ValueError, "contamination: expected"),
     (lambda: Contaminated(0.1, 0.5), ValueError, "scale_ratio: expected"),
@@ -279,27 +250,6 @@ def test_an_imm_of_these_filters_runs():
 def test_choices_that_make_no_sense_together_are_refused_in_words(make_it, error, words):
     with pytest.raises(error, match=words):
         make_it()
-
-
-def test_a_tracker_around_the_two_sided_filter_follows_a_parameter_that_jumps():
-    rng = np.random.default_rng(0)
-    n = 1000
-    a, u, y = np.where(np.arange(n) < 500, 0.5, -0.3), rng.choice([-1.0, 1.0], n), np.zeros(n)
-    for k in range(1, n):
-        y[k] = a[k] * y[k - 1] + u[k - 1]
-    y += 0.1 * rng.normal(size=n) * np.where(rng.random(n) < 0.1, 10, 1)
-    error = {}
-    # A filter that takes every jump for outliers: with a learnt spread this one would follow it, later, too.
-    locked = RobustKalmanFilter(2, 1, scaling="innovation")
-    # Jumps of a parameter look like outliers ten times as large for long: told five, it believes them sooner.
-    doubting = two_sided(2, 1, noise=Contaminated(0.1, 5.0))
-    for cls in (locked, doubting):
-        tracker = ParameterTracker(OutputError(1, 1), filter=cls, P=1.0, Q=1e-6 * np.eye(2), R=0.01)
-        theta = tracker.run(y, u).theta
-        error[cls] = np.abs(theta - np.column_stack([-a, np.ones(n)])).sum(axis=1)
-    # Before the jump as good, long after it far better.
-    assert error[doubting][200:500].mean() < 1.2 * error[locked][200:500].mean()
-    assert error[doubting][700:].mean() < 0.2 * error[locked][700:].mean()
 
 
 def yang_boyd(seed, process=0.1, n=1000):

@@ -4,28 +4,14 @@ import numpy as np
 import pytest
 import support
 from filterpy.common import kinematic_kf
-from support import recovering, told, two_sided
 
 from robust_filterpy import (
-    AdaptiveKalmanFilter,
-    Contaminated,
     RobustKalmanFilter,
     filter_series,
 )
 
 STEPS = 40
 SIZES = [(2, 1), (3, 2), (4, 3), (5, 5)]
-LINEAR = {
-    "robust": (RobustKalmanFilter, {}),
-    "robust, joint": (RobustKalmanFilter, {"grouping": "joint"}),
-    "robust, expected": (RobustKalmanFilter, {"information": "expected"}),
-    "recovering": (recovering, {"patience": 4}),
-    "noise matched": (told, {}),
-    "noise matched, each sensor": (told, {"grouping": "component"}),
-    "noise matched, jumps": (told, {"process": Contaminated(0.05, 10.0)}),
-    "two-sided": (two_sided, {}),
-    "adaptive": (AdaptiveKalmanFilter, {}),
-}
 
 
 @pytest.fixture(params=["kernel", "definition"])
@@ -57,25 +43,6 @@ def same(found, expected, what):
     """Compare states and covariances; rounding grows with the correlation of the sensors."""
     for name, ours, theirs in zip(("x", "P"), found, expected, strict=True):
         support.assert_close(ours, theirs, 1e-9, f"{what}: {name}")
-
-
-def by_steps(cls, problem, zs, method="update", **options):
-    """Return every state and covariance of a loop."""
-    kf, kept = support.make(cls, problem, **options), []
-    for z in zs:
-        kf.predict()
-        getattr(kf, method)(z)
-        kept.append((kf.x, kf.P))
-    return [np.array(column) for column in zip(*kept, strict=True)]
-
-
-@pytest.mark.pairwise
-@pytest.mark.parametrize("dims", SIZES)
-@pytest.mark.parametrize("name", LINEAR)
-def test_no_linear_filter_knows_the_units_of_its_sensors(path, name, dims):
-    problem, zs, changed, others = recording(7, dims)
-    cls, options = LINEAR[name]
-    same(by_steps(cls, changed, others, **options), by_steps(cls, problem, zs, **options), name)
 
 
 @pytest.mark.pairwise

@@ -135,16 +135,3 @@ def test_a_sample_at_a_time_is_the_recording_and_says_the_same():
         told(other, again, lambda k=k: other.update(y[k], u[k]))
     np.testing.assert_allclose(other.theta, one.theta, rtol=1e-6)
     assert again == news and news[0]
-
-
-@pytest.mark.nightly
-def test_the_order_of_the_actuators_does_not_matter_to_those_that_start_anew():
-    rng = np.random.default_rng([25, 1001])
-    y, u = recording(rng, OutputError(2, 2))
-    order = [2, 0, 1]
-    one, other = TrackerBank(N, OutputError(2, 2)), TrackerBank(N, OutputError(2, 2))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LostTrackerWarning)
-        one.run(y, u)
-        other.run(y[:, order], u[:, order])
-    np.testing.assert_allclose(other.theta, one.theta[order], rtol=1e-9)

@@ -38,11 +38,6 @@ def recording(length=800, share=0.1, seed=0, level=0.0, sigma=0.3):
     return level + lfilter(B, A, u) + noise, u
 
 
-def assert_same_columns(one, other):
-    for a, b in zip(one, other, strict=True):
-        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
-
-
 # The start.
 
 
@@ -101,21 +96,6 @@ def test_neither_units_nor_the_level_matter(structure):
         np.testing.assert_allclose(other.theta / size, one.theta, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(other.std / size, one.std, rtol=1e-4)
         assert other.R / factor**2 == pytest.approx(one.R, rel=1e-4)
-
-
-def test_the_kernel_follows_R_and_cleans_as_the_definition_does(monkeypatch):
-    support.needs_kernel()
-    y, u = recording(250, level=3.0)
-    y[220] = np.nan
-    for structure in (OutputError(2, 2), ARX(2, 2)):
-        fast, slow = ParameterTracker(structure, start=100), ParameterTracker(structure, start=100)
-        found = fast.run(y, u)
-        with monkeypatch.context() as patch:
-            support.without_kernel(patch)
-            expected = slow.run(y, u)
-        for a, b in zip(found, expected, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)
-        assert fast.R == pytest.approx(slow.R, rel=1e-6)
 
 
 def test_until_there_is_a_model_nothing_is_claimed():
@@ -301,26 +281,6 @@ def test_a_tracker_that_follows_says_nothing(draws):
 
 
 # States.
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"theta": np.array([-2.1, 1.3, 0.0, 0.0])}, "stable"),
-        ({"P": np.diag([1.0, -1.0, 1.0, 1.0])}, "P"),
-        ({"Q": -np.eye(4)}, "Q"),
-        ({"alpha_sq": np.array(0.5)}, "alpha_sq"),
-        ({"recursion": np.full(7, np.nan)}, "recursion"),
-    ],
-)
-def test_a_state_that_cannot_be_is_refused_and_changes_nothing(change, words):
-    tracker = support.told_tracker(OutputError(2, 2))
-    y, u = recording(50)
-    tracker.run(y, u)
-    before = tracker.state()
-    with pytest.raises(ValueError, match=words):
-        tracker.restore({**before, **change})
-    assert_same_columns(before.values(), tracker.state().values())
 
 
 # Banks.

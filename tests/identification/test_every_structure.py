@@ -264,14 +264,6 @@ def test_levels_of_states_that_step_are_taken_off_and_put_back():
     assert off(bent, u, clean) > 0.1 and not bent.trends
 
 
-def test_inputs_that_states_do_not_follow_are_held_back():
-    y, u, clean = states(2)
-    rng = np.random.default_rng(3)
-    read = np.where(rng.random(300) < 0.03, 50.0 * rng.normal(size=300), u)
-    with pytest.warns(UserWarning, match="u has .* values unlike the others"):
-        assert off(identify(y, read, StateSpace(2)), u, clean) < 0.02
-
-
 def test_a_plant_that_changes_an_angle_and_a_loop_are_said_of_states():
     y, u, _ = states(4, 500)
     with pytest.warns(UserWarning, match="the plant is another one there"):
@@ -298,19 +290,6 @@ def test_nothing_is_found_in_an_ordinary_recording(draws):
             warnings.simplefilter("error")
             model = identify(y, u, StateSpace(2))
         assert model.findings == () and model.trends == () and off(model, u, clean) < 0.02
-
-
-@pytest.mark.nightly
-def test_physics_beside_a_step_and_inputs_that_it_does_not_follow():
-    y, u = recorded("physics", 3, STEPPED)
-    rng = np.random.default_rng(6)
-    read = np.where(rng.random(120) < 0.08, 50.0 * rng.normal(size=120), u[:120])
-    stepped = y + 15.0 * (np.arange(STEPPED) >= STEPPED // 2)
-    for told, acted, words in ((stepped, u, "steps by"), (y[:120], read, "unlike the others")):
-        with pytest.warns(UserWarning, match=words):
-            model = identify(told, acted, PHYSICS, t=np.arange(len(told)) / 1.0)
-        assert model.p["rate"] == pytest.approx(0.3, abs=0.03) and model.p["gain"] == pytest.approx(2.0, abs=0.1)
-        assert model.fit(told, u[: len(told)], np.arange(len(told)) / 1.0)[0] > 70.0 and "found:" in repr(model)
 
 
 # Recordings that break an assumption.

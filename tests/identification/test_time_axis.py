@@ -147,17 +147,6 @@ def test_a_recording_at_another_rate_is_refused(model, name):
         CALLS[name](model, quick.y, quick.u)
 
 
-def test_a_refused_run_leaves_the_tracker_as_it_was():
-    df = table()
-    tracker = ParameterTracker(ARX(1, 1), start=0)
-    before = tracker.state()
-    with pytest.raises(ValueError, match="uniform"):
-        tracker.run(df.y.drop(df.index[3]), df.u.drop(df.index[3]))
-    assert tracker.dt is None
-    for name, value in tracker.state().items():
-        assert_array_equal(value, before[name])
-
-
 @pytest.mark.parametrize(
     ("index", "dt"),
     [
@@ -357,12 +346,3 @@ def test_an_index_of_bools_is_none(kind):
     index = pd.Index(pd.array([True, False] * 50, dtype=kind))
     with pytest.raises(ValueError, match="expected times or numbers in the index, got bools"):
         identify(pd.Series(1.0, index=index), pd.Series(1.0, index=index), ARX(1, 1))
-
-
-def test_a_table_of_several_inputs_gives_the_numbers_of_an_array():
-    rng = np.random.default_rng(4)
-    u = rng.normal(size=(60, 2))
-    y = u @ [1.0, 2.0] + 0.1 * rng.normal(size=60)
-    inputs = pd.DataFrame({"first": u[:, 0], "second": u[:, 1]})
-    theta = [ParameterTracker(FIR((1, 1), nk=0)).run(y, signal).theta for signal in (inputs, u)]
-    assert_array_equal(*theta)

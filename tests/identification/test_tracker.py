@@ -223,10 +223,6 @@ def test_fit_and_intervals():
         tracker.confidence_intervals(95)
 
 
-def test_repr_shows_the_model():
-    assert repr(support.told_tracker(FIR(1), theta=2.0)) == "ParameterTracker(FIR(nb=1, nk=1), b1=2)"
-
-
 def test_print_shows_parameters_with_their_deviations_level_and_noise():
     tracker = support.told_tracker(FIR(1), theta=2.0, P=0.25)
     assert str(tracker).splitlines()[1].split() == ["b1", "2", "+-", "0.5"]
@@ -486,26 +482,6 @@ def test_bad_variances_are_refused(R, message):
 # What a filter holds before, while and after
 
 
-def left_behind(kf):
-    """What a correction leaves in a filter."""
-    names = "x P H x_prior P_prior x_post P_post z y S SI K T e weights y_bounded log_likelihood".split()
-    return [np.array(getattr(kf, name), dtype=float) for name in names]
-
-
-@pytest.mark.pairwise(1)
-@pytest.mark.parametrize("length", [100, 400])
-@pytest.mark.parametrize("gap", [1, 3, 99])
-def test_a_recording_that_ends_in_a_gap_leaves_what_update_leaves(length, gap):
-    y, u = recording(length)
-    y[-gap:] = np.nan
-    for structure in STRUCTURES[:3]:
-        one, other = (support.told_tracker(structure, P=1.0, R=0.25) for _ in range(2))
-        one.run(y, u)
-        step_by_step(other, y, u)
-        for found, expected in zip(left_behind(one.filter), left_behind(other.filter), strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
-
-
 @pytest.mark.parametrize("length", [1, 40, 300])
 def test_nothing_but_gaps_and_a_whole_number_as_theta(length):
     y, u = np.full(length, np.nan), np.ones(length)
@@ -516,21 +492,6 @@ def test_nothing_but_gaps_and_a_whole_number_as_theta(length):
         tracker, plain = support.told_tracker(ARX(1, 1)), support.told_tracker(ARX(1, 1))
         tracker.filter.x = x
         np.testing.assert_allclose(tracker.run(y, u).theta, plain.run(y, u).theta, rtol=1e-9)
-
-
-@pytest.mark.parametrize("length", [30, 1500])
-def test_a_refused_sample_leaves_the_filter_as_it_was(length):
-    y, u = recording(length, missing=False)
-    tracker = support.told_tracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
-    tracker.run(y[:20], u[:20])
-    before = [tracker.filter.H, tracker.filter.x_prior, tracker.filter.P_prior, *tracker.state().values()]
-    with pytest.raises(np.linalg.LinAlgError, match="scaling"):
-        tracker.run(y, 300.0 * u)
-    with pytest.raises(np.linalg.LinAlgError, match="scaling"):
-        for _ in range(9):
-            before = [tracker.filter.H, tracker.filter.x_prior, tracker.filter.P_prior, *tracker.state().values()]
-            tracker.update(1.0, 300.0)
-    same(before, [tracker.filter.H, tracker.filter.x_prior, tracker.filter.P_prior, *tracker.state().values()])
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs POSIX timers")

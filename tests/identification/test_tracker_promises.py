@@ -8,11 +8,10 @@ import pytest
 from support import told_tracker
 
 from robust_filterpy import StudentT, TukeyBiweight
-from robust_filterpy.identification import ARX, FIR, OutputError
+from robust_filterpy.identification import ARX, FIR
 from robust_filterpy.influence import Linear
 from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_tracker
-from robust_filterpy.testing.assertions.contracts import assert_refused_call_changes_nothing, assert_state_round_trip
-from robust_filterpy.testing.assertions.tracking import assert_interval_coverage, assert_stable_model
+from robust_filterpy.testing.assertions.tracking import assert_interval_coverage
 from robust_filterpy.testing.scenarios.plants import Plant
 
 TRACKERS = {
@@ -52,48 +51,6 @@ def runs(make, plant, count, samples, **options):
 
 
 @EVERY
-@pytest.mark.parametrize("plant", ["arx", "armax"])
-def test_it_goes_on_alike_from_a_copy_or_state_and_shares_nothing(make, plant):
-    scenario = draw(plant, 60, rng=0)
-    tracker = through(made(make, scenario), scenario, 0, 30)
-    kept, value = tracker.theta, tracker.theta.copy()
-    twin = make(scenario.structure)
-    twin.restore(tracker.state())
-    assert_state_round_trip(tracker, lambda one: through(one, scenario, 30), ways=("deepcopy", "pickle"))
-    whole = after(make, scenario)
-    for one in (through(twin, scenario, 30), tracker):
-        np.testing.assert_array_equal(one.theta, whole.theta)
-    np.testing.assert_array_equal(kept, value)
-
-
-@EVERY
-def test_a_recording_is_its_samples_and_a_prediction_changes_nothing(make):
-    scenario = draw("arx", 60, rng=1)
-    scenario = replace(scenario, y=np.where(np.arange(60) % 20 == 13, np.nan, scenario.y))
-    one, other = made(make, scenario), made(make, scenario)
-    for part in (slice(0, 25), slice(25, None)):
-        one.run(scenario.y[part], scenario.u[part])
-    buffer = np.zeros(1)
-    for y, u in zip(scenario.y, scenario.u, strict=True):
-        buffer[:] = u
-        phi_theta = other.predict()
-        other.update(float(y), buffer)
-        assert np.isfinite(phi_theta)
-    np.testing.assert_allclose(one.theta, other.theta, rtol=1e-9, atol=1e-12)
-
-
-@EVERY
-@pytest.mark.parametrize(
-    ("y", "u"), [(np.inf, 1.0), ("high", 1.0), ([1.0, 2.0], 1.0), (1.0, np.nan), (1.0, np.inf), (1.0, [1.0, 2.0])]
-)
-def test_bad_samples_are_refused_and_change_nothing(make, y, u):
-    scenario = draw("arx", 30, rng=2)
-    tracker = through(made(make, scenario), scenario, 0, 20)
-    assert_refused_call_changes_nothing(tracker, lambda one: one.update(y, u), names=("theta", "P"))
-    np.testing.assert_array_equal(through(tracker, scenario, 20).theta, after(make, scenario).theta)
-
-
-@EVERY
 @pytest.mark.parametrize(
     "plant",
     [
@@ -105,21 +62,6 @@ def test_bad_samples_are_refused_and_change_nothing(make, y, u):
 def test_without_noise_parameters_have_sign_order_and_delay_of_the_plant(make, plant):
     scenario = clean(plant)
     np.testing.assert_allclose(after(make, scenario).theta, scenario.theta[-1], rtol=0.0, atol=0.02)
-
-
-@pytest.mark.parametrize("plant", ["fir", "arx"])
-@pytest.mark.parametrize("samples", [60, 1200])
-def test_with_a_linear_psi_it_is_least_squares(plant, samples):
-    scenario = draw(plant, samples, rng=4)
-    tracker = made(TRACKERS["Linear"], scenario)
-    prior, theta = np.linalg.inv(tracker.P), tracker.theta.copy()
-    through(tracker, scenario)
-    phi = scenario.structure.regressors(scenario.u, scenario.y)
-    P = np.linalg.inv(phi.T @ phi / scenario.R + prior)
-    np.testing.assert_allclose(tracker.P, P, rtol=0.0, atol=1e-6 * np.abs(P).max())
-    expected = P @ (phi.T @ scenario.y / scenario.R + prior @ theta)
-    np.testing.assert_allclose(tracker.theta, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
-    np.testing.assert_allclose(tracker.std, np.sqrt(np.diagonal(tracker.P)))
 
 
 @EVERY
@@ -162,13 +104,6 @@ def test_noise_with_a_colour_gives_no_bias(plant, limits):
     found = runs(told_tracker, plant, 9, 400, sigma=1.0)
     median, truth = np.median([run.theta[-1] for run in found], axis=0), found[0].known.theta[-1]
     assert all(abs(median[i] - truth[i]) <= limit for i, limit in limits.items())
-
-
-@EVERY
-def test_an_output_error_model_stays_stable(make):
-    scenario = draw(Plant(OutputError(2, 2), np.array([-1.5, 0.7, 1.0, 0.5]), drift=0.01), 300, rng=7)
-    y = 20.0 * np.random.default_rng(7).standard_t(1, 300)
-    assert_stable_model(run_tracker(made(make, scenario), replace(scenario, y=y)))
 
 
 @pytest.mark.parametrize("contamination", ["mixture", "bursts", "student", ("mixture", "missing")], ids=str)

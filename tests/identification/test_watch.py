@@ -86,18 +86,6 @@ def test_a_tracker_that_has_lost_its_plant_says_so_in_time_and_starts_anew():
     np.testing.assert_allclose(tracker.theta, THETA * [1.0, 1.0, 2.0, 2.0], atol=0.15)
 
 
-@pytest.mark.nightly
-def test_sample_by_sample_is_the_recording():
-    y, u = broken(2)
-    one, other = ParameterTracker(OutputError(2, 2)), ParameterTracker(OutputError(2, 2))
-    with pytest.warns(LostTrackerWarning):
-        one.run(y, u)
-    with pytest.warns(LostTrackerWarning):
-        for output, value in zip(y, u, strict=True):
-            other.update(output, value)
-    np.testing.assert_allclose(one.theta, other.theta, rtol=1e-6)
-
-
 @pytest.mark.pairwise(1)
 @pytest.mark.parametrize("cut", [890, 933])
 @pytest.mark.parametrize("start", [0, 400])
@@ -254,18 +242,6 @@ def test_a_gain_that_does_not_change_is_not_said_to(draws):
         warnings.simplefilter("error")
         for seed in range(draws):
             ParameterTracker(ARX(4, 4)).run(*faint(100 + seed, 1.0))
-
-
-def test_a_tracker_that_goes_on_from_its_state_finds_the_same_gain():
-    y, u = faint(7, 1.5)
-    whole, first, second = (ParameterTracker(ARX(4, 4)) for _ in range(3))
-    with pytest.warns(LostTrackerWarning, match="its gain"):
-        whole.run(y, u)
-    first.run(y[:770], u[:770])
-    second.restore(first.state())
-    with pytest.warns(LostTrackerWarning, match="its gain"):
-        second.run(y[770:], u[770:])
-    np.testing.assert_array_equal(second.theta, whole.theta)
 
 
 def test_the_score_of_a_gain_is_that_of_its_definition():
