@@ -123,15 +123,9 @@ def simulate(problem, n, seed, contamination=0.0, size=100.0):
 def cart():
     """A point with position and velocity whose position is measured: the smallest useful problem."""
     return Problem(
-        x=np.zeros((2, 1)),
-        P=np.eye(2),
-        F=np.array([[1.0, 1.0], [0.0, 1.0]]),
-        H=np.array([[1.0, 0.0]]),
-        Q=np.array([[0.01, 0.0], [0.0, 0.01]]),
-        R=np.array([[1.0]]),
-        B=None,
-        M=np.zeros((2, 1)),
-    )
+        x=np.zeros((2, 1)), P=np.eye(2), F=np.array([[1.0, 1.0], [0.0, 1.0]]), H=np.array([[1.0, 0.0]]),
+        Q=np.array([[0.01, 0.0], [0.0, 0.01]]), R=np.array([[1.0]]), B=None, M=np.zeros((2, 1)),
+    )  # fmt: skip
 
 
 def paper_problem(P0=0.1):

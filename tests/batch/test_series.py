@@ -29,14 +29,11 @@ def path(request, monkeypatch):
     return request.param
 
 
-@pytest.mark.parametrize(
-    "choices",
-    [
-        {"scaling": "learnt"},
-        {"scaling": "innovation"},
-        {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
-    ],
-)
+@pytest.mark.parametrize("choices", [
+    {"scaling": "learnt"},
+    {"scaling": "innovation"},
+    {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
+])  # fmt: skip
 def test_series_are_a_loop_over_filters(path, choices):
     problem, zs = problem_and_series()
     result = filter_series(zs, *arguments(problem), **choices)
@@ -78,27 +75,24 @@ def test_keeping_less_changes_nothing_else(path):
     np.testing.assert_array_equal(some.log_likelihood, whole.log_likelihood)
 
 
-@pytest.mark.parametrize(
-    "change, match",
-    [
-        ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
-        ({"zs": np.zeros((2, 3, 0))}, "zs: expected dim_z >= 1"),
-        ({"x0": np.zeros((3, 1))}, r"x0: expected shape .* got \(3, 1\); use x0.ravel"),
-        ({"x0": 0.0}, "x0: expected shape"),
-        ({"x0": np.zeros(0), "P0": np.zeros((0, 0))}, "x0: expected dim_x >= 1"),
-        ({"Q": np.eye(3) + 0.1 * np.eye(3, k=1)}, "Q: expected a symmetric"),
-        ({"P0": np.eye(3) + 0.1 * np.eye(3, k=1)}, "P0: expected a symmetric"),
-        ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
-        ({"R": 5.0}, "R: expected shape"),
-        ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
-        ({"Q": np.diag([1.0, 1.0, -1e-3])}, "^Q: expected variances >= 0"),
-        ({"P0": np.eye(2)}, "P0: expected shape"),
-        ({"keep": 0}, "keep"),
-        ({"keep": "some"}, "keep"),
-        ({"covariance": "half"}, "covariance"),
-        ({"F": 1e200 * np.eye(3)}, "step 0: predict"),
-    ],
-)
+@pytest.mark.parametrize("change, match", [
+    ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
+    ({"zs": np.zeros((2, 3, 0))}, "zs: expected dim_z >= 1"),
+    ({"x0": np.zeros((3, 1))}, r"x0: expected shape .* got \(3, 1\); use x0.ravel"),
+    ({"x0": 0.0}, "x0: expected shape"),
+    ({"x0": np.zeros(0), "P0": np.zeros((0, 0))}, "x0: expected dim_x >= 1"),
+    ({"Q": np.eye(3) + 0.1 * np.eye(3, k=1)}, "Q: expected a symmetric"),
+    ({"P0": np.eye(3) + 0.1 * np.eye(3, k=1)}, "P0: expected a symmetric"),
+    ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
+    ({"R": 5.0}, "R: expected shape"),
+    ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
+    ({"Q": np.diag([1.0, 1.0, -1e-3])}, "^Q: expected variances >= 0"),
+    ({"P0": np.eye(2)}, "P0: expected shape"),
+    ({"keep": 0}, "keep"),
+    ({"keep": "some"}, "keep"),
+    ({"covariance": "half"}, "covariance"),
+    ({"F": 1e200 * np.eye(3)}, "step 0: predict"),
+])  # fmt: skip
 def test_refusals_say_what_was_expected(path, change, match):
     problem, zs = problem_and_series()
     call = dict(zip(["F", "H", "Q", "R", "x0", "P0"], arguments(problem), strict=True), zs=zs)

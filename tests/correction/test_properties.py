@@ -43,25 +43,17 @@ def problems(draw, sensors=1):
     F = draw(matrices(n, n))
     size = np.abs(np.linalg.eigvals(F)).max()
     return support.Problem(
-        x=draw(matrices(n, 1)),
-        P=draw(definite(n)),
-        F=F / max(size, 1.0),
-        H=draw(matrices(m, n)),
-        Q=draw(definite(n)),
-        R=draw(definite(m)),
-        B=None,
-        M=np.zeros((n, m)),
-    )
+        x=draw(matrices(n, 1)), P=draw(definite(n)), F=F / max(size, 1.0), H=draw(matrices(m, n)), Q=draw(definite(n)),
+        R=draw(definite(m)), B=None, M=np.zeros((n, m)),
+    )  # fmt: skip
 
 
 @st.composite
 def choices(draw, scalings=SCALINGS, groupings=GROUPINGS):
     return {
-        "influence": draw(INFLUENCES),
-        "scaling": draw(scalings),
-        "information": draw(INFORMATION),
+        "influence": draw(INFLUENCES), "scaling": draw(scalings), "information": draw(INFORMATION),
         "grouping": draw(groupings),
-    }
+    }  # fmt: skip
 
 
 def measurements(m, elements=MEASUREMENT):

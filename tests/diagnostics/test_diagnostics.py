@@ -207,17 +207,9 @@ def assert_named(name, seed):
 
 
 QUICK = (
-    "healthy",
-    "R too small",
-    "R too large",
-    "Q too small, one sensor",
-    "wrong row of H",
-    "mm instead of m, one sensor",
-    "state jumps, one sensor",
-    "saturating sensor",
-    "frozen sensor",
-    "correlated noise",
-)
+    "healthy", "R too small", "R too large", "Q too small, one sensor", "wrong row of H", "mm instead of m, one sensor",
+    "state jumps, one sensor", "saturating sensor", "frozen sensor", "correlated noise",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -372,17 +364,14 @@ def test_longest_run_of_random_events_is_below_the_expected_in_99_percent():
     assert statistics.longest_run(np.array([0, 1, 1, 0, 1, 1, 1], bool)) == 3
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "match"),
-    [
-        (lambda: diagnose(3), TypeError, "source: expected a filter"),
-        (lambda: diagnose(robust()), TypeError, "zs: expected the measurements"),
-        (lambda: diagnose(RobustExtendedKalmanFilter(1, 1), [1.0]), TypeError, "linear filter, a Saver or a tracker"),
-        (lambda: diagnose(robust(), []), ValueError, "zs: expected at least one"),
-        (lambda: diagnose(Saver(robust())), ValueError, "saver: expected"),
-        (lambda: diagnose(robust(), [[1.0, 2.0]], contamination=1.0), ValueError, "contamination"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "match"), [
+    (lambda: diagnose(3), TypeError, "source: expected a filter"),
+    (lambda: diagnose(robust()), TypeError, "zs: expected the measurements"),
+    (lambda: diagnose(RobustExtendedKalmanFilter(1, 1), [1.0]), TypeError, "linear filter, a Saver or a tracker"),
+    (lambda: diagnose(robust(), []), ValueError, "zs: expected at least one"),
+    (lambda: diagnose(Saver(robust())), ValueError, "saver: expected"),
+    (lambda: diagnose(robust(), [[1.0, 2.0]], contamination=1.0), ValueError, "contamination"),
+])  # fmt: skip
 def test_what_cannot_be_diagnosed_is_said(call, error, match):
     with pytest.raises(error, match=match):
         call()

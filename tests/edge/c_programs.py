@@ -20,13 +20,8 @@ from robust_filterpy.influence import Hampel, Linear
 OK, BAD_ARGUMENT, SINGULAR, INDEFINITE, NOT_FINITE = range(5)
 WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion"]
 SANITIZED = [
-    "-std=c99",
-    "-O0",
-    "-ffp-contract=off",
-    *WARNINGS,
-    "-fsanitize=address,undefined",
-    "-fno-sanitize-recover=all",
-]
+    "-std=c99", "-O0", "-ffp-contract=off", *WARNINGS, "-fsanitize=address,undefined", "-fno-sanitize-recover=all",
+]  # fmt: skip
 
 INFLUENCES = (Huber(), Huber(1.0), Huber(np.inf), Hampel(1.5, 3.0, 6.0), TukeyBiweight(), StudentT(3.0), Linear())
 

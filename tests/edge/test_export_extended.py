@@ -133,13 +133,8 @@ class InC:
         export_c(kf, folder / "one.c", precision=precision)
         (folder / "functions.c").write_text(FUNCTIONS)
         sanitized = [
-            "-ffp-contract=off",
-            "-fsanitize=undefined",
-            "-fno-sanitize-recover=all",
-            "-fPIC",
-            "-std=c99",
-            "-O0",
-        ]
+            "-ffp-contract=off", "-fsanitize=undefined", "-fno-sanitize-recover=all", "-fPIC", "-std=c99", "-O0",
+        ]  # fmt: skip
         for command in (
             ["cc", *sanitized, *c_programs.WARNINGS, "-c", "one.c"],
             ["cc", *sanitized, "-shared", "functions.c", "one.o", "-lm", "-o", "one.so"],
@@ -211,11 +206,7 @@ def test_c_equals_the_kernel_to_the_last_bit(cls, choices, tmp_path):
             assert np.array_equal(found[20:], kf._memory.ravel()[: in_c.memory]), (seed, k)
 
 
-MIXED = {
-    "learnt": Learnt(),
-    "learnt, two classes": Learnt((1.0, 50.0), 100.0, 20.0),
-    "told": Contaminated(0.1, 100.0),
-}
+MIXED = {"learnt": Learnt(), "learnt, two classes": Learnt((1.0, 50.0), 100.0, 20.0), "told": Contaminated(0.1, 100.0)}
 
 
 @pytest.mark.pairwise(1)
@@ -291,20 +282,17 @@ class OwnUpdate(RobustExtendedKalmanFilter):
         """May do anything."""
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "mend"),
-    [
-        (lambda: filterpy.kalman.ExtendedKalmanFilter(2, 1), TypeError, "a RobustExtendedKalmanFilter with the same"),
-        (lambda: OwnUpdate(2, 1), TypeError, "predict_x alone"),
-        (lambda: made(noise=Learnt(), grouping="joint"), ValueError, "set noise=None"),
-        (lambda: made(patience=5, scaling="innovation"), ValueError, "set patience=None"),
-        (lambda: changed(update=print), ValueError, "update"),
-        (lambda: changed(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
-        (lambda: changed(F=np.eye(3)), ValueError, "F: expected"),
-        (lambda: changed(Q=-np.eye(4)), ValueError, "Q: expected"),
-        (lambda: changed(B=np.ones((3, 1))), ValueError, "B: expected"),
-    ],
-)
+@pytest.mark.parametrize(("make", "error", "mend"), [
+    (lambda: filterpy.kalman.ExtendedKalmanFilter(2, 1), TypeError, "a RobustExtendedKalmanFilter with the same"),
+    (lambda: OwnUpdate(2, 1), TypeError, "predict_x alone"),
+    (lambda: made(noise=Learnt(), grouping="joint"), ValueError, "set noise=None"),
+    (lambda: made(patience=5, scaling="innovation"), ValueError, "set patience=None"),
+    (lambda: changed(update=print), ValueError, "update"),
+    (lambda: changed(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
+    (lambda: changed(F=np.eye(3)), ValueError, "F: expected"),
+    (lambda: changed(Q=-np.eye(4)), ValueError, "Q: expected"),
+    (lambda: changed(B=np.ones((3, 1))), ValueError, "B: expected"),
+])  # fmt: skip
 def test_what_has_no_c_is_refused_with_a_mend(make, error, mend, tmp_path):
     with pytest.raises(error, match=mend):
         export_c(make(), tmp_path / "one.c")

@@ -145,19 +145,15 @@ def test_odd_numbers_anywhere_do_no_harm(tmp_path):
     assert c_programs.program(some, tmp_path, part="fuzzed").size == 0
 
 
-@pytest.mark.parametrize(
-    ("change", "precision", "message"),
-    [
-        ({"noise": Learnt(), "grouping": "joint"}, "double", "sensor by sensor"),
-        ({"noise": Learnt(), "process": Contaminated(0.1, 100.0)}, "double", "process=None or Scales"),
-        ({"patience": 5}, "double", "patience=5"),
-        ({"noise": Learnt()}, "single", 'expected "double" for noise that is given or learned'),
-        ({"noise": Learnt(), "inv": np.linalg.pinv}, "double", "numpy.linalg.inv"),
-        ({"noise": Learnt(), "update": print}, "double", "filter's own update"),
-        ({"noise": Learnt(), "P": -np.eye(2)}, "double", "P: expected"),
-    ],
-    ids=lambda value: str(value)[:30],
-)
+@pytest.mark.parametrize(("change", "precision", "message"), [
+    ({"noise": Learnt(), "grouping": "joint"}, "double", "sensor by sensor"),
+    ({"noise": Learnt(), "process": Contaminated(0.1, 100.0)}, "double", "process=None or Scales"),
+    ({"patience": 5}, "double", "patience=5"),
+    ({"noise": Learnt()}, "single", 'expected "double" for noise that is given or learned'),
+    ({"noise": Learnt(), "inv": np.linalg.pinv}, "double", "numpy.linalg.inv"),
+    ({"noise": Learnt(), "update": print}, "double", "filter's own update"),
+    ({"noise": Learnt(), "P": -np.eye(2)}, "double", "P: expected"),
+], ids=lambda value: str(value)[:30])  # fmt: skip
 def test_what_has_no_c_is_refused_in_words(change, precision, message, tmp_path):
     attributes = {name: change[name] for name in ("inv", "update", "P") if name in change}
     kf = RobustKalmanFilter(2, 2, **{name: value for name, value in change.items() if name not in attributes})

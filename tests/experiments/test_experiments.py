@@ -246,22 +246,19 @@ def test_progress_bar_is_shown_on_demand(capsys):
         assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "match"),
-    [
-        ((3, 5), TypeError, "trial: expected a callable"),
-        ((lambda: 1, 5), TypeError, r"trial: .* signature \(\)"),
-        ((draw, 0), ValueError, "runs: expected at least one"),
-        ((draw, -2), ValueError, "runs: expected at least one"),
-        ((draw, 2.0), TypeError, "runs: expected an integer"),
-        ((draw, True), TypeError, "runs: expected an integer"),
-        ((draw, [1, 1]), ValueError, "runs: expected every run once"),
-        ((draw, 2, -1), ValueError, "seed: expected integers"),
-        ((draw, 2, "x"), TypeError, "seed: expected integers"),
-        ((draw, 2, 0, 0), ValueError, "n_jobs: expected"),
-        ((draw, 2, 0, 1.5), TypeError, "n_jobs: expected"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "error", "match"), [
+    ((3, 5), TypeError, "trial: expected a callable"),
+    ((lambda: 1, 5), TypeError, r"trial: .* signature \(\)"),
+    ((draw, 0), ValueError, "runs: expected at least one"),
+    ((draw, -2), ValueError, "runs: expected at least one"),
+    ((draw, 2.0), TypeError, "runs: expected an integer"),
+    ((draw, True), TypeError, "runs: expected an integer"),
+    ((draw, [1, 1]), ValueError, "runs: expected every run once"),
+    ((draw, 2, -1), ValueError, "seed: expected integers"),
+    ((draw, 2, "x"), TypeError, "seed: expected integers"),
+    ((draw, 2, 0, 0), ValueError, "n_jobs: expected"),
+    ((draw, 2, 0, 1.5), TypeError, "n_jobs: expected"),
+])  # fmt: skip
 def test_wrong_arguments_are_named(arguments, error, match):
     with pytest.raises(error, match=match):
         monte_carlo(*arguments)

@@ -104,19 +104,16 @@ def test_batches_and_callables_change_nothing():
             assert_allclose(found, expected)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "match"),
-    [
-        (([1.0],), "at least 2 runs"),
-        ((([1.0, 2.0], [1.0]), "ratio"), r"samples\[1\]: expected shape \(2,\)"),
-        (([1.0, 2.0], "ratio"), "a tuple of two arrays"),
-        (((1.0, 2.0),), r"samples\[0\]: expected shape"),
-        (([1.0, 2.0], "mean", 95), "level: .* use 0.95"),
-        (([1.0, 2.0], "mean", 0.95, 0, 1), "n_resamples: expected"),
-        (([1.0, 2.0], "mean", 0.95, 0, 99, "bca"), "method: expected"),
-        (([1.0, 2.0], "mode"), "statistic: expected"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "match"), [
+    (([1.0],), "at least 2 runs"),
+    ((([1.0, 2.0], [1.0]), "ratio"), r"samples\[1\]: expected shape \(2,\)"),
+    (([1.0, 2.0], "ratio"), "a tuple of two arrays"),
+    (((1.0, 2.0),), r"samples\[0\]: expected shape"),
+    (([1.0, 2.0], "mean", 95), "level: .* use 0.95"),
+    (([1.0, 2.0], "mean", 0.95, 0, 1), "n_resamples: expected"),
+    (([1.0, 2.0], "mean", 0.95, 0, 99, "bca"), "method: expected"),
+    (([1.0, 2.0], "mode"), "statistic: expected"),
+])  # fmt: skip
 def test_wrong_bootstrap_arguments_are_named(arguments, match):
     with pytest.raises(ValueError, match=match):
         bootstrap_interval(*arguments)

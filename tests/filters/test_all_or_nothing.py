@@ -19,9 +19,7 @@ from robust_filterpy.filters import RobustCubatureKalmanFilter, snapshot
 from robust_filterpy.filters.snapshot import _copied
 from robust_filterpy.influence import Huber
 
-LINEAR = [
-    RobustKalmanFilter, recovering, told, two_sided, AdaptiveKalmanFilter,
-]  # fmt: skip
+LINEAR = [RobustKalmanFilter, recovering, told, two_sided, AdaptiveKalmanFilter]  # fmt: skip
 ERRORS = [KeyboardInterrupt, OSError, ZeroDivisionError, MemoryError, SystemExit, ValueError]
 
 

@@ -108,15 +108,10 @@ def test_a_scalar_f_is_refused_in_the_documented_words():
 
 
 BAD_R = {
-    "too large": np.eye(3),
-    "a vector": np.ones(2),
-    "not square": np.ones((2, 3)),
-    "indefinite": np.array([[1.0, 2.0], [2.0, 1.0]]),
-    "negative": -np.eye(2),
-    "NaN": np.array([[NAN, 0.0], [0.0, 1.0]]),
-    "infinite": np.diag([INF, 1.0]),
-    "text": "R",
-}
+    "too large": np.eye(3), "a vector": np.ones(2), "not square": np.ones((2, 3)),
+    "indefinite": np.array([[1.0, 2.0], [2.0, 1.0]]), "negative": -np.eye(2), "NaN": np.array([[NAN, 0.0], [0.0, 1.0]]),
+    "infinite": np.diag([INF, 1.0]), "text": "R",
+}  # fmt: skip
 
 
 @pytest.mark.pairwise(1)
@@ -142,15 +137,10 @@ def test_r_for_one_call(case, method):
 
 
 BAD_H = {
-    "too wide": np.ones((2, 5)),
-    "too narrow": np.ones((2, 3)),
-    "a vector": np.ones(4),
-    "scalar": 1.0,
-    "NaN": np.full((2, 4), NAN),
-    "infinite": np.full((2, 4), INF),
-    "taller than z": np.ones((3, 4)),
+    "too wide": np.ones((2, 5)), "too narrow": np.ones((2, 3)), "a vector": np.ones(4), "scalar": 1.0,
+    "NaN": np.full((2, 4), NAN), "infinite": np.full((2, 4), INF), "taller than z": np.ones((3, 4)),
     "lower than z": np.ones((1, 4)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.pairwise
@@ -221,20 +211,11 @@ def test_predict_with_a_bad_attribute(case, method):
 
 
 @pytest.mark.parametrize("call", [lambda kf: kf.predict(), lambda kf: kf.update([0.1, 0.2])], ids=["predict", "update"])
-@pytest.mark.parametrize(
-    "name, value",
-    [
-        ("x", np.zeros((5, 1))),
-        ("x", np.zeros(3)),
-        ("x", np.zeros((4, 2))),
-        ("x", np.zeros((1, 4))),
-        ("x", np.full((4, 1), NAN)),
-        ("P", np.eye(3)),
-        ("P", np.ones(4)),
-        ("P", np.full((4, 4), NAN)),
-        ("P", np.diag([1.0, 1.0, 1.0, INF])),
-    ],
-)
+@pytest.mark.parametrize("name, value", [
+    ("x", np.zeros((5, 1))), ("x", np.zeros(3)), ("x", np.zeros((4, 2))), ("x", np.zeros((1, 4))),
+    ("x", np.full((4, 1), NAN)), ("P", np.eye(3)), ("P", np.ones(4)), ("P", np.full((4, 4), NAN)),
+    ("P", np.diag([1.0, 1.0, 1.0, INF])),
+])  # fmt: skip
 def test_x_and_p(name, value, call):
     kf = started()
     setattr(kf, name, value)
@@ -248,22 +229,18 @@ def test_m(M):
     refuse(kf, lambda kf: kf.update_correlated([0.1, 0.2]), match=r"\bM\b")
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        (2, 0.5),
-        (-1, 0.5),
-        (1, np.array([0.1, 0.2])),
-        (0, np.array([0.1, 0.2, 0.3])),
-        (0, INF),
-        (0.5, 0.1),
-        (0, 0.1, np.eye(2)),
-        (0, 0.1, -1.0),
-        (0, 0.1, None, np.ones((2, 4))),
-        (0, 0.1, None, np.ones((1, 3))),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("arguments", [
+    (2, 0.5),
+    (-1, 0.5),
+    (1, np.array([0.1, 0.2])),
+    (0, np.array([0.1, 0.2, 0.3])),
+    (0, INF),
+    (0.5, 0.1),
+    (0, 0.1, np.eye(2)),
+    (0, 0.1, -1.0),
+    (0, 0.1, None, np.ones((2, 4))),
+    (0, 0.1, None, np.ones((1, 3))),
+], ids=str)  # fmt: skip
 def test_sequential(arguments):
     kf = started()
     refuse(kf, lambda kf: kf.update_sequential(*arguments))
@@ -311,18 +288,10 @@ def test_alpha(alpha):
 
 
 BAD_CHOICES = [
-    ("scaling", "inovation"),
-    ("scaling", 1),
-    ("information", "realised"),
-    ("information", ["realized"]),
-    ("grouping", "components"),
-    ("grouping", True),
-    ("influence", "huber"),
-    ("influence", 1.345),
-    ("influence", None),
-    ("influence", Huber),
-    ("influence", object()),
-]
+    ("scaling", "inovation"), ("scaling", 1), ("information", "realised"), ("information", ["realized"]),
+    ("grouping", "components"), ("grouping", True), ("influence", "huber"), ("influence", 1.345), ("influence", None),
+    ("influence", Huber), ("influence", object()),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name, value", BAD_CHOICES)

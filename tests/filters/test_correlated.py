@@ -110,11 +110,9 @@ def test_where_the_word_is_an_error_the_call_is_refused_and_may_be_made_again(ma
 def test_nothing_is_said_of_a_filter_that_follows(seed):
     rng = np.random.default_rng([seed, 3])
     kinds = {
-        "clean": (0, 1, 0, 0, 0),
-        "wild": (0.3, 5, 0, 0, 75),
-        "coloured": (0, 0.2, 0.5, 0, 0),
+        "clean": (0, 1, 0, 0, 0), "wild": (0.3, 5, 0, 0, 75), "coloured": (0, 0.2, 0.5, 0, 0),
         "jump": (0.1, 1, 0, 100, 0),
-    }
+    }  # fmt: skip
     for share, size, colour, jump, start in kinds.values():
         x, noise = np.cumsum(0.1 * rng.normal(size=600)) + start, rng.normal(size=600)
         for k in range(1, 600):

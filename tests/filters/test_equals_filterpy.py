@@ -30,17 +30,14 @@ def gaussian_log_likelihood(kf):
     return scipy.stats.multivariate_normal(cov=kf.S).logpdf(np.ravel(kf.y))
 
 
-@pytest.mark.parametrize(
-    "dims, influence, ndim",
-    [
-        pytest.param((1, 1), Linear(), 2, marks=pytest.mark.nightly),
-        pytest.param((2, 1), Huber(np.inf), 1, marks=pytest.mark.nightly),
-        ((3, 2), Linear(), 1),
-        pytest.param((4, 4), Huber(np.inf), 2, marks=pytest.mark.nightly),
-        ((7, 4), Linear(), 2),
-        pytest.param((20, 5), Huber(np.inf), 2, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize("dims, influence, ndim", [
+    pytest.param((1, 1), Linear(), 2, marks=pytest.mark.nightly),
+    pytest.param((2, 1), Huber(np.inf), 1, marks=pytest.mark.nightly),
+    ((3, 2), Linear(), 1),
+    pytest.param((4, 4), Huber(np.inf), 2, marks=pytest.mark.nightly),
+    ((7, 4), Linear(), 2),
+    pytest.param((20, 5), Huber(np.inf), 2, marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_equals_kalman_for_infinite_threshold_over_10000_steps(dims, influence, ndim):
     problem = support.random_problem(sum(dims), *dims)
     robust, plain = pair(problem, ndim, influence)

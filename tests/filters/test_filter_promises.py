@@ -85,9 +85,7 @@ FILTERS = {
         of_a_linear_model(RobustUnscentedKalmanFilter, noise="learnt"), ("linear", "recovers", *SIGMA)
     ),
     "cubature told": (of_a_linear_model(RobustCubatureKalmanFilter, noise=TOLD), ("linear", "recovers", *SIGMA)),
-    "cubature learnt": (
-        of_a_linear_model(RobustCubatureKalmanFilter, noise="learnt"), ("linear", "recovers", *SIGMA)
-    ),
+    "cubature learnt": (of_a_linear_model(RobustCubatureKalmanFilter, noise="learnt"), ("linear", "recovers", *SIGMA)),
 }  # fmt: skip
 #: A policy of each kind on the linear filter and a shell keep every promise on every commit; of the
 #: others each name keeps a sixth of them then, another sixth than the name before.

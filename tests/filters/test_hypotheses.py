@@ -10,13 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from support import FILTERPY_2, cart, make, paper_problem, random_problem, simulate, told, two_sided, with_
 
-from robust_filterpy import (
-    AdaptiveKalmanFilter,
-    Contaminated,
-    RobustExtendedKalmanFilter,
-    RobustKalmanFilter,
-    StudentT,
-)
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT
 from robust_filterpy.correction import Scales
 
 NONE = Contaminated(0.0)

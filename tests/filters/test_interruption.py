@@ -73,12 +73,9 @@ def update(kf, z):
 
 
 CALLS = {
-    "predict": lambda kf: kf.predict(),
-    "update": lambda kf: update(kf, 0.5),
-    "outlier": lambda kf: update(kf, 60.0),
-    "missing": lambda kf: update(kf, None),
-    "restore": None,
-}
+    "predict": lambda kf: kf.predict(), "update": lambda kf: update(kf, 0.5), "outlier": lambda kf: update(kf, 60.0),
+    "missing": lambda kf: update(kf, None), "restore": None,
+}  # fmt: skip
 #: What the linear filter has besides.
 LINEAR = {
     "predict with matrices": lambda kf: kf.predict(F=F, Q=np.eye(2)),

@@ -158,18 +158,15 @@ def test_rts_smoother_is_filterpys_and_takes_the_matrix_that_leads_to_a_step():
     np.testing.assert_allclose(found[0], expected[0], rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "call, match",
-    [
-        (lambda: ours.update(np.zeros(2), np.eye(2), [1.0, 2.0], 1.0, np.eye(1, 2)), "z: expected 1"),
-        (lambda: ours.update(np.zeros(2), np.eye(3), 1.0, 1.0, np.eye(1, 2)), "P: expected shape"),
-        (lambda: ours.update(0.0, 1.0, np.inf, 1.0), "z: expected a finite"),
-        (lambda: ours.update(0.0, 1.0, 1.0, 1.0, influence="x"), "influence"),
-        (lambda: ours.predict(np.zeros(2), np.eye(2), F=np.eye(3)), "F: expected shape"),
-        (lambda: ours.predict(np.zeros(2), np.eye(2), u=np.ones(3), B=np.ones((3, 3))), "B, u: expected"),
-        (lambda: ours.batch_filter(np.zeros(2), np.eye(2), [1.0], [np.eye(2)], [np.eye(2)], [], [1.0]), "Hs: expected"),
-    ],
-)
+@pytest.mark.parametrize("call, match", [
+    (lambda: ours.update(np.zeros(2), np.eye(2), [1.0, 2.0], 1.0, np.eye(1, 2)), "z: expected 1"),
+    (lambda: ours.update(np.zeros(2), np.eye(3), 1.0, 1.0, np.eye(1, 2)), "P: expected shape"),
+    (lambda: ours.update(0.0, 1.0, np.inf, 1.0), "z: expected a finite"),
+    (lambda: ours.update(0.0, 1.0, 1.0, 1.0, influence="x"), "influence"),
+    (lambda: ours.predict(np.zeros(2), np.eye(2), F=np.eye(3)), "F: expected shape"),
+    (lambda: ours.predict(np.zeros(2), np.eye(2), u=np.ones(3), B=np.ones((3, 3))), "B, u: expected"),
+    (lambda: ours.batch_filter(np.zeros(2), np.eye(2), [1.0], [np.eye(2)], [np.eye(2)], [], [1.0]), "Hs: expected"),
+])  # fmt: skip
 def test_bad_input_is_refused_by_name(call, match):
     with pytest.raises((TypeError, ValueError), match=match):
         call()

@@ -16,11 +16,7 @@ from support import FILTERPY_2, polar, polar_jacobian, random_problem, simulate,
 
 from robust_filterpy import Huber, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
-from robust_filterpy.filters import (
-    RobustCubatureKalmanFilter,
-    RobustExtendedKalmanFilter,
-    RobustUnscentedKalmanFilter,
-)
+from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.influence import Linear
 
 pytestmark = pytest.mark.core

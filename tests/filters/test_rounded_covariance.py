@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from filterpy.common import kinematic_kf
 
-from robust_filterpy import (
-    AdaptiveKalmanFilter,
-    RobustExtendedKalmanFilter,
-    RobustFilterWarning,
-    RobustKalmanFilter,
-)
+from robust_filterpy import AdaptiveKalmanFilter, RobustExtendedKalmanFilter, RobustFilterWarning, RobustKalmanFilter
 from robust_filterpy.correction import SingularInnovationError
 from robust_filterpy.influence import Linear
 

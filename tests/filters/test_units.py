@@ -5,10 +5,7 @@ import pytest
 import support
 from filterpy.common import kinematic_kf
 
-from robust_filterpy import (
-    RobustKalmanFilter,
-    filter_series,
-)
+from robust_filterpy import RobustKalmanFilter, filter_series
 
 STEPS = 40
 SIZES = [(2, 1), (3, 2), (4, 3), (5, 5)]

@@ -143,13 +143,10 @@ def spark():
     builder = sql.SparkSession.builder.master("local[2]").config("spark.ui.enabled", "false")
     os.environ["PYSPARK_PYTHON"] = sys.executable
     settings = {
-        "spark.sql.shuffle.partitions": "2",
-        "spark.driver.bindAddress": "127.0.0.1",
-        "spark.driver.host": "127.0.0.1",
-        "spark.driver.memory": "4g",
-        "spark.driver.maxResultSize": "2g",
+        "spark.sql.shuffle.partitions": "2", "spark.driver.bindAddress": "127.0.0.1", "spark.driver.host": "127.0.0.1",
+        "spark.driver.memory": "4g", "spark.driver.maxResultSize": "2g",
         "spark.sql.execution.arrow.pyspark.enabled": "true",
-    }
+    }  # fmt: skip
     for name, value in settings.items():
         builder = builder.config(name, value)
     session = builder.getOrCreate()

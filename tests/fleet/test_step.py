@@ -311,14 +311,11 @@ def test_times_are_dates_with_a_time_zone_or_text_as_iso_has_it():
 # What is refused.
 
 
-@pytest.mark.parametrize(
-    ("batch", "message"),
-    [
-        (np.zeros((3, 2)), "expected shape"),
-        (np.zeros((2, 2, 1)), "expected shape"),
-        (pd.DataFrame({"z": [1.0], "y": [2.0]}), "measurements: expected 1 column"),
-    ],
-)
+@pytest.mark.parametrize(("batch", "message"), [
+    (np.zeros((3, 2)), "expected shape"),
+    (np.zeros((2, 2, 1)), "expected shape"),
+    (pd.DataFrame({"z": [1.0], "y": [2.0]}), "measurements: expected 1 column"),
+])  # fmt: skip
 def test_a_batch_that_does_not_fit_is_named(batch, message):
     with pytest.raises((ValueError, TypeError), match=message):
         step(MODELS["linear"](), None, batch)
@@ -434,15 +431,11 @@ def fleet(keys=40, seed=2):
     return table
 
 
-@pytest.mark.parametrize(
-    "model",
-    [
-        FilterModel(FILTERS["linear"](), measurements=["z"]),
-        FilterModel(FILTERS["two-sided"](), measurements=["z"]),
-        TrackerModel(FIR(2), {"start": 0}, measurements=["z"], inputs=["u"]),
-    ],
-    ids=["linear", "two-sided", "FIR"],
-)
+@pytest.mark.parametrize("model", [
+    FilterModel(FILTERS["linear"](), measurements=["z"]),
+    FilterModel(FILTERS["two-sided"](), measurements=["z"]),
+    TrackerModel(FIR(2), {"start": 0}, measurements=["z"], inputs=["u"]),
+], ids=["linear", "two-sided", "FIR"])  # fmt: skip
 def test_a_table_is_a_step_for_each_key(model):
     table = fleet()
     model = replace(model, time="t")
@@ -622,10 +615,7 @@ def test_an_input_is_not_held_beyond_a_state_that_expired():
 
 def test_what_never_had_times_cannot_expire_and_is_refused():
     untimed = FilterModel(FILTERS["linear"](), measurements=["z"])
-    for refused in (
-        lambda: replace(untimed, expires=5.0),
-        lambda: FilterModel(FILTERS["linear"](), expires=5.0),
-    ):
+    for refused in (lambda: replace(untimed, expires=5.0), lambda: FilterModel(FILTERS["linear"](), expires=5.0)):
         with pytest.raises(ValueError, match="time: expected the name of the column of times for expires, got None"):
             refused()
     for wrong in (0.0, -1.0, np.nan, np.inf, "5"):

@@ -21,17 +21,14 @@ def changed(state, name, place, value):
     return state
 
 
-@pytest.mark.parametrize(
-    ("name", "place", "value", "says"),
-    [
-        ("sizes", 0, -1.0, "sizes > 0"),
-        ("sizes", 0, 0.0, "sizes > 0"),
-        ("counts", (0, 0), -1.0, "counts >= 0"),
-        ("controls", (1, 0), np.nan, "a control of every entry that is controlled"),
-        ("keys", (2, 0), 1e300, "nanoseconds hold"),
-        ("kind", (), 7.0, "kind 0, 1 or 2"),
-    ],
-)
+@pytest.mark.parametrize(("name", "place", "value", "says"), [
+    ("sizes", 0, -1.0, "sizes > 0"),
+    ("sizes", 0, 0.0, "sizes > 0"),
+    ("counts", (0, 0), -1.0, "counts >= 0"),
+    ("controls", (1, 0), np.nan, "a control of every entry that is controlled"),
+    ("keys", (2, 0), 1e300, "nanoseconds hold"),
+    ("kind", (), 7.0, "kind 0, 1 or 2"),
+])  # fmt: skip
 def test_a_fusion_refuses_and_stays(name, place, value, says):
     fusion = made()
     before = fusion.estimate()

@@ -84,16 +84,10 @@ def test_angles_untold_noise_and_instants():
     assert np.isfinite(found.signal["new"]).all() and found.signal["b"].shape == (1, 1, 2)
 
 
-@pytest.mark.parametrize(
-    ("times", "level", "says"),
-    [
-        (3.0, 0.95, "from the newest stamp on"),
-        (9.0, 95, "between 0 and 1"),
-        (np.nan, 0.9, "times"),
-        ([], 0.9, "times"),
-        ("x", 0.9, "times"),
-    ],
-)
+@pytest.mark.parametrize(("times", "level", "says"), [
+    (3.0, 0.95, "from the newest stamp on"), (9.0, 95, "between 0 and 1"), (np.nan, 0.9, "times"), ([], 0.9, "times"),
+    ("x", 0.9, "times"),
+])  # fmt: skip
 def test_what_cannot_be_forecast_is_refused(times, level, says):
     fusion = made()
     with pytest.raises(ValueError, match="reading first"):

@@ -149,17 +149,14 @@ def test_a_microsecond_at_an_instant_is_a_microsecond():
     assert ages == {"a": 1.0} and len(fusion.state()["keys"]) == 2
 
 
-@pytest.mark.parametrize(
-    ("t", "error", "says"),
-    [
-        (datetime(2026, 1, 1), ValueError, "time zone.*timezone.utc"),
-        (timedelta(seconds=1), TypeError, "duration.*total_seconds"),
-        ("2026-01-01", TypeError, "'2026-01-01', which is text; pandas.to_datetime"),
-        (math.nan, ValueError, "a time, got nan"),
-        (np.datetime64("NaT"), ValueError, "NaT"),
-        (np.datetime64("2026-01-01"), TypeError, "number of seconds, as the stamps before"),
-    ],
-)
+@pytest.mark.parametrize(("t", "error", "says"), [
+    (datetime(2026, 1, 1), ValueError, "time zone.*timezone.utc"),
+    (timedelta(seconds=1), TypeError, "duration.*total_seconds"),
+    ("2026-01-01", TypeError, "'2026-01-01', which is text; pandas.to_datetime"),
+    (math.nan, ValueError, "a time, got nan"),
+    (np.datetime64("NaT"), ValueError, "NaT"),
+    (np.datetime64("2026-01-01"), TypeError, "number of seconds, as the stamps before"),
+])  # fmt: skip
 def test_what_is_no_stamp_is_refused_with_the_cure(t, error, says):
     fusion = Fusion(constant_velocity(2, 0.5), sensors(), 5.0)
     fusion.observe("gps", 0.0, [0.0, 0.0])
@@ -197,11 +194,9 @@ def test_a_compass_that_goes_round_and_a_motion_that_is_a_function():
     found = fusion.estimate()
     assert np.abs(found.x - x)[[0, 1]].max() < 0.5 and abs(found.x[2] - x[2]) < 0.2
     columns = {
-        "time": [t for _, t, _ in rows],
-        "sensor": [who for who, *_ in rows],
-        "a": [np.ravel(z)[0] for *_, z in rows],
+        "time": [t for _, t, _ in rows], "sensor": [who for who, *_ in rows], "a": [np.ravel(z)[0] for *_, z in rows],
         "b": [np.ravel(z)[-1] for *_, z in rows],
-    }
+    }  # fmt: skip
     np.testing.assert_allclose(fusion.run(columns, value=["a", "b"]).x[-1], found.x, rtol=1e-9)
     with pytest.raises(ValueError, match="smoothed: expected a linear"):
         fusion.run(columns, value=["a", "b"], smoothed=True)
@@ -229,41 +224,32 @@ def test_far_from_where_it_was_told_to_start():
     assert np.abs(fusion.estimate().x - truth[-1] - [5e6, 0, 5e6, 0]).max() < 5.0
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"time": [math.nan, math.nan]}, "a time, got nan in row 0, and none in any other"),
-        ({"sensor": ["gps", "sonar"]}, "sonar"),
-        ({"v0": [0.0, math.inf]}, "row 1"),
-        ({"time": [1.0, 1.0]}, "two that differ"),
-        ({"v0": [0.0, 1.0, 2.0]}, "one length"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    ({"time": [math.nan, math.nan]}, "a time, got nan in row 0, and none in any other"),
+    ({"sensor": ["gps", "sonar"]}, "sonar"),
+    ({"v0": [0.0, math.inf]}, "row 1"),
+    ({"time": [1.0, 1.0]}, "two that differ"),
+    ({"v0": [0.0, 1.0, 2.0]}, "one length"),
+])  # fmt: skip
 def test_a_row_that_cannot_be_is_named(change, says):
     columns = {"time": [0.0, 1.0], "sensor": ["gps", "gps"], "v0": [0.0, 1.0], "v1": [0.0, 1.0]} | change
     with pytest.raises(ValueError, match=says):
         Fusion(constant_velocity(2, 0.5), sensors(), 1.0).run(columns, value=["v0", "v1"])
 
 
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: Sensor(), "H or h"),
-        (lambda: Sensor(h=lambda x: x), "jacobian"),
-        (lambda: Sensor([1.0, 0.0], R=-1.0), "R"),
-        (lambda: Sensor([1.0, 0.0], delay=-1.0), "delay"),
-        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0])}, 1.0), "'a'.*2 columns"),
-        (lambda: Fusion(constant_velocity(1), {}, 1.0), "dict"),
-        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, -1.0), "window"),
-        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0, influence=Linear()), "R"),
-        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).observe("b", 0.0, 0.0), "'a'.*'b'"),
-        (
-            lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).observe("a", 0.0, [0.0, 1.0]),
-            "1 number",
-        ),
-        (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).estimate(), "reading first"),
-    ],
-)
+@pytest.mark.parametrize(("make", "says"), [
+    (lambda: Sensor(), "H or h"),
+    (lambda: Sensor(h=lambda x: x), "jacobian"),
+    (lambda: Sensor([1.0, 0.0], R=-1.0), "R"),
+    (lambda: Sensor([1.0, 0.0], delay=-1.0), "delay"),
+    (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0])}, 1.0), "'a'.*2 columns"),
+    (lambda: Fusion(constant_velocity(1), {}, 1.0), "dict"),
+    (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, -1.0), "window"),
+    (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0, influence=Linear()), "R"),
+    (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).observe("b", 0.0, 0.0), "'a'.*'b'"),
+    (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).observe("a", 0.0, [0.0, 1.0]), "1 number"),
+    (lambda: Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0])}, 1.0).estimate(), "reading first"),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused_by_name(make, says):
     with pytest.raises((ValueError, TypeError), match=says):
         make()

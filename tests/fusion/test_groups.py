@@ -7,14 +7,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robust_filterpy.fusion import (
-    Contaminated,
-    Fusion,
-    FusionWarning,
-    Reacquisition,
-    Sensor,
-    constant_velocity,
-)
+from robust_filterpy.fusion import Contaminated, Fusion, FusionWarning, Reacquisition, Sensor, constant_velocity
 from robust_filterpy.influence import Huber, Linear
 
 WAYS = {"learnt": {}, "told": {"noise": Contaminated(0.1, 10.0)}, "huber": {"influence": Huber()}}
@@ -177,14 +170,11 @@ def test_in_doubt_the_speed_of_a_receiver_whose_position_is_false_is_believed():
     assert abs(fusion.estimate().x[0] - 5.0 * 119) < 20.0
 
 
-@pytest.mark.parametrize(
-    ("sensors", "error", "words"),
-    [
-        (lambda: {"gps": Sensor([1.0, 0.0], R=1.0, group="rx")}, ValueError, "another sensor of the group 'rx'"),
-        (lambda: {"gps": Sensor([1.0, 0.0], R=1.0, group="")}, TypeError, "group: expected the name"),
-        (lambda: {"gps": Sensor([1.0, 0.0], R=1.0, group=3)}, TypeError, "group: expected the name"),
-    ],
-)
+@pytest.mark.parametrize(("sensors", "error", "words"), [
+    (lambda: {"gps": Sensor([1.0, 0.0], R=1.0, group="rx")}, ValueError, "another sensor of the group 'rx'"),
+    (lambda: {"gps": Sensor([1.0, 0.0], R=1.0, group="")}, TypeError, "group: expected the name"),
+    (lambda: {"gps": Sensor([1.0, 0.0], R=1.0, group=3)}, TypeError, "group: expected the name"),
+])  # fmt: skip
 def test_a_group_that_makes_no_sense_is_refused(sensors, error, words):
     with pytest.raises(error, match=words):
         fused(sensors())

@@ -57,19 +57,16 @@ def test_a_model_of_python_control_is_taken():
         from_continuous(control.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1))
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: constant_velocity(0),
-        lambda: constant_velocity(1, -1.0),
-        lambda: constant_velocity(2, [1.0, 2.0, 3.0]),
-        lambda: from_continuous([[1.0, 2.0]]),
-        lambda: from_continuous(np.eye(2), Qc=-1.0),
-        lambda: from_continuous(np.eye(2), np.ones((3, 1))),
-        lambda: from_function(lambda x, dt: x, None, np.eye(2), 2),
-        lambda: from_function(lambda x, dt: x, lambda x, dt: np.eye(2), np.eye(3), 2),
-    ],
-)
+@pytest.mark.parametrize("make", [
+    lambda: constant_velocity(0),
+    lambda: constant_velocity(1, -1.0),
+    lambda: constant_velocity(2, [1.0, 2.0, 3.0]),
+    lambda: from_continuous([[1.0, 2.0]]),
+    lambda: from_continuous(np.eye(2), Qc=-1.0),
+    lambda: from_continuous(np.eye(2), np.ones((3, 1))),
+    lambda: from_function(lambda x, dt: x, None, np.eye(2), 2),
+    lambda: from_function(lambda x, dt: x, lambda x, dt: np.eye(2), np.eye(3), 2),
+])  # fmt: skip
 def test_a_model_that_cannot_be_is_refused(make):
     with pytest.raises((ValueError, TypeError)):
         make()

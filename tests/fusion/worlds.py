@@ -8,12 +8,9 @@ from robust_filterpy.influence import Huber, Linear
 GPS = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
 WHEEL = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 POLICIES = {
-    "learnt": {},
-    "trusting Q": {"process": Scales((1.0,), jump=0.0)},
-    "told": {"noise": Contaminated(0.1, 10.0)},
-    "linear": {"influence": Linear()},
-    "huber": {"influence": Huber()},
-}
+    "learnt": {}, "trusting Q": {"process": Scales((1.0,), jump=0.0)}, "told": {"noise": Contaminated(0.1, 10.0)},
+    "linear": {"influence": Linear()}, "huber": {"influence": Huber()},
+}  # fmt: skip
 
 
 def sensors():
@@ -38,8 +35,6 @@ def plane(stamps, seed=0, q=0.5, outliers=0.0):
 
 def table(readings):
     return {
-        "time": [t for _, t, _ in readings],
-        "sensor": [who for who, _, _ in readings],
-        "v0": [z[0] for *_, z in readings],
-        "v1": [z[1] for *_, z in readings],
-    }
+        "time": [t for _, t, _ in readings], "sensor": [who for who, _, _ in readings],
+        "v0": [z[0] for *_, z in readings], "v1": [z[1] for *_, z in readings],
+    }  # fmt: skip

@@ -42,19 +42,13 @@ def options(rng, structure):
     """Draw some of the arguments; all else stays at its default."""
     start = rng.choice([None, 0, 40, 200, 400])
     drawn = {
-        "start": None if start is None else int(start),
-        "offset": rng.choice([None, True, False]),
-        "regressor": rng.choice([None, "measured", "cleaned"]),
-        "R": rng.choice([None, 0.09]),
-        "R_memory": int(rng.choice([20, 150])),
-        "Q": rng.choice([0.0, 1e-5]),
-        "forgetting": rng.choice([None, 0.99]),
-        "gradient": str(rng.choice(["filtered", "pseudolinear"])),
-        "guard": str(rng.choice(["halve", "reject"])),
-        "influence": rng.choice([None, Huber(2.0), Hampel()]),
-        "scaling": rng.choice([None, "bounded"]),
+        "start": None if start is None else int(start), "offset": rng.choice([None, True, False]),
+        "regressor": rng.choice([None, "measured", "cleaned"]), "R": rng.choice([None, 0.09]),
+        "R_memory": int(rng.choice([20, 150])), "Q": rng.choice([0.0, 1e-5]), "forgetting": rng.choice([None, 0.99]),
+        "gradient": str(rng.choice(["filtered", "pseudolinear"])), "guard": str(rng.choice(["halve", "reject"])),
+        "influence": rng.choice([None, Huber(2.0), Hampel()]), "scaling": rng.choice([None, "bounded"]),
         "information": rng.choice([None, "expected"]),
-    }
+    }  # fmt: skip
     if not start and rng.random() < 0.5:
         drawn |= {"start": None, "theta": 0.1, "P": 1.0}
     kept = rng.random(len(drawn)) < 0.6

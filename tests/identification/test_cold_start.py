@@ -252,13 +252,10 @@ def test_outliers_that_are_part_of_the_output_are_taken_back_into_the_regressor(
 # Lost.
 
 
-@pytest.mark.parametrize(
-    ("options", "change", "words"),
-    [
-        ({"R": 1e-6, "theta": THETA, "P": 1e-12}, lambda y: y, "R=1e-06 is too small"),
-        ({"start": 0, "R": 0.09, "theta": THETA, "P": 1e-8}, lambda y: y + 20.0, "use offset=True"),
-    ],
-)
+@pytest.mark.parametrize(("options", "change", "words"), [
+    ({"R": 1e-6, "theta": THETA, "P": 1e-12}, lambda y: y, "R=1e-06 is too small"),
+    ({"start": 0, "R": 0.09, "theta": THETA, "P": 1e-8}, lambda y: y + 20.0, "use offset=True"),
+])  # fmt: skip
 def test_a_lost_tracker_says_so_once(options, change, words):
     y, u = recording(1000)
     tracker = ParameterTracker(OutputError(2, 2), **options)

@@ -96,17 +96,14 @@ def test_several_recordings_and_times_of_an_index():
     assert two.starts.shape == (2, 1)
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda y, u, t: (y, u, None), "expected the times"),
-        (lambda y, u, t: (y, u, t[::-1]), "times that increase"),
-        (lambda y, u, t: (y, u[:-1], t), "150 samples like y"),
-        (lambda y, u, t: (np.full(150, np.nan), u, t), "output 0 in recording 0"),
-        (lambda y, u, t: (np.column_stack((y, y)), u, t), "h: expected one number for each output, 2"),
-        (lambda y, u, t: (y[:3], u[:3], t[:3]), "at least 6 measured"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda y, u, t: (y, u, None), "expected the times"),
+    (lambda y, u, t: (y, u, t[::-1]), "times that increase"),
+    (lambda y, u, t: (y, u[:-1], t), "150 samples like y"),
+    (lambda y, u, t: (np.full(150, np.nan), u, t), "output 0 in recording 0"),
+    (lambda y, u, t: (np.column_stack((y, y)), u, t), "h: expected one number for each output, 2"),
+    (lambda y, u, t: (y[:3], u[:3], t[:3]), "at least 6 measured"),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused(change, says):
     y, u, t = change(*recorded(9))
     with pytest.raises(ValueError, match=says):

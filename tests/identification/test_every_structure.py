@@ -47,20 +47,11 @@ def output(x, u, p):
 
 PHYSICS = GreyBox(lag, {"rate": 0.4, "gain": 1.5, "level": 4.0}, x0=[0.0], h=output)
 STRUCTURES = {
-    "ARX": ARX(2, 2),
-    "OutputError": OutputError(2, 2),
-    "ARMAX": ARMAX(1, 1, 1),
-    "FIR": FIR(3),
-    "AR": AR(2),
-    "ARMA": ARMA(2, 1),
-    "BoxJenkins": BoxJenkins(1, 0, 1, 1),
-    "integrated": OutputError(1, 1, integrated=True),
-    "two inputs": OutputError(2, (2, 2)),
-    "states": StateSpace(2),
-    "states of two outputs": StateSpace(2),
-    "driven states": StateSpace(2, disturbance=True),
-    "physics": PHYSICS,
-}
+    "ARX": ARX(2, 2), "OutputError": OutputError(2, 2), "ARMAX": ARMAX(1, 1, 1), "FIR": FIR(3), "AR": AR(2),
+    "ARMA": ARMA(2, 1), "BoxJenkins": BoxJenkins(1, 0, 1, 1), "integrated": OutputError(1, 1, integrated=True),
+    "two inputs": OutputError(2, (2, 2)), "states": StateSpace(2), "states of two outputs": StateSpace(2),
+    "driven states": StateSpace(2, disturbance=True), "physics": PHYSICS,
+}  # fmt: skip
 OF_OUTPUTS = ("states", "states of two outputs", "driven states", "physics")
 # What costs most to be found has one pole.
 SMALL = ("ARMAX", "BoxJenkins", "integrated")
@@ -296,21 +287,18 @@ def test_nothing_is_found_in_an_ordinary_recording(draws):
 
 
 @pytest.mark.parametrize("structure", [StateSpace(2), PHYSICS, OutputError(2, 2)], ids=["states", "physics", "output"])
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda y, u: (1e-200 * y, u), "y: expected numbers of 1e-100"),
-        (lambda y, u: (1e150 * y, u), "y: expected numbers up to"),
-        (lambda y, u: ([], []), "expected"),
-        (lambda y, u: (y + 0j, u), "expected real numbers"),
-        (lambda y, u: ([y, y[:0]], [u, u[:0]]), "y: expected"),
-        (lambda y, u: ([y, y], [u, None]), "u: expected"),
-        (lambda y, u: ([y, y], [u]), "u: expected a list of 2 recordings like y, got 1"),
-        (lambda y, u: ([y, np.column_stack((y, y))], [u, u]), "y: expected"),
-        (lambda y, u: (y, None), "u: expected"),
-        (lambda y, u: (pd.Series(y, pd.RangeIndex(5, y.size + 5)), pd.Series(u)), "u: expected the index of y"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda y, u: (1e-200 * y, u), "y: expected numbers of 1e-100"),
+    (lambda y, u: (1e150 * y, u), "y: expected numbers up to"),
+    (lambda y, u: ([], []), "expected"),
+    (lambda y, u: (y + 0j, u), "expected real numbers"),
+    (lambda y, u: ([y, y[:0]], [u, u[:0]]), "y: expected"),
+    (lambda y, u: ([y, y], [u, None]), "u: expected"),
+    (lambda y, u: ([y, y], [u]), "u: expected a list of 2 recordings like y, got 1"),
+    (lambda y, u: ([y, np.column_stack((y, y))], [u, u]), "y: expected"),
+    (lambda y, u: (y, None), "u: expected"),
+    (lambda y, u: (pd.Series(y, pd.RangeIndex(5, y.size + 5)), pd.Series(u)), "u: expected the index of y"),
+])  # fmt: skip
 def test_what_cannot_be_identified_is_refused_in_words(structure, change, words):
     y, u = change(*recorded("physics", 2))
     t = None

@@ -35,15 +35,11 @@ def kinds(y, u, structure):
 
 
 @pytest.mark.pairwise(1)
-@pytest.mark.parametrize(
-    ("structure", "says"),
-    [
-        (OutputError(1, 1), "is biased by that"),
-        (BoxJenkins(1, 0, 1, 1), "as far as its noise model"),
-        (ARX(2, 2), "right"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("structure", "says"), [
+    (OutputError(1, 1), "is biased by that"),
+    (BoxJenkins(1, 0, 1, 1), "as far as its noise model"),
+    (ARX(2, 2), "right"),
+], ids=str)  # fmt: skip
 @pytest.mark.parametrize("outliers", [0.0, 0.1])
 def test_feedback_is_found_and_what_it_means_is_said(structure, says, outliers):
     found = dict(kinds(*closed(1, outliers=outliers), structure))

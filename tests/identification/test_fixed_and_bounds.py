@@ -69,23 +69,19 @@ def test_a_bound_that_binds_is_kept_and_named():
     np.testing.assert_allclose(model.std, fixed.std, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("told", "error", "words"),
-    [
-        ({"fixed": {"a3": 1.0}}, ValueError, "expected parameters among a1, a2, b1, b2, got 'a3'"),
-        ({"fixed": {"offset": 1.0}}, ValueError, "offset=False leaves the constant out"),
-        ({"fixed": {"a1": np.nan}}, ValueError, "expected a finite number, got nan"),
-        ({"fixed": {"a1": "x"}}, TypeError, "expected a number, got 'x'"),
-        ({"fixed": ["a1"]}, TypeError, "expected a dict of parameter names"),
-        ({"fixed": {"a1": -3.0}}, ValueError, "limits that a stable model .* keeps"),
-        ({"fixed": dict(zip(("a1", "a2", "b1", "b2"), THETA, strict=True))}, ValueError, "at least one .* free"),
-        ({"bounds": {"a1": (1.0, 0.0)}}, ValueError, "expected low < high"),
-        ({"bounds": {"a1": 3.0}}, ValueError, r"expected \(low, high\), got 3.0"),
-        ({"bounds": {"a1": (None, "x")}}, TypeError, "expected two numbers"),
-        ({"fixed": {"a1": -1.5}, "bounds": {"a1": (-2.0, 0.0)}}, ValueError, "parameters that are not fixed, got 'a1'"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("told", "error", "words"), [
+    ({"fixed": {"a3": 1.0}}, ValueError, "expected parameters among a1, a2, b1, b2, got 'a3'"),
+    ({"fixed": {"offset": 1.0}}, ValueError, "offset=False leaves the constant out"),
+    ({"fixed": {"a1": np.nan}}, ValueError, "expected a finite number, got nan"),
+    ({"fixed": {"a1": "x"}}, TypeError, "expected a number, got 'x'"),
+    ({"fixed": ["a1"]}, TypeError, "expected a dict of parameter names"),
+    ({"fixed": {"a1": -3.0}}, ValueError, "limits that a stable model .* keeps"),
+    ({"fixed": dict(zip(("a1", "a2", "b1", "b2"), THETA, strict=True))}, ValueError, "at least one .* free"),
+    ({"bounds": {"a1": (1.0, 0.0)}}, ValueError, "expected low < high"),
+    ({"bounds": {"a1": 3.0}}, ValueError, r"expected \(low, high\), got 3.0"),
+    ({"bounds": {"a1": (None, "x")}}, TypeError, "expected two numbers"),
+    ({"fixed": {"a1": -1.5}, "bounds": {"a1": (-2.0, 0.0)}}, ValueError, "parameters that are not fixed, got 'a1'"),
+], ids=str)  # fmt: skip
 def test_what_cannot_be_kept_is_refused(told, error, words):
     with pytest.raises(error, match=words):
         identify(*recording(), OutputError(2, 2), **told)

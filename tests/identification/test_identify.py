@@ -307,41 +307,31 @@ def test_models_that_differ_but_explain_as_much_are_reported():
 GOOD = np.random.default_rng(0).normal(size=(100, 2))
 
 
-@pytest.mark.parametrize(
-    ("y", "u", "structure", "options", "error", "words"),
-    [
-        (GOOD[:, 0], GOOD[:, 1], "ARX", {}, TypeError, "structure: expected ARX"),
-        (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"influence": "huber"}, TypeError, "influence: expected"),
-        (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"offset": 3.0}, TypeError, "offset: expected True or False"),
-        (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"R": -1.0}, ValueError, "R: expected"),
-        (GOOD[:, 0], GOOD[:50, 1], ARX(1, 1), {}, ValueError, "u: expected 100 samples"),
-        (GOOD[:, 0], None, ARX(1, 1), {}, ValueError, "u: expected a recording"),
-        (np.full(100, np.nan), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected some measured samples"),
-        (np.full(100, 3.0), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected an output that varies, got the same"),
-        (np.where(GOOD[:, 0] > 9, 0, np.inf), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected finite"),
-        (GOOD[:15, 0], GOOD[:15, 1], OutputError(4, 4), {}, ValueError, "y: expected at least .* record more"),
-        (GOOD[:, 0], GOOD[:, 1], FIR(2, nk=200), {}, ValueError, "nk: expected a delay shorter than the recording"),
-        (GOOD[:, 0], np.zeros(100), OutputError(1, 1), {}, ValueError, "got 0 in every sample"),
-        (
-            GOOD[:, 0],
-            np.ones(100),
-            OutputError(1, 1),
-            {},
-            ValueError,
-            "order 2 next to the offset, got persistent excitation of order 0.*offset=False",
-        ),
-        (
-            GOOD[:, 0],
-            np.ones(100),
-            FIR(2),
-            {"offset": False},
-            ValueError,
-            "order 2, got persistent excitation of order 1",
-        ),
-        (GOOD[:, 0], np.sin(np.arange(100)), OutputError(2, 2), {}, ValueError, "with order 4.*got .* of order 2"),
-        (GOOD[:, 0], np.ones((100, 2)), LinearRegression(2), {}, ValueError, "linearly independent.*offset=False"),
-    ],
-)
+@pytest.mark.parametrize(("y", "u", "structure", "options", "error", "words"), [
+    (GOOD[:, 0], GOOD[:, 1], "ARX", {}, TypeError, "structure: expected ARX"),
+    (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"influence": "huber"}, TypeError, "influence: expected"),
+    (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"offset": 3.0}, TypeError, "offset: expected True or False"),
+    (GOOD[:, 0], GOOD[:, 1], ARX(1, 1), {"R": -1.0}, ValueError, "R: expected"),
+    (GOOD[:, 0], GOOD[:50, 1], ARX(1, 1), {}, ValueError, "u: expected 100 samples"),
+    (GOOD[:, 0], None, ARX(1, 1), {}, ValueError, "u: expected a recording"),
+    (np.full(100, np.nan), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected some measured samples"),
+    (np.full(100, 3.0), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected an output that varies, got the same"),
+    (np.where(GOOD[:, 0] > 9, 0, np.inf), GOOD[:, 1], ARX(1, 1), {}, ValueError, "y: expected finite"),
+    (GOOD[:15, 0], GOOD[:15, 1], OutputError(4, 4), {}, ValueError, "y: expected at least .* record more"),
+    (GOOD[:, 0], GOOD[:, 1], FIR(2, nk=200), {}, ValueError, "nk: expected a delay shorter than the recording"),
+    (GOOD[:, 0], np.zeros(100), OutputError(1, 1), {}, ValueError, "got 0 in every sample"),
+    (
+        GOOD[:, 0],
+        np.ones(100),
+        OutputError(1, 1),
+        {},
+        ValueError,
+        "order 2 next to the offset, got persistent excitation of order 0.*offset=False",
+    ),
+    (GOOD[:, 0], np.ones(100), FIR(2), {"offset": False}, ValueError, "order 2, got persistent excitation of order 1"),
+    (GOOD[:, 0], np.sin(np.arange(100)), OutputError(2, 2), {}, ValueError, "with order 4.*got .* of order 2"),
+    (GOOD[:, 0], np.ones((100, 2)), LinearRegression(2), {}, ValueError, "linearly independent.*offset=False"),
+])  # fmt: skip
 def test_bad_input_is_refused_with_its_remedy(y, u, structure, options, error, words):
     with pytest.raises(error, match=words):
         identify(y, u, structure, **options)

@@ -240,17 +240,14 @@ def test_tables_and_transfer_functions_stand_beside_physics_of_equal_steps():
     assert timed.index.equals(index) and timed.rows[0].fit == pytest.approx(found.rows[0].fit)
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda y, u, t: ([y, y], [u, u], None), "expected one recording"),
-        (lambda y, u, t: (np.column_stack((y, y[:, 0])), u, None), r"expected shape \(N, 2\)"),
-        (lambda y, u, t: (y * [1.0, np.nan], u, None), "at least 84 measured samples of output 1"),
-        (lambda y, u, t: (y, u, t**2), "t: expected equal steps"),
-        (lambda y, u, t: (y, u, t[:-1]), "t: expected 400 times"),
-        (lambda y, u, t: (y, u[:-1], None), "u: expected 400 samples"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda y, u, t: ([y, y], [u, u], None), "expected one recording"),
+    (lambda y, u, t: (np.column_stack((y, y[:, 0])), u, None), r"expected shape \(N, 2\)"),
+    (lambda y, u, t: (y * [1.0, np.nan], u, None), "at least 84 measured samples of output 1"),
+    (lambda y, u, t: (y, u, t**2), "t: expected equal steps"),
+    (lambda y, u, t: (y, u, t[:-1]), "t: expected 400 times"),
+    (lambda y, u, t: (y, u[:-1], None), "u: expected 400 samples"),
+])  # fmt: skip
 def test_what_cannot_be_judged_is_refused_in_words(states, change, says):
     y, u, t = change(*recorded(16), np.arange(400.0))
     with pytest.raises(ValueError, match=says):

@@ -46,15 +46,11 @@ def recorded(length=1000, seed=0, share=0.1, c=C, d=D, sigma=0.3, level=0.0):
 # From a recording.
 
 
-@pytest.mark.parametrize(
-    ("structure", "a", "c"),
-    [
-        (AR(2), [1.0, -1.5, 0.7], [1.0]),
-        (ARMA(2, 1), [1.0, -1.5, 0.7], [1.0, 0.5]),
-        (ARMA(0, 2), [1.0], [1.0, 0.8, 0.3]),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("structure", "a", "c"), [
+    (AR(2), [1.0, -1.5, 0.7], [1.0]),
+    (ARMA(2, 1), [1.0, -1.5, 0.7], [1.0, 0.5]),
+    (ARMA(0, 2), [1.0], [1.0, 0.8, 0.3]),
+], ids=str)  # fmt: skip
 def test_without_outliers_it_is_the_exact_likelihoods_arma_of_statsmodels(structure, a, c):
     y = series(a, c)
     model = identify(y, None, structure, influence=Linear())
@@ -254,22 +250,19 @@ def test_a_continued_simulation_lets_the_disturbance_die_out():
 # Refusals.
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "words"),
-    [
-        (lambda: AR(0), ValueError, "na: expected an integer >= 1"),
-        (lambda: ARMA(0, 0), ValueError, "all zero"),
-        (lambda: BoxJenkins(0, 1, 1, 1), ValueError, "without input use ARMA"),
-        (lambda: BoxJenkins(1, 1, -1, 1), ValueError, "nd: expected"),
-        (lambda: BoxJenkins(1, 1.0, 1, 1), TypeError, "nc: expected"),
-        (lambda: BoxJenkins((1, 1), 1, 1, 1, nk=(1, 1, 1)), ValueError, "expected 2 delays"),
-        (lambda: BJ.regressors([1.0], [1.0]), ValueError, "use identify"),
-        (lambda: identify(np.arange(5.0), np.ones(5), BJ), ValueError, "y: expected at least"),
-        (lambda: identify(np.arange(50.0), None, BJ), ValueError, "u: expected"),
-        (lambda: support.told_tracker(BJ, theta=[1, 0, 0, 0, 2.0, 0]), ValueError, "theta: expected a stable model"),
-        (lambda: identify(series([1.0, -0.5], [1.0], 200), None, AR(1)).transfer_function(), ValueError, "an input"),
-    ],
-)
+@pytest.mark.parametrize(("make", "error", "words"), [
+    (lambda: AR(0), ValueError, "na: expected an integer >= 1"),
+    (lambda: ARMA(0, 0), ValueError, "all zero"),
+    (lambda: BoxJenkins(0, 1, 1, 1), ValueError, "without input use ARMA"),
+    (lambda: BoxJenkins(1, 1, -1, 1), ValueError, "nd: expected"),
+    (lambda: BoxJenkins(1, 1.0, 1, 1), TypeError, "nc: expected"),
+    (lambda: BoxJenkins((1, 1), 1, 1, 1, nk=(1, 1, 1)), ValueError, "expected 2 delays"),
+    (lambda: BJ.regressors([1.0], [1.0]), ValueError, "use identify"),
+    (lambda: identify(np.arange(5.0), np.ones(5), BJ), ValueError, "y: expected at least"),
+    (lambda: identify(np.arange(50.0), None, BJ), ValueError, "u: expected"),
+    (lambda: support.told_tracker(BJ, theta=[1, 0, 0, 0, 2.0, 0]), ValueError, "theta: expected a stable model"),
+    (lambda: identify(series([1.0, -0.5], [1.0], 200), None, AR(1)).transfer_function(), ValueError, "an input"),
+])  # fmt: skip
 def test_bad_orders_and_calls_are_refused(make, error, words):
     with pytest.raises(error, match=words):
         make()

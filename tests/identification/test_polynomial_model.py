@@ -9,20 +9,10 @@ from robust_filterpy.identification.models.polynomial_model import PolynomialMod
 from robust_filterpy.identification.models.structures import Structure
 
 STRUCTURES = [
-    ARX(2, 2),
-    ARX(2, 0),
-    OutputError(2, (1, 2), nk=(1, 3)),
-    OutputError(3, 1, nk=0),
-    ARMAX(1, 2, 3, nk=0),
-    ARMAX(2, 0, 1),
-    FIR((2, 0, 1)),
-    LinearRegression(2),
-    AR(2),
-    ARMA(2, 1),
-    BoxJenkins((2, 1), 1, 2, 2, nk=(0, 2)),
-    BoxJenkins(1, 2, 0, 0),
-    Structure(na=2, nb=2, nc=2, nd=2, nf=1),
-]
+    ARX(2, 2), ARX(2, 0), OutputError(2, (1, 2), nk=(1, 3)), OutputError(3, 1, nk=0), ARMAX(1, 2, 3, nk=0),
+    ARMAX(2, 0, 1), FIR((2, 0, 1)), LinearRegression(2), AR(2), ARMA(2, 1), BoxJenkins((2, 1), 1, 2, 2, nk=(0, 2)),
+    BoxJenkins(1, 2, 0, 0), Structure(na=2, nb=2, nc=2, nd=2, nf=1),
+]  # fmt: skip
 
 
 def recorded(structure, length=60, seed=0):

@@ -201,15 +201,10 @@ def test_models_are_sorted_by_their_fit_on_the_same_ordinary_samples(model):
 # Bad input.
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"lags": 0}, ValueError, "lags"),
-        ({"lags": 200}, ValueError, "y: expected at least 804"),
-        ({"level": 1.0}, ValueError, "level"),
-        ({"steps": 1.5}, TypeError, "steps"),
-    ],
-)
+@pytest.mark.parametrize(("options", "error", "message"), [
+    ({"lags": 0}, ValueError, "lags"), ({"lags": 200}, ValueError, "y: expected at least 804"),
+    ({"level": 1.0}, ValueError, "level"), ({"steps": 1.5}, TypeError, "steps"),
+])  # fmt: skip
 def test_bad_options_are_refused_by_name(model, options, error, message):
     with pytest.raises(error, match=message):
         validate(model, *recorded(0), **options)

@@ -164,21 +164,12 @@ def test_an_input_that_excites_few_lags_tries_all_delays():
     assert selection.best.structure == OutputError(1, 1, 2)
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"na": []}, ValueError, "na: .*empty"),
-        ({"nk": range(3, 3)}, ValueError, "nk: .*empty"),
-        ({"na": [1.5]}, TypeError, "na"),
-        ({"nk": [-1]}, ValueError, "nk"),
-        ({"na": "two"}, TypeError, "na"),
-        ({"na": [0, 1]}, ValueError, "nb: "),
-        ({"kind": sorted}, ValueError, "kind"),
-        ({"kind": "oe"}, ValueError, "kind"),
-        ({"criterion": "best"}, ValueError, "criterion"),
-        ({"na": [100]}, ValueError, "y: expected at least"),
-    ],
-)
+@pytest.mark.parametrize(("options", "error", "message"), [
+    ({"na": []}, ValueError, "na: .*empty"), ({"nk": range(3, 3)}, ValueError, "nk: .*empty"),
+    ({"na": [1.5]}, TypeError, "na"), ({"nk": [-1]}, ValueError, "nk"), ({"na": "two"}, TypeError, "na"),
+    ({"na": [0, 1]}, ValueError, "nb: "), ({"kind": sorted}, ValueError, "kind"), ({"kind": "oe"}, ValueError, "kind"),
+    ({"criterion": "best"}, ValueError, "criterion"), ({"na": [100]}, ValueError, "y: expected at least"),
+])  # fmt: skip
 def test_bad_options_are_refused_by_name(options, error, message):
     y, u = recorded(length=200)
     with pytest.raises(error, match=message):

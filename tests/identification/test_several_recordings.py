@@ -26,15 +26,11 @@ def plant(sizes, seed, inside=False, outliers=0.1, noise=0.3):
     return ys, us
 
 
-@pytest.mark.parametrize(
-    ("structure", "inside", "near"),
-    [
-        (OutputError(2, 2), False, 0.05),
-        (ARX(2, 2), True, 0.1),
-        pytest.param(ARMAX(2, 2, 1), True, 0.12, marks=pytest.mark.nightly),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("structure", "inside", "near"), [
+    (OutputError(2, 2), False, 0.05),
+    (ARX(2, 2), True, 0.1),
+    pytest.param(ARMAX(2, 2, 1), True, 0.12, marks=pytest.mark.nightly),
+], ids=str)  # fmt: skip
 def test_several_recordings_tell_as_much_as_one(structure, inside, near):
     model = identify(*plant([250, 150, 200], 1, inside), structure)
     assert np.abs(model.theta[:4] - TRUE).max() < near
@@ -113,16 +109,13 @@ def test_a_long_jump_of_the_time_axis_makes_two_recordings():
     assert np.abs(model.theta - TRUE).max() < 0.05
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda ys, us: (ys, us[:1]), "list of 2 recordings like y, got 1"),
-        (lambda ys, us: (ys, us[0]), "list of 2 recordings like y, got ndarray"),
-        (lambda ys, us: ([ys[0], ys[1][:3]], [us[0], us[1][:3]]), "in recording 1"),
-        (lambda ys, us: ([ys[0], np.full(150, np.nan)], us), "got 0 in recording 1"),
-        (lambda ys, us: (ys, [us[0], us[1][:-1]]), "150 samples like y, got 149"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda ys, us: (ys, us[:1]), "list of 2 recordings like y, got 1"),
+    (lambda ys, us: (ys, us[0]), "list of 2 recordings like y, got ndarray"),
+    (lambda ys, us: ([ys[0], ys[1][:3]], [us[0], us[1][:3]]), "in recording 1"),
+    (lambda ys, us: ([ys[0], np.full(150, np.nan)], us), "got 0 in recording 1"),
+    (lambda ys, us: (ys, [us[0], us[1][:-1]]), "150 samples like y, got 149"),
+])  # fmt: skip
 def test_recordings_that_do_not_fit_are_refused_by_number(change, says):
     ys, us = plant([200, 150], 10)
     with pytest.raises(ValueError, match=says):

@@ -131,21 +131,18 @@ def test_bands_are_those_of_the_same_plant_as_a_polynomial():
             assert (np.abs(far) < 0.25 * width).all(), (name, end, middle, far / width)
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda y, u: (y, np.column_stack((u[:, 0], 2.0 * u[:, 0]))), "some that others explain"),
-        (lambda y, u: (y, np.column_stack((u[:, 0], np.ones(len(u))))), "input 1 constant"),
-        (lambda y, u: (np.column_stack((y[:, 0], np.full(len(y), 3.0))), u), "same value throughout in output 1"),
-        # Beside such a level what moves is rounding.
-        (lambda y, u: (np.column_stack((y[:, 0], 1e9 + 1e-5 * y[:, 1])), u), "same value throughout in output 1"),
-        (lambda y, u: (np.column_stack((y[:, 0], np.full(len(y), np.nan))), u), "of output 1 in recording 0"),
-        (lambda y, u: (y[:15], u[:15]), "more samples"),
-        (lambda y, u: (y, u[:-1]), "500 samples like y, got 499"),
-        (lambda y, u: (y, None), "got None"),
-        (lambda y, u: (np.where(np.arange(len(y))[:, None] == 7, np.inf, y), u), "inf in sample 7"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda y, u: (y, np.column_stack((u[:, 0], 2.0 * u[:, 0]))), "some that others explain"),
+    (lambda y, u: (y, np.column_stack((u[:, 0], np.ones(len(u))))), "input 1 constant"),
+    (lambda y, u: (np.column_stack((y[:, 0], np.full(len(y), 3.0))), u), "same value throughout in output 1"),
+    # Beside such a level what moves is rounding.
+    (lambda y, u: (np.column_stack((y[:, 0], 1e9 + 1e-5 * y[:, 1])), u), "same value throughout in output 1"),
+    (lambda y, u: (np.column_stack((y[:, 0], np.full(len(y), np.nan))), u), "of output 1 in recording 0"),
+    (lambda y, u: (y[:15], u[:15]), "more samples"),
+    (lambda y, u: (y, u[:-1]), "500 samples like y, got 499"),
+    (lambda y, u: (y, None), "got None"),
+    (lambda y, u: (np.where(np.arange(len(y))[:, None] == 7, np.inf, y), u), "inf in sample 7"),
+])  # fmt: skip
 def test_what_no_model_can_be_made_of_is_refused(change, says):
     y, u = recorded(10)
     with pytest.raises(ValueError, match=says):

@@ -19,12 +19,9 @@ def shifted(signal, lag):
 
 @settings(max_examples=60, deadline=None)
 @given(
-    na=st.integers(0, 4),
-    nc=st.integers(0, 3),
-    nb=st.lists(st.integers(0, 3), min_size=1, max_size=3),
-    nk=st.integers(0, 3),
-    length=st.integers(1, 9),
-)
+    na=st.integers(0, 4), nc=st.integers(0, 3), nb=st.lists(st.integers(0, 3), min_size=1, max_size=3),
+    nk=st.integers(0, 3), length=st.integers(1, 9),
+)  # fmt: skip
 def test_rows_of_phi_are_shifted_data(na, nc, nb, nk, length):
     if na + nc + sum(nb) == 0:
         return
@@ -89,32 +86,29 @@ def test_structures_are_values():
         ARX(2, 2).na = 3
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "words"),
-    [
-        (lambda: ARX(-1, 2), ValueError, "na: expected an integer >= 0"),
-        (lambda: ARX(1, -2), ValueError, "nb: expected"),
-        (lambda: ARX(1, (1, -2)), ValueError, r"nb\[1\]"),
-        (lambda: ARX(1, 1, nk=-1), ValueError, "nk: expected"),
-        (lambda: ARX(0, 0), ValueError, "all zero"),
-        (lambda: Structure(), ValueError, "all zero"),
-        (lambda: Structure(nf=1), ValueError, "at least one b"),
-        (lambda: Structure(na=1, form="AR(1)"), ValueError, "form: expected one of"),
-        (lambda: ARMAX(0, 0, 0), ValueError, "all zero"),
-        (lambda: FIR((0, 0)), ValueError, "all zero"),
-        (lambda: ARX(1, ()), ValueError, "at least one input"),
-        (lambda: OutputError(2, 0), ValueError, "at least one b"),
-        (lambda: LinearRegression(0), ValueError, "n: expected"),
-        (lambda: ARX(2.0, 1), TypeError, "na: expected an integer"),
-        (lambda: ARX(2, True), TypeError, "nb"),
-        (lambda: ARX(2, (1, 1), (1, 1, 1)), ValueError, "expected 2 delays"),
-        (lambda: ARX(2, 1, (1, 1)), ValueError, "one delay"),
-        (lambda: ARX(2, 1).regressors(u=[1.0]), ValueError, "y: expected a signal"),
-        (lambda: ARX(2, 1).regressors(u=[1.0], y=[1.0, 2.0]), ValueError, "y: expected 1 samples"),
-        (lambda: ARX(1, (1, 1)).regressors(u=np.zeros((2, 5)), y=np.zeros(2)), ValueError, "u: expected shape"),
-        (lambda: ARX(1, (1, 1)).regressors(u=np.zeros((2, 5)), y=np.zeros(5)), ValueError, "u.T|samples"),
-    ],
-)
+@pytest.mark.parametrize(("make", "error", "words"), [
+    (lambda: ARX(-1, 2), ValueError, "na: expected an integer >= 0"),
+    (lambda: ARX(1, -2), ValueError, "nb: expected"),
+    (lambda: ARX(1, (1, -2)), ValueError, r"nb\[1\]"),
+    (lambda: ARX(1, 1, nk=-1), ValueError, "nk: expected"),
+    (lambda: ARX(0, 0), ValueError, "all zero"),
+    (lambda: Structure(), ValueError, "all zero"),
+    (lambda: Structure(nf=1), ValueError, "at least one b"),
+    (lambda: Structure(na=1, form="AR(1)"), ValueError, "form: expected one of"),
+    (lambda: ARMAX(0, 0, 0), ValueError, "all zero"),
+    (lambda: FIR((0, 0)), ValueError, "all zero"),
+    (lambda: ARX(1, ()), ValueError, "at least one input"),
+    (lambda: OutputError(2, 0), ValueError, "at least one b"),
+    (lambda: LinearRegression(0), ValueError, "n: expected"),
+    (lambda: ARX(2.0, 1), TypeError, "na: expected an integer"),
+    (lambda: ARX(2, True), TypeError, "nb"),
+    (lambda: ARX(2, (1, 1), (1, 1, 1)), ValueError, "expected 2 delays"),
+    (lambda: ARX(2, 1, (1, 1)), ValueError, "one delay"),
+    (lambda: ARX(2, 1).regressors(u=[1.0]), ValueError, "y: expected a signal"),
+    (lambda: ARX(2, 1).regressors(u=[1.0], y=[1.0, 2.0]), ValueError, "y: expected 1 samples"),
+    (lambda: ARX(1, (1, 1)).regressors(u=np.zeros((2, 5)), y=np.zeros(2)), ValueError, "u: expected shape"),
+    (lambda: ARX(1, (1, 1)).regressors(u=np.zeros((2, 5)), y=np.zeros(5)), ValueError, "u.T|samples"),
+])  # fmt: skip
 def test_bad_orders_and_signals_are_refused(make, error, words):
     with pytest.raises(error, match=words):
         make()

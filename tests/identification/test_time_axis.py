@@ -147,20 +147,16 @@ def test_a_recording_at_another_rate_is_refused(model, name):
         CALLS[name](model, quick.y, quick.u)
 
 
-@pytest.mark.parametrize(
-    ("index", "dt"),
-    [
-        (pd.RangeIndex(N), None),
-        (np.arange(N) * 0.1, None),
-        (pd.timedelta_range("0s", periods=N, freq="250ms"), 0.25),
-        (pd.period_range("2024-01", periods=N, freq="M"), None),
-        (pd.date_range("1950-01-01", periods=N, freq="MS"), None),
-        (pd.date_range("2024-03-30", periods=N, freq="h", tz="Europe/Berlin"), 3600.0),
-        (pd.DatetimeIndex(pd.Timestamp("2024-01-01") + pd.to_timedelta(np.round(np.arange(N) / 30, 3), "s")), 1 / 30),
-        ([f"row {k}" for k in range(N)], None),
-    ],
-    ids=["count", "number", "durations", "periods", "months", "daylight saving", "30 Hz in ms", "words"],
-)
+@pytest.mark.parametrize(("index", "dt"), [
+    (pd.RangeIndex(N), None),
+    (np.arange(N) * 0.1, None),
+    (pd.timedelta_range("0s", periods=N, freq="250ms"), 0.25),
+    (pd.period_range("2024-01", periods=N, freq="M"), None),
+    (pd.date_range("1950-01-01", periods=N, freq="MS"), None),
+    (pd.date_range("2024-03-30", periods=N, freq="h", tz="Europe/Berlin"), 3600.0),
+    (pd.DatetimeIndex(pd.Timestamp("2024-01-01") + pd.to_timedelta(np.round(np.arange(N) / 30, 3), "s")), 1 / 30),
+    ([f"row {k}" for k in range(N)], None),
+], ids=["count", "number", "durations", "periods", "months", "daylight saving", "30 Hz in ms", "words"])  # fmt: skip
 def test_uniform_indexes_of_all_kinds_are_taken(index, dt):
     df = table(index)
     found = identify(df.y, df.u, FIR(2)).dt

@@ -70,14 +70,11 @@ def test_run_gives_the_numbers_of_update(structure, gradient, guard, options):
     same([one.filter.K, one.filter.y, one.filter.S], [other.filter.K, other.filter.y, other.filter.S])
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda n: KalmanFilter(n, 1),
-        lambda n: RobustKalmanFilter(n, 1, influence=Huber(2.0)),
-        lambda n: RobustKalmanFilter(n, 1, grouping="joint"),
-    ],
-)
+@pytest.mark.parametrize("make", [
+    lambda n: KalmanFilter(n, 1),
+    lambda n: RobustKalmanFilter(n, 1, influence=Huber(2.0)),
+    lambda n: RobustKalmanFilter(n, 1, grouping="joint"),
+])  # fmt: skip
 def test_a_filter_object_serves_and_run_is_update(make):
     y, u = recording()
     one, other = (support.told_tracker(OutputError(2, 2), filter=make(4), R=0.25) for _ in range(2))
@@ -318,37 +315,30 @@ class Moody(KalmanFilter):
     """A subclass, whose methods might do anything."""
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        ({"theta": [1.0, 2.0]}, ValueError, "theta: expected 4 parameters"),
-        ({"theta": [np.nan, 0, 0, 0]}, ValueError, "theta: expected finite"),
-        ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
-        ({"P": -1.0}, ValueError, "positive semidefinite"),
-        ({"P": np.ones(4)}, ValueError, r"P: expected shape \(4, 4\).*np.diag\(P\)"),
-        ({"Q": np.triu(np.ones((4, 4)))}, ValueError, "Q: expected a symmetric"),
-        ({"R": 0.0}, ValueError, "R: expected"),
-        ({"R": np.eye(2)}, ValueError, "one variance"),
-        ({"F": np.eye(3)}, ValueError, "F: expected shape"),
-        ({"forgetting": 1.1}, ValueError, "forgetting"),
-        ({"forgetting": 0.0}, ValueError, "forgetting"),
-        ({"guard": "project"}, ValueError, "guard: expected one of"),
-        ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
-        ({"filter": KalmanFilter(3, 1)}, ValueError, "dim_x=4"),
-        ({"filter": KalmanFilter(4, 2)}, ValueError, "dim_z=1"),
-        (
-            {"filter": object()},
-            TypeError,
-            "filter: expected a RobustKalmanFilter, an AdaptiveKalmanFilter, or filterpy",
-        ),
-        ({"filter": InformationFilter}, TypeError, "or the class of one, got <class .*InformationFilter"),
-        ({"filter": Moody}, TypeError, "KalmanFilter itself"),
-        ({"filter": Moody(4, 1)}, TypeError, "filter: expected a RobustKalmanFilter"),
-        ({"filter": lambda dim_x, dim_z: 3}, TypeError, "filter: expected a RobustKalmanFilter"),
-        ({"filter": KalmanFilter, "influence": Huber()}, ValueError, "influence: expected only without"),
-        ({"filter": SquareRootKalmanFilter(4, 1)}, TypeError, "got a SquareRootKalmanFilter"),
-    ],
-)
+@pytest.mark.parametrize(("options", "error", "words"), [
+    ({"theta": [1.0, 2.0]}, ValueError, "theta: expected 4 parameters"),
+    ({"theta": [np.nan, 0, 0, 0]}, ValueError, "theta: expected finite"),
+    ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
+    ({"P": -1.0}, ValueError, "positive semidefinite"),
+    ({"P": np.ones(4)}, ValueError, r"P: expected shape \(4, 4\).*np.diag\(P\)"),
+    ({"Q": np.triu(np.ones((4, 4)))}, ValueError, "Q: expected a symmetric"),
+    ({"R": 0.0}, ValueError, "R: expected"),
+    ({"R": np.eye(2)}, ValueError, "one variance"),
+    ({"F": np.eye(3)}, ValueError, "F: expected shape"),
+    ({"forgetting": 1.1}, ValueError, "forgetting"),
+    ({"forgetting": 0.0}, ValueError, "forgetting"),
+    ({"guard": "project"}, ValueError, "guard: expected one of"),
+    ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
+    ({"filter": KalmanFilter(3, 1)}, ValueError, "dim_x=4"),
+    ({"filter": KalmanFilter(4, 2)}, ValueError, "dim_z=1"),
+    ({"filter": object()}, TypeError, "filter: expected a RobustKalmanFilter, an AdaptiveKalmanFilter, or filterpy"),
+    ({"filter": InformationFilter}, TypeError, "or the class of one, got <class .*InformationFilter"),
+    ({"filter": Moody}, TypeError, "KalmanFilter itself"),
+    ({"filter": Moody(4, 1)}, TypeError, "filter: expected a RobustKalmanFilter"),
+    ({"filter": lambda dim_x, dim_z: 3}, TypeError, "filter: expected a RobustKalmanFilter"),
+    ({"filter": KalmanFilter, "influence": Huber()}, ValueError, "influence: expected only without"),
+    ({"filter": SquareRootKalmanFilter(4, 1)}, TypeError, "got a SquareRootKalmanFilter"),
+])  # fmt: skip
 def test_bad_arguments_are_refused(options, error, words):
     with pytest.raises(error, match=words):
         support.told_tracker(OutputError(2, 2), **options)
@@ -359,25 +349,22 @@ def test_structure_must_be_one():
         support.told_tracker(4)
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda t: t.run([1.0, 2.0], [1.0]), "u: expected 2 samples like y, got 1"),
-        (lambda t: t.run([], []), "y: expected a recording"),
-        (lambda t: t.run(np.zeros((2, 2)), [1.0, 2.0]), "y: expected a recording"),
-        (lambda t: t.run([1.0, np.inf], [1.0, 2.0]), "y: expected finite numbers"),
-        (lambda t: t.run([1.0, 2.0], [1.0, np.nan]), "u: expected finite numbers.*sample 1"),
-        (lambda t: t.run([1.0, 2.0], np.ones((2, 2))), "u: expected shape"),
-        (lambda t: t.run([1.0, 2.0]), "u: expected a recording"),
-        (lambda t: t.update(1.0, np.nan), "u: expected finite"),
-        (lambda t: t.update(1.0, 1e200), r"u: expected finite numbers up to .*the order is y, u\), got 1e\+200"),
-        (lambda t: t.update(1.0, [1.0, 2.0]), r"u: expected 1 number\(s\)"),
-        (lambda t: t.update(1.0), "u: expected the input"),
-        (lambda t: t.update(-np.inf, 1.0), "y: expected a finite number"),
-        (lambda t: t.simulate([]), "at least one sample"),
-        (lambda t: t.simulate([np.inf]), "u: expected finite"),
-    ],
-)
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda t: t.run([1.0, 2.0], [1.0]), "u: expected 2 samples like y, got 1"),
+    (lambda t: t.run([], []), "y: expected a recording"),
+    (lambda t: t.run(np.zeros((2, 2)), [1.0, 2.0]), "y: expected a recording"),
+    (lambda t: t.run([1.0, np.inf], [1.0, 2.0]), "y: expected finite numbers"),
+    (lambda t: t.run([1.0, 2.0], [1.0, np.nan]), "u: expected finite numbers.*sample 1"),
+    (lambda t: t.run([1.0, 2.0], np.ones((2, 2))), "u: expected shape"),
+    (lambda t: t.run([1.0, 2.0]), "u: expected a recording"),
+    (lambda t: t.update(1.0, np.nan), "u: expected finite"),
+    (lambda t: t.update(1.0, 1e200), r"u: expected finite numbers up to .*the order is y, u\), got 1e\+200"),
+    (lambda t: t.update(1.0, [1.0, 2.0]), r"u: expected 1 number\(s\)"),
+    (lambda t: t.update(1.0), "u: expected the input"),
+    (lambda t: t.update(-np.inf, 1.0), "y: expected a finite number"),
+    (lambda t: t.simulate([]), "at least one sample"),
+    (lambda t: t.simulate([np.inf]), "u: expected finite"),
+])  # fmt: skip
 def test_bad_data_are_refused_and_nothing_changes(call, words):
     y, u = recording()
     tracker = support.told_tracker(OutputError(2, 2))
@@ -456,17 +443,14 @@ def test_one_variance_serves_all_samples():
     same(support.told_tracker(ARX(2, 2)).run(y, u, 0.5), support.told_tracker(ARX(2, 2), R=0.5).run(y, u))
 
 
-@pytest.mark.parametrize(
-    ("R", "message"),
-    [
-        (np.ones(149), r"R: expected a variance or one for each of the 150 samples, got shape \(149,\)"),
-        (np.ones((150, 1)), "R: expected a variance"),
-        (np.r_[np.ones(7), 0.0, np.ones(142)], "R: expected variances > 0, got 0.0 in sample 7"),
-        (np.r_[np.ones(7), np.nan, np.ones(142)], "got nan in sample 7"),
-        (-1.0, "got -1.0 in sample 0"),
-        (np.inf, "got inf"),
-    ],
-)
+@pytest.mark.parametrize(("R", "message"), [
+    (np.ones(149), r"R: expected a variance or one for each of the 150 samples, got shape \(149,\)"),
+    (np.ones((150, 1)), "R: expected a variance"),
+    (np.r_[np.ones(7), 0.0, np.ones(142)], "R: expected variances > 0, got 0.0 in sample 7"),
+    (np.r_[np.ones(7), np.nan, np.ones(142)], "got nan in sample 7"),
+    (-1.0, "got -1.0 in sample 0"),
+    (np.inf, "got inf"),
+])  # fmt: skip
 def test_bad_variances_are_refused(R, message):
     y, u = recording()
     tracker = support.told_tracker(OutputError(2, 2))
@@ -552,22 +536,19 @@ def test_a_bad_variance_in_the_filter_is_named(structure, R):
             tracker.update(1.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        ({"theta": np.full(4, np.nan)}, ValueError, "expected finite numbers in theta"),
-        ({"theta": "a"}, ValueError, "state: theta: expected real numbers"),
-        ({"undisturbed": np.full(2, np.inf)}, ValueError, "expected finite numbers in undisturbed"),
-        ({"R": np.array([[-1.0]])}, ValueError, "state: R: expected a positive"),
-        ({"R": np.zeros((1, 1))}, ValueError, "state: expected R > 0"),
-        ({"alpha_sq": np.array(0.0)}, ValueError, "state: expected alpha_sq >= 1"),
-        ({"P": -np.eye(4)}, ValueError, "state: P: expected a positive"),
-        ({"P": np.diag([1e12, -1e3, 1.0, 1.0])}, ValueError, "state: P: expected a positive"),
-        ({"recursion": np.full(7, -1e9)}, ValueError, "state: expected a limit"),
-        ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 0.5, -1.0])}, ValueError, "begun"),
-        ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 1.0, -2.0])}, ValueError, "next look"),
-    ],
-)
+@pytest.mark.parametrize(("change", "error", "message"), [
+    ({"theta": np.full(4, np.nan)}, ValueError, "expected finite numbers in theta"),
+    ({"theta": "a"}, ValueError, "state: theta: expected real numbers"),
+    ({"undisturbed": np.full(2, np.inf)}, ValueError, "expected finite numbers in undisturbed"),
+    ({"R": np.array([[-1.0]])}, ValueError, "state: R: expected a positive"),
+    ({"R": np.zeros((1, 1))}, ValueError, "state: expected R > 0"),
+    ({"alpha_sq": np.array(0.0)}, ValueError, "state: expected alpha_sq >= 1"),
+    ({"P": -np.eye(4)}, ValueError, "state: P: expected a positive"),
+    ({"P": np.diag([1e12, -1e3, 1.0, 1.0])}, ValueError, "state: P: expected a positive"),
+    ({"recursion": np.full(7, -1e9)}, ValueError, "state: expected a limit"),
+    ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 0.5, -1.0])}, ValueError, "begun"),
+    ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 1.0, -2.0])}, ValueError, "next look"),
+])  # fmt: skip
 def test_a_bad_state_is_refused(change, error, message):
     tracker = support.told_tracker(OutputError(2, 2))
     before = tracker.state()

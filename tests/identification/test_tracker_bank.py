@@ -19,22 +19,10 @@ from robust_filterpy.plants import simulate_output_error
 N, LENGTH = 5, 90
 PLANTS = np.array([-1.5, 0.7, 1.0, 0.5]) * np.linspace(0.7, 1.0, N)[:, None] ** [1, 2, 1, 1]
 STRUCTURES = [
-    ARX(2, 2),
-    ARX(2, 0),
-    ARX(1, 2, nk=3),
-    ARX(2, (1, 0, 2), nk=(0, 1, 2)),
-    OutputError(2, 2),
-    OutputError(4, 4),
-    OutputError(1, (2, 1), nk=(1, 0)),
-    OutputError(0, 3),
-    ARMAX(2, 2, 2),
-    ARMAX(0, 1, 1),
-    ARMAX(1, 0, 2),
-    FIR(6),
-    BoxJenkins((2, 1), 2, 1, 1, nk=(0, 2)),
-    FIR(2, nk=0),
-    LinearRegression(3),
-]
+    ARX(2, 2), ARX(2, 0), ARX(1, 2, nk=3), ARX(2, (1, 0, 2), nk=(0, 1, 2)), OutputError(2, 2), OutputError(4, 4),
+    OutputError(1, (2, 1), nk=(1, 0)), OutputError(0, 3), ARMAX(2, 2, 2), ARMAX(0, 1, 1), ARMAX(1, 0, 2), FIR(6),
+    BoxJenkins((2, 1), 2, 1, 1, nk=(0, 2)), FIR(2, nk=0), LinearRegression(3),
+]  # fmt: skip
 
 
 def recording(structure, seed=1, missing=True):
@@ -390,16 +378,13 @@ def test_reset_goes_back_to_the_start():
     same(first, bank.run(y, u))
 
 
-@pytest.mark.parametrize(
-    "state",
-    [
-        support.told_bank(N, ARX(1, 3)).state(),
-        support.told_bank(N + 1, ARX(2, 2)).state(),
-        support.told_tracker(ARX(2, 2)).state(),
-        {"theta": np.zeros((N, 4))},
-        {**support.told_bank(N, ARX(2, 2)).state(), "P": np.full((N, 4, 4), np.nan)},
-    ],
-)
+@pytest.mark.parametrize("state", [
+    support.told_bank(N, ARX(1, 3)).state(),
+    support.told_bank(N + 1, ARX(2, 2)).state(),
+    support.told_tracker(ARX(2, 2)).state(),
+    {"theta": np.zeros((N, 4))},
+    {**support.told_bank(N, ARX(2, 2)).state(), "P": np.full((N, 4, 4), np.nan)},
+])  # fmt: skip
 def test_state_of_another_bank_is_refused(state):
     bank = support.told_bank(N, ARX(2, 2))
     before = bank.state()
@@ -408,20 +393,17 @@ def test_state_of_another_bank_is_refused(state):
     same(before.values(), bank.state().values())
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("R", 0.0, "R > 0.*: actuator 2$"),
-        ("R", -1.0, "R > 0.*: actuator 2$"),
-        ("alpha_sq", 0.0, "alpha_sq >= 1.*: actuator 2$"),
-        ("alpha_sq", np.inf, "finite numbers in alpha_sq.*: actuator 2$"),
-        ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite.*: actuator 2$"),
-        ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric.*: actuator 2$"),
-        ("P", np.nan, "finite numbers in P.*: actuator 2$"),
-        ("undisturbed", np.inf, "finite numbers in undisturbed.*: actuator 2$"),
-        ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model.*: actuator 2$"),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "words"), [
+    ("R", 0.0, "R > 0.*: actuator 2$"),
+    ("R", -1.0, "R > 0.*: actuator 2$"),
+    ("alpha_sq", 0.0, "alpha_sq >= 1.*: actuator 2$"),
+    ("alpha_sq", np.inf, "finite numbers in alpha_sq.*: actuator 2$"),
+    ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite.*: actuator 2$"),
+    ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric.*: actuator 2$"),
+    ("P", np.nan, "finite numbers in P.*: actuator 2$"),
+    ("undisturbed", np.inf, "finite numbers in undisturbed.*: actuator 2$"),
+    ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model.*: actuator 2$"),
+])  # fmt: skip
 def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
     y, u = recording(OutputError(2, 2))
     bank = support.told_bank(N, OutputError(2, 2), R=0.25)
@@ -452,36 +434,33 @@ def test_what_is_no_state_is_refused(state):
 # Bad input
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        ({"theta": [1.0, 2.0]}, ValueError, r"theta: expected shape \(4,\) or \(5, 4\)"),
-        ({"theta": np.full((N, 4), np.nan)}, ValueError, "theta: expected finite"),
-        ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
-        ({"theta": np.eye(N)[:, :4] * 1.5}, ValueError, "stable model.*actuators 0, 1"),
-        ({"Q": None}, TypeError, "Q: expected numbers, got None"),
-        ({"guard": np.array("project")}, ValueError, "guard: expected one of"),
-        ({"P": -1.0}, ValueError, "P: expected a positive semidefinite"),
-        ({"P": [1.0, 1.0, -1.0, 1.0, 1.0]}, ValueError, r"P\[2\]: expected a positive semidefinite"),
-        ({"P": np.ones(4)}, ValueError, "P: expected"),
-        ({"Q": np.triu(np.ones((N, 4, 4)))}, ValueError, r"Q\[0\]: expected a symmetric"),
-        ({"R": 0.0}, ValueError, "R: expected"),
-        ({"R": np.inf}, ValueError, "R: expected"),
-        ({"R": [1.0, 1.0, 0.0, 1.0, np.nan]}, ValueError, "R: expected.*actuators 2, 4"),
-        ({"R": np.eye(2)}, ValueError, r"R: expected shape \(5,\)"),
-        ({"F": np.eye(3)}, ValueError, "F: expected shape"),
-        ({"F": np.full((N, 4, 4), np.inf)}, ValueError, "F: expected finite"),
-        ({"forgetting": 1.1}, ValueError, "forgetting: expected"),
-        ({"forgetting": [1.0, 1.0, 0.0, 1.0, 1.0]}, ValueError, "forgetting: expected.*actuator 2"),
-        ({"guard": "project"}, ValueError, "guard: expected one of"),
-        ({"guard": ["halve", "project", "none", "none", "none"]}, ValueError, r"guard\[1\]: expected one of"),
-        ({"guard": ["halve"] * 4}, ValueError, "guard: expected one for all or a list of 5, got 4"),
-        ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
-        ({"influence": Huber}, TypeError, "influence: expected an object"),
-        ({"scaling": "none"}, ValueError, "scaling: expected one of"),
-        ({"information": ["weight", "none", "weight", "weight", "weight"]}, ValueError, "information: expected one of"),
-    ],
-)
+@pytest.mark.parametrize(("options", "error", "words"), [
+    ({"theta": [1.0, 2.0]}, ValueError, r"theta: expected shape \(4,\) or \(5, 4\)"),
+    ({"theta": np.full((N, 4), np.nan)}, ValueError, "theta: expected finite"),
+    ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
+    ({"theta": np.eye(N)[:, :4] * 1.5}, ValueError, "stable model.*actuators 0, 1"),
+    ({"Q": None}, TypeError, "Q: expected numbers, got None"),
+    ({"guard": np.array("project")}, ValueError, "guard: expected one of"),
+    ({"P": -1.0}, ValueError, "P: expected a positive semidefinite"),
+    ({"P": [1.0, 1.0, -1.0, 1.0, 1.0]}, ValueError, r"P\[2\]: expected a positive semidefinite"),
+    ({"P": np.ones(4)}, ValueError, "P: expected"),
+    ({"Q": np.triu(np.ones((N, 4, 4)))}, ValueError, r"Q\[0\]: expected a symmetric"),
+    ({"R": 0.0}, ValueError, "R: expected"),
+    ({"R": np.inf}, ValueError, "R: expected"),
+    ({"R": [1.0, 1.0, 0.0, 1.0, np.nan]}, ValueError, "R: expected.*actuators 2, 4"),
+    ({"R": np.eye(2)}, ValueError, r"R: expected shape \(5,\)"),
+    ({"F": np.eye(3)}, ValueError, "F: expected shape"),
+    ({"F": np.full((N, 4, 4), np.inf)}, ValueError, "F: expected finite"),
+    ({"forgetting": 1.1}, ValueError, "forgetting: expected"),
+    ({"forgetting": [1.0, 1.0, 0.0, 1.0, 1.0]}, ValueError, "forgetting: expected.*actuator 2"),
+    ({"guard": "project"}, ValueError, "guard: expected one of"),
+    ({"guard": ["halve", "project", "none", "none", "none"]}, ValueError, r"guard\[1\]: expected one of"),
+    ({"guard": ["halve"] * 4}, ValueError, "guard: expected one for all or a list of 5, got 4"),
+    ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
+    ({"influence": Huber}, TypeError, "influence: expected an object"),
+    ({"scaling": "none"}, ValueError, "scaling: expected one of"),
+    ({"information": ["weight", "none", "weight", "weight", "weight"]}, ValueError, "information: expected one of"),
+])  # fmt: skip
 def test_bad_arguments_are_refused(options, error, words):
     with pytest.raises(error, match=words):
         support.told_bank(N, OutputError(2, 2), **options)
@@ -502,26 +481,23 @@ def bad(shape, value, *where):
     return values
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda b: b.update(np.ones(4), 1.0), r"y: expected shape \(5,\)"),
-        (lambda b: b.update(1.0, 1.0), r"y: expected shape \(5,\)"),
-        (lambda b: b.update(bad(N, np.inf, 1, 3), 1.0), "y: expected finite.*actuators 1, 3"),
-        (lambda b: b.update(np.ones(N), np.ones(4)), r"u: expected"),
-        (lambda b: b.update(np.ones(N)), r"u: expected.*got None"),
-        (lambda b: b.update(np.ones(N), bad(N, np.nan, 4)), "u: expected finite.*actuator 4"),
-        (lambda b: b.update(np.ones(N), np.nan), "u: expected finite"),
-        (lambda b: b.update(["a"] * N, 1.0), "y: expected real numbers"),
-        (lambda b: b.run(np.ones((3, 4)), np.ones(3)), r"y: expected shape \(N, 5\)"),
-        (lambda b: b.run(np.ones((0, N)), np.ones(0)), "y: expected"),
-        (lambda b: b.run(np.ones((3, N)), np.ones(4)), "u: expected"),
-        (lambda b: b.run(bad((3, N), np.inf, (1, 2), (2, 4)), np.ones(3)), "sample 1.*actuator 2"),
-        (lambda b: b.run(np.ones((3, N)), bad((3, N), np.nan, (2, 0))), "sample 2.*actuator 0"),
-        (lambda b: b.run(np.ones((3, N)), bad(3, 1e200, 1)), "u: expected finite.*sample 1"),
-        (lambda b: b.predict(np.ones(4)), "u: expected"),
-    ],
-)
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda b: b.update(np.ones(4), 1.0), r"y: expected shape \(5,\)"),
+    (lambda b: b.update(1.0, 1.0), r"y: expected shape \(5,\)"),
+    (lambda b: b.update(bad(N, np.inf, 1, 3), 1.0), "y: expected finite.*actuators 1, 3"),
+    (lambda b: b.update(np.ones(N), np.ones(4)), r"u: expected"),
+    (lambda b: b.update(np.ones(N)), r"u: expected.*got None"),
+    (lambda b: b.update(np.ones(N), bad(N, np.nan, 4)), "u: expected finite.*actuator 4"),
+    (lambda b: b.update(np.ones(N), np.nan), "u: expected finite"),
+    (lambda b: b.update(["a"] * N, 1.0), "y: expected real numbers"),
+    (lambda b: b.run(np.ones((3, 4)), np.ones(3)), r"y: expected shape \(N, 5\)"),
+    (lambda b: b.run(np.ones((0, N)), np.ones(0)), "y: expected"),
+    (lambda b: b.run(np.ones((3, N)), np.ones(4)), "u: expected"),
+    (lambda b: b.run(bad((3, N), np.inf, (1, 2), (2, 4)), np.ones(3)), "sample 1.*actuator 2"),
+    (lambda b: b.run(np.ones((3, N)), bad((3, N), np.nan, (2, 0))), "sample 2.*actuator 0"),
+    (lambda b: b.run(np.ones((3, N)), bad(3, 1e200, 1)), "u: expected finite.*sample 1"),
+    (lambda b: b.predict(np.ones(4)), "u: expected"),
+])  # fmt: skip
 def test_a_refused_call_changes_nothing(call, words):
     bank = support.told_bank(N, OutputError(2, 2))
     y, u = recording(OutputError(2, 2))
@@ -532,17 +508,14 @@ def test_a_refused_call_changes_nothing(call, words):
     same(before.values(), bank.state().values())
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("R", [1.0, 1.0, -1.0, 1.0, 1.0], "R: expected.*actuator 2"),
-        ("R", np.ones(4), "R: expected shape"),
-        ("Q", 1.0, "Q: expected shape"),
-        ("Q", np.full((4, 4), np.nan), "Q: expected finite numbers"),
-        ("F", np.eye(3), "F: expected shape"),
-        ("F", 1e200 * np.eye(4), "finite"),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "words"), [
+    ("R", [1.0, 1.0, -1.0, 1.0, 1.0], "R: expected.*actuator 2"),
+    ("R", np.ones(4), "R: expected shape"),
+    ("Q", 1.0, "Q: expected shape"),
+    ("Q", np.full((4, 4), np.nan), "Q: expected finite numbers"),
+    ("F", np.eye(3), "F: expected shape"),
+    ("F", 1e200 * np.eye(4), "finite"),
+])  # fmt: skip
 def test_settings_spoilt_between_samples_are_refused(name, value, words):
     bank = support.told_bank(N, OutputError(2, 2))
     y, u = recording(OutputError(2, 2), missing=False)

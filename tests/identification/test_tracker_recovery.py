@@ -152,15 +152,9 @@ def test_equation_53_and_table_1_in_the_papers_own_letters():
     theta, P, yhat = np.zeros(4), 0.01 * np.eye(4), np.zeros(122)
     past = np.concatenate((np.zeros(2), u))
     tracker = support.told_tracker(
-        OutputError(2, 2),
-        P=P,
-        Q=W,
-        R=1.0,
-        influence=Huber(k_eps),
-        scaling="unit",
-        gradient="pseudolinear",
+        OutputError(2, 2), P=P, Q=W, R=1.0, influence=Huber(k_eps), scaling="unit", gradient="pseudolinear",
         guard="none",
-    )
+    )  # fmt: skip
     result = tracker.run(y, u)
     for k in range(120):
         phi = np.array([-yhat[k + 1], -yhat[k], past[k + 1], past[k]])

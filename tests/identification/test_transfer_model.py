@@ -39,15 +39,12 @@ def test_the_true_one_passes_and_a_wrong_one_is_named():
     assert [row.name for row in compare({"late": late, "right": right}, y, u).rows] == ["right", "late"]
 
 
-@pytest.mark.parametrize(
-    "system, error, message",
-    [
-        (control.TransferFunction([1.0], [1.0, 1.0]), ValueError, "discrete time"),
-        (control.TransferFunction([[[1.0], [1.0]]], [[[1.0, 0.5], [1.0, 0.5]]], True), ValueError, "one input"),
-        (control.TransferFunction([1.0, 0.0, 0.0], [1.0, 0.5], True), ValueError, "proper"),
-        (3.0, TypeError, "StateSpaceModel or GreyBoxModel that identify found, or a control.TransferFunction"),
-    ],
-)
+@pytest.mark.parametrize("system, error, message", [
+    (control.TransferFunction([1.0], [1.0, 1.0]), ValueError, "discrete time"),
+    (control.TransferFunction([[[1.0], [1.0]]], [[[1.0, 0.5], [1.0, 0.5]]], True), ValueError, "one input"),
+    (control.TransferFunction([1.0, 0.0, 0.0], [1.0, 0.5], True), ValueError, "proper"),
+    (3.0, TypeError, "StateSpaceModel or GreyBoxModel that identify found, or a control.TransferFunction"),
+])  # fmt: skip
 def test_what_cannot_be_judged_is_refused(system, error, message):
     y, u = recorded(size=200)
     with pytest.raises(error, match=message):

@@ -133,18 +133,15 @@ def test_missing_samples_and_tables_are_taken():
         tracker().tuned(table.y.drop(table.index[9]), table.u.drop(table.index[9]), over={"Q": GRID})
 
 
-@pytest.mark.parametrize(
-    ("over", "error", "match"),
-    [
-        ({}, ValueError, "over: expected values of Q or forgetting"),
-        ({"R": [1.0]}, ValueError, "over: expected values of Q or forgetting"),
-        ([1e-6], TypeError, "over: expected values by name"),
-        ({"Q": 1e-6}, TypeError, r"over\['Q'\]: expected a sequence"),
-        ({"Q": []}, ValueError, r"over\['Q'\]: expected at least one"),
-        ({"Q": [-1.0]}, ValueError, "Q: expected"),
-        ({"forgetting": [1.5]}, ValueError, "forgetting: expected"),
-    ],
-)
+@pytest.mark.parametrize(("over", "error", "match"), [
+    ({}, ValueError, "over: expected values of Q or forgetting"),
+    ({"R": [1.0]}, ValueError, "over: expected values of Q or forgetting"),
+    ([1e-6], TypeError, "over: expected values by name"),
+    ({"Q": 1e-6}, TypeError, r"over\['Q'\]: expected a sequence"),
+    ({"Q": []}, ValueError, r"over\['Q'\]: expected at least one"),
+    ({"Q": [-1.0]}, ValueError, "Q: expected"),
+    ({"forgetting": [1.5]}, ValueError, "forgetting: expected"),
+])  # fmt: skip
 def test_what_cannot_be_tried_is_refused(over, error, match):
     with pytest.raises(error, match=match):
         tracker().tuned(*drifting_gain(), over=over)

@@ -197,20 +197,17 @@ def test_sampled_bands_come_again_and_follow_the_generator(ringing):
     assert upper(np.random.default_rng(1)) == upper(1) != upper()
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda m: m.frequency_response([4.0]), r"omega: .* pi/dt = 3.14"),
-        (lambda m: m.frequency_response([-0.1]), "omega"),
-        (lambda m: m.frequency_response([np.nan]), "omega"),
-        (lambda m: m.frequency_response([]), "omega"),
-        (lambda m: m.frequency_response([0.1], dt=0.0), "dt: expected"),
-        (lambda m: m.frequency_response([0.1], level=1.0), "level: expected"),
-        (lambda m: m.poles(level=0.0), "level: expected"),
-        (lambda m: m.step_response(0), "steps: expected"),
-        (lambda m: m.zeros(input=1), "input: expected 0 to 0"),
-    ],
-)
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda m: m.frequency_response([4.0]), r"omega: .* pi/dt = 3.14"),
+    (lambda m: m.frequency_response([-0.1]), "omega"),
+    (lambda m: m.frequency_response([np.nan]), "omega"),
+    (lambda m: m.frequency_response([]), "omega"),
+    (lambda m: m.frequency_response([0.1], dt=0.0), "dt: expected"),
+    (lambda m: m.frequency_response([0.1], level=1.0), "level: expected"),
+    (lambda m: m.poles(level=0.0), "level: expected"),
+    (lambda m: m.step_response(0), "steps: expected"),
+    (lambda m: m.zeros(input=1), "input: expected 0 to 0"),
+])  # fmt: skip
 def test_bad_arguments_are_refused_by_name(call, words, model):
     with pytest.raises(ValueError, match=words):
         call(model)

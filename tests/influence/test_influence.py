@@ -18,14 +18,10 @@ from robust_filterpy.influence.information import expected_information
 
 OURS = [Huber(), Huber(0.5), Linear(), Hampel(), Hampel(1.5, 3.5, 8.0), TukeyBiweight(), StudentT(), StudentT(1.5)]
 PAIRS = [
-    (Huber(1.345), norms.HuberT(1.345)),
-    (Huber(0.7), norms.HuberT(0.7)),
-    (Linear(), norms.LeastSquares()),
-    (Hampel(2.0, 4.0, 8.0), norms.Hampel(2.0, 4.0, 8.0)),
-    (Hampel(1.0, 1.5, 9.0), norms.Hampel(1.0, 1.5, 9.0)),
-    (TukeyBiweight(4.685), norms.TukeyBiweight(4.685)),
-    (TukeyBiweight(2.0), norms.TukeyBiweight(2.0)),
-]
+    (Huber(1.345), norms.HuberT(1.345)), (Huber(0.7), norms.HuberT(0.7)), (Linear(), norms.LeastSquares()),
+    (Hampel(2.0, 4.0, 8.0), norms.Hampel(2.0, 4.0, 8.0)), (Hampel(1.0, 1.5, 9.0), norms.Hampel(1.0, 1.5, 9.0)),
+    (TukeyBiweight(4.685), norms.TukeyBiweight(4.685)), (TukeyBiweight(2.0), norms.TukeyBiweight(2.0)),
+]  # fmt: skip
 ids = repr
 
 # Irrational spacing, so that no point falls on a kink.
@@ -188,12 +184,7 @@ def test_student_is_the_score_of_its_density():
 
 @pytest.mark.parametrize(
     "influence, expected",
-    [
-        (Linear(), 1.0),
-        (Huber(np.inf), 1.0),
-        (TukeyBiweight(4.685), None),
-        (Hampel(2.0, 4.0, 8.0), None),
-    ],
+    [(Linear(), 1.0), (Huber(np.inf), 1.0), (TukeyBiweight(4.685), None), (Hampel(2.0, 4.0, 8.0), None)],
     ids=ids,
 )
 def test_expected_information_under_the_normal_distribution(influence, expected):
@@ -237,34 +228,15 @@ def test_says_what_it_is():
     assert Huber(1.0) != Huber(2.0)
 
 
-@pytest.mark.parametrize(
-    "build",
-    [
-        lambda: Huber(0),
-        lambda: Huber(-1.0),
-        lambda: Huber(np.nan),
-        lambda: Huber("1"),
-        lambda: Huber([1.0, 2.0]),
-        lambda: Huber.from_contamination(1.0),
-        lambda: Huber.from_contamination(-0.1),
-        lambda: Huber.from_contamination(np.nan),
-        lambda: Huber.from_contamination("a"),
-        lambda: Huber.from_efficiency(0.6),
-        lambda: Huber.from_efficiency(1.1),
-        lambda: Huber.from_efficiency(np.nan),
-        lambda: TukeyBiweight(0.0),
-        lambda: TukeyBiweight(-2.0),
-        lambda: TukeyBiweight(np.nan),
-        lambda: StudentT(0.0),
-        lambda: StudentT(-1.0),
-        lambda: StudentT(np.nan),
-        lambda: Hampel(4.0, 2.0, 8.0),
-        lambda: Hampel(2.0, 9.0, 8.0),
-        lambda: Hampel(0.0, 4.0, 8.0),
-        lambda: Hampel(-1.0, 4.0, 8.0),
-        lambda: Hampel(np.nan, 4.0, 8.0),
-    ],
-)
+@pytest.mark.parametrize("build", [
+    lambda: Huber(0), lambda: Huber(-1.0), lambda: Huber(np.nan), lambda: Huber("1"), lambda: Huber([1.0, 2.0]),
+    lambda: Huber.from_contamination(1.0), lambda: Huber.from_contamination(-0.1),
+    lambda: Huber.from_contamination(np.nan), lambda: Huber.from_contamination("a"), lambda: Huber.from_efficiency(0.6),
+    lambda: Huber.from_efficiency(1.1), lambda: Huber.from_efficiency(np.nan), lambda: TukeyBiweight(0.0),
+    lambda: TukeyBiweight(-2.0), lambda: TukeyBiweight(np.nan), lambda: StudentT(0.0), lambda: StudentT(-1.0),
+    lambda: StudentT(np.nan), lambda: Hampel(4.0, 2.0, 8.0), lambda: Hampel(2.0, 9.0, 8.0),
+    lambda: Hampel(0.0, 4.0, 8.0), lambda: Hampel(-1.0, 4.0, 8.0), lambda: Hampel(np.nan, 4.0, 8.0),
+])  # fmt: skip
 def test_refuses(build):
     with pytest.raises((ValueError, TypeError), match="expected"):
         build()

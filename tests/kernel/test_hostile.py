@@ -128,12 +128,8 @@ ENTRIES = ("predict", "correct", "predict_mixture", "correct_mixture")
 def ordinary(options, n, m, seed):
     kf = support.make(RobustKalmanFilter, support.random_problem(seed % 7, n, m, 1), 1 + seed % 2, **options)
     told = {
-        "u": np.ones(1),
-        "z": np.arange(float(m)),
-        "told R": kf.R.copy(),
-        "told H": kf.H.copy(),
-        "M": np.zeros((n, m)),
-    }
+        "u": np.ones(1), "z": np.arange(float(m)), "told R": kf.R.copy(), "told H": kf.H.copy(), "M": np.zeros((n, m)),
+    }  # fmt: skip
     kf.predict()
     kf.update(told["z"])
     return kf, told

@@ -185,16 +185,12 @@ def test_linear_sensors_that_are_out_of_the_ordinary_are_declined(place, bad):
             np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize(
-    "update",
-    [
-        lambda kf, k: kf.update([1.0, 2.0], kf.R.copy(), kf.H.copy()),
-        lambda kf, k: kf.update([1.0, 2.0], kf.R.tolist(), kf.H.tolist()),
-        lambda kf, k: kf.update([1.0], 0.5, [[1.0 + k, 0.0, 0.0]]),
-        lambda kf, k: kf.update([1.0], np.eye(1), kf.H[k % 2 : k % 2 + 1]),
-    ],
-    ids=["arrays", "lists", "another H each time", "sensors in turn"],
-)
+@pytest.mark.parametrize("update", [
+    lambda kf, k: kf.update([1.0, 2.0], kf.R.copy(), kf.H.copy()),
+    lambda kf, k: kf.update([1.0, 2.0], kf.R.tolist(), kf.H.tolist()),
+    lambda kf, k: kf.update([1.0], 0.5, [[1.0 + k, 0.0, 0.0]]),
+    lambda kf, k: kf.update([1.0], np.eye(1), kf.H[k % 2 : k % 2 + 1]),
+], ids=["arrays", "lists", "another H each time", "sensors in turn"])  # fmt: skip
 def test_an_h_that_is_passed_needs_no_definition(update, monkeypatch):
     kf = RobustKalmanFilter(3, 2)
     kf.H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

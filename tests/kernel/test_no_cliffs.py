@@ -21,12 +21,9 @@ OPTIONS = {
     "told, process told": {**TOLD, "process": Contaminated(0.05, 10.0)},
 }
 WAYS = {
-    "H": {"H": np.array([[1.0, 0.1], [0.3, 1.0]])},
-    "a row of H": {"H": np.array([[1.0, 0.2]]), "R": 0.3},
-    "R": {"R": np.array([[0.4, 0.1], [0.1, 0.3]])},
-    "M": {},
-    "F and Q": {},
-}
+    "H": {"H": np.array([[1.0, 0.1], [0.3, 1.0]])}, "a row of H": {"H": np.array([[1.0, 0.2]]), "R": 0.3},
+    "R": {"R": np.array([[0.4, 0.1], [0.1, 0.3]])}, "M": {}, "F and Q": {},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)

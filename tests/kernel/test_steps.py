@@ -215,21 +215,13 @@ def spoilt():
         pass
 
     return {
-        "integers": lambda a: np.round(a).astype(int),
-        "single precision": lambda a: a.astype(np.float32),
-        "other byte order": lambda a: a.astype(">f8"),
-        "strides": lambda a: np.repeat(a, 2, axis=0)[::2],
-        "a subclass": lambda a: a.view(Sub),
-        "a list": lambda a: a.tolist(),
-        "one axis more": lambda a: a[None],
-        "one row less": lambda a: a[:-1],
-        "None": lambda a: None,
-        "an object": lambda a: object(),
-        "NaN": lambda a: np.full_like(a, np.nan),
-        "infinity": lambda a: np.full_like(a, np.inf),
-        "objects": lambda a: a.astype(object),
-        "empty": lambda a: np.empty((0, 0)),
-    }
+        "integers": lambda a: np.round(a).astype(int), "single precision": lambda a: a.astype(np.float32),
+        "other byte order": lambda a: a.astype(">f8"), "strides": lambda a: np.repeat(a, 2, axis=0)[::2],
+        "a subclass": lambda a: a.view(Sub), "a list": lambda a: a.tolist(), "one axis more": lambda a: a[None],
+        "one row less": lambda a: a[:-1], "None": lambda a: None, "an object": lambda a: object(),
+        "NaN": lambda a: np.full_like(a, np.nan), "infinity": lambda a: np.full_like(a, np.inf),
+        "objects": lambda a: a.astype(object), "empty": lambda a: np.empty((0, 0)),
+    }  # fmt: skip
 
 
 # Of these matrices it makes float64: see the tests of kinds below.
@@ -368,12 +360,8 @@ KINDS = {
 def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise):
     plain, other = RobustKalmanFilter(2, 2, 1, noise=noise), RobustKalmanFilter(2, 2, 1, noise=noise)
     whole = {
-        "F": [[1, 1], [0, 1]],
-        "H": [[1, 0], [1, 2]],
-        "Q": [[2, 1], [1, 2]],
-        "R": [[3, 1], [1, 4]],
-        "B": [[1], [2]],
-    }
+        "F": [[1, 1], [0, 1]], "H": [[1, 0], [1, 2]], "Q": [[2, 1], [1, 2]], "R": [[3, 1], [1, 4]], "B": [[1], [2]],
+    }  # fmt: skip
     for name, values in whole.items():
         setattr(plain, name, np.array(values, dtype=float))
         setattr(other, name, KINDS[kind](np.array(values, dtype=float)))

@@ -160,20 +160,16 @@ def test_survives_pickling(noise):
     np.testing.assert_array_equal(twin.pdf(GRID), noise.pdf(GRID))
 
 
-@pytest.mark.parametrize(
-    "noise, expected",
-    [
-        (scipy.stats.norm(), 1.0),
-        (scipy.stats.norm(scale=3.0), 1 / 9),
-        (scipy.stats.norm(loc=5.0, scale=0.01), 1e4),
-        (scipy.stats.t(3), 4 / 6),
-        (scipy.stats.t(10), 11 / 13),
-        (scipy.stats.cauchy(), 0.5),
-        (scipy.stats.logistic(), 1 / 3),
-        (scipy.stats.laplace(), 1.0),
-    ],
-    ids=["norm", "norm-scale", "norm-shifted", "t3", "t10", "cauchy", "logistic", "laplace"],
-)
+@pytest.mark.parametrize("noise, expected", [
+    (scipy.stats.norm(), 1.0),
+    (scipy.stats.norm(scale=3.0), 1 / 9),
+    (scipy.stats.norm(loc=5.0, scale=0.01), 1e4),
+    (scipy.stats.t(3), 4 / 6),
+    (scipy.stats.t(10), 11 / 13),
+    (scipy.stats.cauchy(), 0.5),
+    (scipy.stats.logistic(), 1 / 3),
+    (scipy.stats.laplace(), 1.0),
+], ids=["norm", "norm-scale", "norm-shifted", "t3", "t10", "cauchy", "logistic", "laplace"])  # fmt: skip
 def test_fisher_information_in_closed_form(noise, expected):
     assert fisher_information(noise) == pytest.approx(expected, rel=1e-5)
 

@@ -43,11 +43,7 @@ def test_scales_come_back_within_ten_percent(contamination, draws):
     assert all(f.converged for f in found)
 
 
-@pytest.mark.parametrize(
-    "told",
-    by_night([(3.0, 3.0), (1e4, 1e-4), (0.4, 0.33), (1e-4, 1e4)], (1e4, 1e-4)),
-    ids=repr,
-)
+@pytest.mark.parametrize("told", by_night([(3.0, 3.0), (1e4, 1e-4), (0.4, 0.33), (1e-4, 1e4)], (1e4, 1e-4)), ids=repr)
 def test_where_the_search_begins_does_not_matter(told):
     """An AR(1) state: R = 0 with many outliers is a maximum too, 5 to 60 nats below."""
     rng, x, zs = np.random.default_rng(0), 0.0, np.empty(400)
@@ -160,16 +156,11 @@ def test_a_factor_that_the_data_do_not_determine_is_reported():
     assert found.Q[0, 0] < 1e-3
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        (dict(R="all"), "R: expected one of"),
-        (dict(R=[0, 1]), "R: expected True"),
-        (dict(Q=[0, 2]), "Q: expected groups numbered"),
-        (dict(contamination=1.0), "contamination"),
-        (dict(scale_ratio=0.5), "scale_ratio"),
-    ],
-)
+@pytest.mark.parametrize(("change", "match"), [
+    (dict(R="all"), "R: expected one of"), (dict(R=[0, 1]), "R: expected True"),
+    (dict(Q=[0, 2]), "Q: expected groups numbered"), (dict(contamination=1.0), "contamination"),
+    (dict(scale_ratio=0.5), "scale_ratio"),
+])  # fmt: skip
 def test_bad_options(change, match):
     with pytest.raises(ValueError, match=match):
         estimate_noise(guess(), np.zeros(50), **change)

@@ -8,16 +8,11 @@ import robust_filterpy
 from robust_filterpy import _lazy, batch, noise, testing
 
 
-@pytest.mark.parametrize(
-    "module, name, mend",
-    [
-        (robust_filterpy, "tune", "estimate_noise"),
-        (noise, "tune", "estimate_noise"),
-        (batch, "FilterBank", "filter_series"),
-        (robust_filterpy, "FilterBank", "filter_series"),
-        (testing, "check_tracker", "assert_tracks"),
-    ],
-)
+@pytest.mark.parametrize("module, name, mend", [
+    (robust_filterpy, "tune", "estimate_noise"), (noise, "tune", "estimate_noise"),
+    (batch, "FilterBank", "filter_series"), (robust_filterpy, "FilterBank", "filter_series"),
+    (testing, "check_tracker", "assert_tracks"),
+])  # fmt: skip
 def test_a_name_that_is_gone_says_what_does_the_same(module, name, mend):
     sentence = rf"^{module.__name__} has no `{name}`; .*{mend}"
     with pytest.raises(AttributeError, match=sentence):

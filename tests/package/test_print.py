@@ -125,11 +125,9 @@ def test_a_drawn_scenario_and_a_fusion_fit_a_screen():
 
 
 FILTERS = {
-    "default": {},
-    "patience": {"patience": 12, "scaling": "innovation"},
-    "told": {"noise": Contaminated()},
+    "default": {}, "patience": {"patience": 12, "scaling": "innovation"}, "told": {"noise": Contaminated()},
     "learnt": {"noise": "learnt", "process": "scales"},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("policy", FILTERS)

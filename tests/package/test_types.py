@@ -44,18 +44,12 @@ rf.diagnose(tracker, np.zeros(10), us=np.zeros(10))
 kf.scaling = "unit"
 """
 WRONG = {
-    "ParameterTracker(ARX(1, 1), Rr=0.25)": "Rr",
-    "tracker.runn(np.zeros(10))": "runn",
-    'RobustKalmanFilter(2, 1, scaling="foo")': "scaling",
-    'ParameterTracker(ARX(1, 1), guard="maybe")': "guard",
-    "kf.updat(1.0)": "updat",
-    "SameFilter(2, 1).RR": '"RR"',
-    "kf.R = object()": "R|expression has type|[Ii]ncompatible",
-    "kf.predict(v=1.0)": '"v"',
-    "rf.no_such_name": "no_such_name",
-    "series.y": '"y"',
+    "ParameterTracker(ARX(1, 1), Rr=0.25)": "Rr", "tracker.runn(np.zeros(10))": "runn",
+    'RobustKalmanFilter(2, 1, scaling="foo")': "scaling", 'ParameterTracker(ARX(1, 1), guard="maybe")': "guard",
+    "kf.updat(1.0)": "updat", "SameFilter(2, 1).RR": '"RR"', "kf.R = object()": "R|expression has type|[Ii]ncompatible",
+    "kf.predict(v=1.0)": '"v"', "rf.no_such_name": "no_such_name", "series.y": '"y"',
     'kf.scaling = "foo"': "scaling|foo|expression has type",
-}
+}  # fmt: skip
 
 
 def test_right_use_passes_and_wrong_use_fails(tmp_path):

@@ -76,9 +76,6 @@ def test_the_field_s_words_are_used():
 
 def test_the_tests_see_words_and_sentences():
     assert list(sentences("# A b\n\nOne `x` two. Three\nfour!\n\n* five\n* six (a).\n\n| a |\n")) == [
-        "One code two.",
-        "Three four!",
-        "five",
-        "six (a).",
-    ]
+        "One code two.", "Three four!", "five", "six (a).",
+    ]  # fmt: skip
     assert len(list(messages())) > 1000 and NOT_OURS.search("nobody told") and not NOT_OURS.search("given")

@@ -100,18 +100,12 @@ def test_equation_54_is_the_non_central_sample_autocovariance():
     np.testing.assert_allclose(sample_autocovariance(s, 8, mean=0), lag_sums(s, 8) / 30, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "words"),
-    [
-        (([], 0), ValueError, "at least 1 number"),
-        (([[1.0, 2.0]], 0), ValueError, "one-dimensional"),
-        (([1.0, np.nan], 0), ValueError, "index 1"),
-        (([1.0, 2.0], 2), ValueError, "at most 1"),
-        (([1.0, 2.0], -1), ValueError, "n_lags"),
-        (([1.0, 2.0], 1.0), TypeError, "n_lags"),
-        ((["a"], 0), TypeError, "real numbers"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "error", "words"), [
+    (([], 0), ValueError, "at least 1 number"), (([[1.0, 2.0]], 0), ValueError, "one-dimensional"),
+    (([1.0, np.nan], 0), ValueError, "index 1"), (([1.0, 2.0], 2), ValueError, "at most 1"),
+    (([1.0, 2.0], -1), ValueError, "n_lags"), (([1.0, 2.0], 1.0), TypeError, "n_lags"),
+    ((["a"], 0), TypeError, "real numbers"),
+])  # fmt: skip
 def test_sample_autocovariance_refuses(arguments, error, words):
     with pytest.raises(error, match=words):
         sample_autocovariance(*arguments)
@@ -128,16 +122,10 @@ def test_identical_to_the_steps_as_printed(m):
 
 @pytest.mark.pairwise
 @pytest.mark.parametrize("m", [1, 2, 4, 7])
-@pytest.mark.parametrize(
-    ("r", "levels"),
-    [
-        ([0.6, 0.2, -0.1], (-1, 1)),
-        ([1.0], (-1, 1)),
-        ([2.0, 0.7, 0.3, 0.1], (-2, 3)),
-        ([0.25, 0.1, 0.0, -0.1, 0.01], (0, 1)),
-        ([1.0, 0.0, 0.0, 0.0], (-1, 1)),
-    ],
-)
+@pytest.mark.parametrize(("r", "levels"), [
+    ([0.6, 0.2, -0.1], (-1, 1)), ([1.0], (-1, 1)), ([2.0, 0.7, 0.3, 0.1], (-2, 3)),
+    ([0.25, 0.1, 0.0, -0.1, 0.01], (0, 1)), ([1.0, 0.0, 0.0, 0.0], (-1, 1)),
+])  # fmt: skip
 def test_identical_to_the_steps_as_printed_at_other_levels_and_powers(r, levels, m):
     np.testing.assert_array_equal(receding_horizon_binary(r, 40, m, levels), steps_as_printed(r, 40, m, *levels))
 
@@ -238,31 +226,28 @@ def test_drawing_among_ties_costs_no_accuracy():
         assert np.sqrt(np.mean(error**2)) < 0.011
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "words"),
-    [
-        (([1.0, 0.1], 0), ValueError, "length"),
-        (([1.0, 0.1], 5.0), TypeError, "length"),
-        (([1.0, 0.1], 5, 0), ValueError, "horizon"),
-        (([1.0, 0.1], 5, 21), ValueError, r"horizon.*at most 20"),
-        (([1.0, 0.1], 5, True), TypeError, "horizon"),
-        (([1.0, 0.1], 5, 1, (1, -1)), ValueError, "levels.*a < b"),
-        (([1.0, 0.1], 5, 1, (1, 1)), ValueError, "levels"),
-        (([1.0, 0.1], 5, 1, (0, 1, 2)), ValueError, "levels"),
-        (([1.0, 0.1], 5, 1, (0, np.inf)), ValueError, "levels"),
-        (([1.01, 0.1], 5), ValueError, r"\(b - a\)\^2/4 = 1, got r_0 = 1.01"),
-        (([1.0, 0.1], 5, 1, (0, 1)), ValueError, r"\(b - a\)\^2/4 = 0.25"),
-        (([0.0, 0.0], 5), ValueError, "r_0 > 0"),
-        (([-1.0, 0.0], 5), ValueError, "r_0 > 0"),
-        (([1.0, 1.1], 5), ValueError, "positive semidefinite"),
-        (([1.0, 0.9, 0.1], 5), ValueError, "positive semidefinite.*Toeplitz"),
-        (([], 5), ValueError, "autocovariance"),
-        (([[1.0, 0.1]], 5), ValueError, "ravel"),
-        (([1.0, np.nan], 5), ValueError, "finite"),
-        ((["r"], 5), TypeError, "autocovariance"),
-        (([1.0, 0.1j], 5), TypeError, "autocovariance"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "error", "words"), [
+    (([1.0, 0.1], 0), ValueError, "length"),
+    (([1.0, 0.1], 5.0), TypeError, "length"),
+    (([1.0, 0.1], 5, 0), ValueError, "horizon"),
+    (([1.0, 0.1], 5, 21), ValueError, r"horizon.*at most 20"),
+    (([1.0, 0.1], 5, True), TypeError, "horizon"),
+    (([1.0, 0.1], 5, 1, (1, -1)), ValueError, "levels.*a < b"),
+    (([1.0, 0.1], 5, 1, (1, 1)), ValueError, "levels"),
+    (([1.0, 0.1], 5, 1, (0, 1, 2)), ValueError, "levels"),
+    (([1.0, 0.1], 5, 1, (0, np.inf)), ValueError, "levels"),
+    (([1.01, 0.1], 5), ValueError, r"\(b - a\)\^2/4 = 1, got r_0 = 1.01"),
+    (([1.0, 0.1], 5, 1, (0, 1)), ValueError, r"\(b - a\)\^2/4 = 0.25"),
+    (([0.0, 0.0], 5), ValueError, "r_0 > 0"),
+    (([-1.0, 0.0], 5), ValueError, "r_0 > 0"),
+    (([1.0, 1.1], 5), ValueError, "positive semidefinite"),
+    (([1.0, 0.9, 0.1], 5), ValueError, "positive semidefinite.*Toeplitz"),
+    (([], 5), ValueError, "autocovariance"),
+    (([[1.0, 0.1]], 5), ValueError, "ravel"),
+    (([1.0, np.nan], 5), ValueError, "finite"),
+    ((["r"], 5), TypeError, "autocovariance"),
+    (([1.0, 0.1j], 5), TypeError, "autocovariance"),
+])  # fmt: skip
 def test_what_no_binary_signal_can_have_is_refused(arguments, error, words):
     with pytest.raises(error, match=words):
         receding_horizon_binary(*arguments)
@@ -313,17 +298,11 @@ def test_prbs_from_another_state_is_the_same_cycle_shifted():
     np.testing.assert_array_equal(t, prbs(31, rng=2))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options", "error", "words"),
-    [
-        ((0,), {}, ValueError, "length"),
-        ((2.0,), {}, TypeError, "length"),
-        ((5, (1, 0)), {}, ValueError, "levels"),
-        ((5,), {"n_bits": 1}, ValueError, "n_bits"),
-        ((5,), {"n_bits": 33}, ValueError, "n_bits"),
-        ((5,), {"hold": 0}, ValueError, "hold"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "options", "error", "words"), [
+    ((0,), {}, ValueError, "length"), ((2.0,), {}, TypeError, "length"), ((5, (1, 0)), {}, ValueError, "levels"),
+    ((5,), {"n_bits": 1}, ValueError, "n_bits"), ((5,), {"n_bits": 33}, ValueError, "n_bits"),
+    ((5,), {"hold": 0}, ValueError, "hold"),
+])  # fmt: skip
 def test_prbs_refuses(arguments, options, error, words):
     with pytest.raises(error, match=words):
         prbs(*arguments, **options)

@@ -70,13 +70,9 @@ def random_states(n=50, seed=0):
     rng = np.random.default_rng(seed)
     for _ in range(n):
         yield (
-            rng.uniform(-0.037, 0.037),
-            rng.normal(0, 0.2),
-            rng.uniform(0.9e5, 5.5e5),
-            rng.uniform(0.9e5, 5.5e5),
-            rng.uniform(-1, 1),
-            rng.normal(0, 20),
-        )
+            rng.uniform(-0.037, 0.037), rng.normal(0, 0.2), rng.uniform(0.9e5, 5.5e5), rng.uniform(0.9e5, 5.5e5),
+            rng.uniform(-1, 1), rng.normal(0, 20),
+        )  # fmt: skip
 
 
 # --- the reduced flow function -----------------------------------------------------------------------------------
@@ -402,23 +398,20 @@ def test_motion_against_the_ports_carries_a_pressure_out_of_the_range():
 # --- bad input ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"bore": 0.0}, "bore: expected a finite number > 0, got 0.0"),
-        ({"mass": math.nan}, "mass"),
-        ({"rod": -1e-3}, "rod: expected a finite number >= 0"),
-        ({"rod": 0.02}, "rod: expected less than the bore"),
-        ({"supply_pressure": 0.9e5}, "pressures are absolute"),
-        ({"kappa": 1.0}, "kappa"),
-        ({"static_friction": 0.1}, "static_friction: expected at least"),
-        ({"laminar_ratio": 0.5}, "laminar_ratio"),
-        ({"laminar_ratio": 1.1}, "laminar_ratio"),
-        ({"dead_band": 1.0}, "dead_band: expected a fraction of the spool's stroke below 1, got 1.0"),
-        ({"dead_band": -0.1}, "dead_band: expected a finite number >= 0"),
-        ({"leakage_area": -1e-9}, "leakage_area: expected a finite number >= 0"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"bore": 0.0}, "bore: expected a finite number > 0, got 0.0"),
+    ({"mass": math.nan}, "mass"),
+    ({"rod": -1e-3}, "rod: expected a finite number >= 0"),
+    ({"rod": 0.02}, "rod: expected less than the bore"),
+    ({"supply_pressure": 0.9e5}, "pressures are absolute"),
+    ({"kappa": 1.0}, "kappa"),
+    ({"static_friction": 0.1}, "static_friction: expected at least"),
+    ({"laminar_ratio": 0.5}, "laminar_ratio"),
+    ({"laminar_ratio": 1.1}, "laminar_ratio"),
+    ({"dead_band": 1.0}, "dead_band: expected a fraction of the spool's stroke below 1, got 1.0"),
+    ({"dead_band": -0.1}, "dead_band: expected a finite number >= 0"),
+    ({"leakage_area": -1e-9}, "leakage_area: expected a finite number >= 0"),
+])  # fmt: skip
 def test_impossible_parameters_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         PneumaticParameters(**change)
@@ -431,23 +424,20 @@ def test_parameters_of_the_wrong_kind_are_refused():
         pneumatic_servo({"mass": 1})
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"alpha": 0.99}, r"alpha: expected values in \[1, 1.3997\], got 0.99"),
-        ({"alpha": 1.4}, "alpha"),
-        ({"beta": 0.07}, r"beta: expected values in \[0.075, 1.3297\]"),
-        ({"beta": math.nan}, "beta"),
-        ({"beta": ([0.0, 1.0], [0.3, 1.5])}, "beta: .* got 1.5"),
-        ({"beta": ([0.0, 0.0], [0.3, 0.5])}, "times of beta: .*increasing"),
-        ({"beta": ([0.0, 1.0], [0.3])}, "beta: expected as many values as times"),
-        ({"beta": (0.3,)}, "beta: expected a pair"),
-        ({"supply": 0.9e5}, r"supply: expected values in \[100000, inf\], got 90000"),
-        ({"outputs": ["position", "force"]}, "outputs: expected names"),
-        ({"outputs": "position"}, "outputs"),
-        ({"outputs": []}, "outputs"),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    ({"alpha": 0.99}, r"alpha: expected values in \[1, 1.3997\], got 0.99"),
+    ({"alpha": 1.4}, "alpha"),
+    ({"beta": 0.07}, r"beta: expected values in \[0.075, 1.3297\]"),
+    ({"beta": math.nan}, "beta"),
+    ({"beta": ([0.0, 1.0], [0.3, 1.5])}, "beta: .* got 1.5"),
+    ({"beta": ([0.0, 0.0], [0.3, 0.5])}, "times of beta: .*increasing"),
+    ({"beta": ([0.0, 1.0], [0.3])}, "beta: expected as many values as times"),
+    ({"beta": (0.3,)}, "beta: expected a pair"),
+    ({"supply": 0.9e5}, r"supply: expected values in \[100000, inf\], got 90000"),
+    ({"outputs": ["position", "force"]}, "outputs: expected names"),
+    ({"outputs": "position"}, "outputs"),
+    ({"outputs": []}, "outputs"),
+])  # fmt: skip
 def test_impossible_options_of_the_servo_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         pneumatic_servo(**options)

@@ -290,36 +290,33 @@ def test_a_heavy_load_is_held_by_the_gains_that_its_mass_asks_for():
 # --- bad input ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"reference": []}, "reference: expected a non-empty"),
-        ({"reference": [[0.0]]}, "reference"),
-        ({"reference": [0.0, math.nan]}, "reference: expected finite positions, got nan at 1"),
-        ({"reference": [0.0, 0.2]}, "reference: expected positions within the stroke"),
-        ({"reference": lambda t: 0.0}, "duration: expected at least dt"),
-        ({"duration": 1.0}, "duration: expected None"),
-        ({"dt": 0.0}, "dt: expected a finite number > 0, got 0.0"),
-        ({"rtol": -1.0}, "rtol"),
-        ({"gain": -1.0}, "gain: expected a finite number >= 0"),
-        ({"damping": math.inf}, "damping"),
-        ({"alpha": 1.5}, "alpha: expected values in"),
-        ({"alpha": [1.1, 1.2]}, "alpha: expected one value for each of the 5 samples"),
-        ({"beta": lambda t: 0.3 - 10 * t}, r"beta\(0.03\): expected values in"),
-        ({"compensation": 1.1}, r"compensation: expected a share of the dead band in \[0, 1\], got 1.1"),
-        ({"supply": 0.5e5}, "supply: expected values in"),
-        ({"supply": [5e5, 5e5]}, "supply: expected one value for each of the 5 samples"),
-        ({"noise": np.zeros(5)}, r"noise: expected finite numbers of shape \(5, 3\), .* got shape \(5,\)"),
-        ({"noise": np.full((5, 3), math.nan)}, "noise: expected finite numbers"),
-        ({"observer": lambda z, u: (math.nan, 0.0)}, "observer: expected a finite position .* at sample 0"),
-        ({"load": math.nan}, "load"),
-        ({"load": math.inf}, "load: expected finite values"),
-        ({"load": 1e4}, "load: expected forces that the piston can overcome"),
-        ({"initial": [0.0, 0.0]}, "initial: expected 4 finite numbers"),
-        ({"initial": [0.0, 0.0, 0.0, 3e5]}, "initial: expected positive absolute pressures"),
-        ({"initial": [1.0, 0.0, 3e5, 3e5]}, "initial: expected a position within"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"reference": []}, "reference: expected a non-empty"),
+    ({"reference": [[0.0]]}, "reference"),
+    ({"reference": [0.0, math.nan]}, "reference: expected finite positions, got nan at 1"),
+    ({"reference": [0.0, 0.2]}, "reference: expected positions within the stroke"),
+    ({"reference": lambda t: 0.0}, "duration: expected at least dt"),
+    ({"duration": 1.0}, "duration: expected None"),
+    ({"dt": 0.0}, "dt: expected a finite number > 0, got 0.0"),
+    ({"rtol": -1.0}, "rtol"),
+    ({"gain": -1.0}, "gain: expected a finite number >= 0"),
+    ({"damping": math.inf}, "damping"),
+    ({"alpha": 1.5}, "alpha: expected values in"),
+    ({"alpha": [1.1, 1.2]}, "alpha: expected one value for each of the 5 samples"),
+    ({"beta": lambda t: 0.3 - 10 * t}, r"beta\(0.03\): expected values in"),
+    ({"compensation": 1.1}, r"compensation: expected a share of the dead band in \[0, 1\], got 1.1"),
+    ({"supply": 0.5e5}, "supply: expected values in"),
+    ({"supply": [5e5, 5e5]}, "supply: expected one value for each of the 5 samples"),
+    ({"noise": np.zeros(5)}, r"noise: expected finite numbers of shape \(5, 3\), .* got shape \(5,\)"),
+    ({"noise": np.full((5, 3), math.nan)}, "noise: expected finite numbers"),
+    ({"observer": lambda z, u: (math.nan, 0.0)}, "observer: expected a finite position .* at sample 0"),
+    ({"load": math.nan}, "load"),
+    ({"load": math.inf}, "load: expected finite values"),
+    ({"load": 1e4}, "load: expected forces that the piston can overcome"),
+    ({"initial": [0.0, 0.0]}, "initial: expected 4 finite numbers"),
+    ({"initial": [0.0, 0.0, 0.0, 3e5]}, "initial: expected positive absolute pressures"),
+    ({"initial": [1.0, 0.0, 3e5, 3e5]}, "initial: expected a position within"),
+])  # fmt: skip
 def test_impossible_experiments_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         simulate_servo(**{"reference": np.zeros(5), "dt": 0.01, **change})
@@ -338,38 +335,32 @@ def test_a_failing_solver_is_not_passed_over(monkeypatch):
         simulate_servo(np.full(5, 0.01), 0.01)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"velocity": 10.0}, "velocity: expected what the valve can feed"),
-        ({"velocity": 1e-6}, "velocity: expected faster than the leakage moves air"),
-        ({"velocity": math.nan}, "velocity: expected a finite number"),
-        ({"position": 0.05}, "position: expected within"),
-        ({"load": 500.0}, "load: expected forces"),
-        ({"load": -500.0, "velocity": -0.05}, "load: expected forces"),
-        ({"alpha": 2.0}, "alpha"),
-        ({"beta": 0.0}, "beta"),
-        ({"dt": 0.0}, "dt: expected a finite number > 0"),
-        ({"friction": "none"}, "friction: expected one of 'full', 'viscous', got 'none'"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"velocity": 10.0}, "velocity: expected what the valve can feed"),
+    ({"velocity": 1e-6}, "velocity: expected faster than the leakage moves air"),
+    ({"velocity": math.nan}, "velocity: expected a finite number"),
+    ({"position": 0.05}, "position: expected within"),
+    ({"load": 500.0}, "load: expected forces"),
+    ({"load": -500.0, "velocity": -0.05}, "load: expected forces"),
+    ({"alpha": 2.0}, "alpha"),
+    ({"beta": 0.0}, "beta"),
+    ({"dt": 0.0}, "dt: expected a finite number > 0"),
+    ({"friction": "none"}, "friction: expected one of 'full', 'viscous', got 'none'"),
+])  # fmt: skip
 def test_impossible_operating_points_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         linearize_servo(**{"dt": 0.01, **change})
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"name": "gamma"}, "name: expected"),
-        ({"low": 0.9}, "bounds of alpha: expected values in"),
-        ({"low": 1.3, "high": 1.2}, "expected low < high"),
-        ({"start": 1.0, "low": 1.1}, "start of alpha"),
-        ({"spread": -0.1}, "spread: expected a number >= 0"),
-        ({"t": [0.0, 0.0]}, "t: expected finite, strictly increasing"),
-        ({"t": []}, "t: expected a non-empty"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"name": "gamma"}, "name: expected"),
+    ({"low": 0.9}, "bounds of alpha: expected values in"),
+    ({"low": 1.3, "high": 1.2}, "expected low < high"),
+    ({"start": 1.0, "low": 1.1}, "start of alpha"),
+    ({"spread": -0.1}, "spread: expected a number >= 0"),
+    ({"t": [0.0, 0.0]}, "t: expected finite, strictly increasing"),
+    ({"t": []}, "t: expected a non-empty"),
+])  # fmt: skip
 def test_impossible_random_paths_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         random_coefficient(**{"name": "alpha", "t": [0.0, 1.0], **change})

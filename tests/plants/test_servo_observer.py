@@ -112,15 +112,12 @@ def test_an_outlier_cannot_throw_the_estimate_off_the_stroke():
     assert 0.075 <= observer.beta <= 1.3297
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((KalmanFilter(5, 3, 6), DT, STD), r"filter: expected dim_x, dim_z, dim_u = \(6, 3, 6\), got \(5, 3, 6\)"),
-        ((KalmanFilter(6, 3, 6), 0.0, STD), "dt: expected a finite number > 0"),
-        ((KalmanFilter(6, 3, 6), DT, [1.0, 1.0]), "std: expected 3 numbers > 0"),
-        ((KalmanFilter(6, 3, 6), DT, [1.0, 0.0, 1.0]), "std: expected 3 numbers > 0"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    ((KalmanFilter(5, 3, 6), DT, STD), r"filter: expected dim_x, dim_z, dim_u = \(6, 3, 6\), got \(5, 3, 6\)"),
+    ((KalmanFilter(6, 3, 6), 0.0, STD), "dt: expected a finite number > 0"),
+    ((KalmanFilter(6, 3, 6), DT, [1.0, 1.0]), "std: expected 3 numbers > 0"),
+    ((KalmanFilter(6, 3, 6), DT, [1.0, 0.0, 1.0]), "std: expected 3 numbers > 0"),
+])  # fmt: skip
 def test_impossible_observers_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         ServoObserver(*arguments)

@@ -153,17 +153,14 @@ def test_without_axes_there_is_a_new_figure(run):
     plt.close(ax.figure)
 
 
-@pytest.mark.parametrize(
-    ("call", "match"),
-    [
-        (lambda m, c: plotting.plot_states(m, c[:-1]), "covariances: expected shape"),
-        (lambda m, c: plotting.plot_states(m, c, t=[1.0]), "t: expected 120 times"),
-        (lambda m, c: plotting.plot_states(m, c, states=2), "states: expected numbers below 2"),
-        (lambda m, c: plotting.plot_states(m, c, names=["a"]), "names: expected 2"),
-        (lambda m, c: plotting.plot_states(m, c, truth=[1.0]), "truth: expected shape"),
-        (lambda m, c: plotting.figures.plot_fit(m[:, 0], m), "simulated: expected 120"),
-    ],
-)
+@pytest.mark.parametrize(("call", "match"), [
+    (lambda m, c: plotting.plot_states(m, c[:-1]), "covariances: expected shape"),
+    (lambda m, c: plotting.plot_states(m, c, t=[1.0]), "t: expected 120 times"),
+    (lambda m, c: plotting.plot_states(m, c, states=2), "states: expected numbers below 2"),
+    (lambda m, c: plotting.plot_states(m, c, names=["a"]), "names: expected 2"),
+    (lambda m, c: plotting.plot_states(m, c, truth=[1.0]), "truth: expected shape"),
+    (lambda m, c: plotting.figures.plot_fit(m[:, 0], m), "simulated: expected 120"),
+])  # fmt: skip
 def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
     before = plt.get_fignums()
     with pytest.raises(ValueError, match=match):

@@ -158,17 +158,13 @@ def test_a_run_has_the_names_and_the_dates_of_its_recording(recording):
     assert plotting.figures.plot_fit(recording.y, result.prediction).get_xlabel() == "time"
 
 
-@pytest.mark.parametrize(
-    ("index", "label"),
-    [
-        (pd.date_range("2024-03-30", periods=3, freq="h", tz="Europe/Berlin"), "time"),
-        (pd.period_range("2024-01", periods=3, freq="M"), "time"),
-        ([pd.Timestamp("2024-01-01").to_pydatetime()] * 3, "time"),
-        (pd.timedelta_range("0s", periods=3, freq="500ms"), "sample"),
-        (pd.RangeIndex(3), "sample"),
-    ],
-    ids=["hours of a place", "periods", "datetimes", "durations", "count"],
-)
+@pytest.mark.parametrize(("index", "label"), [
+    (pd.date_range("2024-03-30", periods=3, freq="h", tz="Europe/Berlin"), "time"),
+    (pd.period_range("2024-01", periods=3, freq="M"), "time"),
+    ([pd.Timestamp("2024-01-01").to_pydatetime()] * 3, "time"),
+    (pd.timedelta_range("0s", periods=3, freq="500ms"), "sample"),
+    (pd.RangeIndex(3), "sample"),
+], ids=["hours of a place", "periods", "datetimes", "durations", "count"])  # fmt: skip
 def test_times_of_all_kinds_stand_on_the_axis(index, label):
     ax = plotting.plot_weights(np.ones(3), t=index)
     assert ax.get_xlabel() == label

@@ -276,18 +276,15 @@ def test_bad_input_is_refused_by_name(change, match):
         smooth(kf, zs, **change)
 
 
-@pytest.mark.parametrize(
-    "change, match",
-    [
-        ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
-        ({"zs": np.zeros((2, 3, 0))}, "zs: expected shape"),
-        ({"zs": np.full((1, 2, 1), np.inf)}, "zs: expected finite"),
-        ({"x0": np.zeros((2, 1))}, "x0: expected shape .*x0.ravel"),
-        ({"P0": np.eye(3)}, "P0: expected shape"),
-        ({"Q": np.eye(3)}, "Q: expected shape"),
-        ({"F": np.full((2, 2), np.inf)}, "F: expected finite"),
-    ],
-)
+@pytest.mark.parametrize("change, match", [
+    ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
+    ({"zs": np.zeros((2, 3, 0))}, "zs: expected shape"),
+    ({"zs": np.full((1, 2, 1), np.inf)}, "zs: expected finite"),
+    ({"x0": np.zeros((2, 1))}, "x0: expected shape .*x0.ravel"),
+    ({"P0": np.eye(3)}, "P0: expected shape"),
+    ({"Q": np.eye(3)}, "Q: expected shape"),
+    ({"F": np.full((2, 2), np.inf)}, "F: expected finite"),
+])  # fmt: skip
 def test_bad_series_are_refused_by_name(change, match):
     arguments = {"zs": np.zeros((3, 4, 1)), "F": CART.F, "H": CART.H, "Q": CART.Q, "R": CART.R}
     with pytest.raises((TypeError, ValueError), match=match):

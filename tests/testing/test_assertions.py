@@ -246,31 +246,20 @@ def test_coverage_bounds_are_binomial():
     assert f"expected {low} to" in fails(lambda: assert_interval_coverage(runs(0.3), level=0.9))
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "match"),
-    [
-        (
-            lambda run: assert_tracks([run] * 3),
-            ValueError,
-            "at least 10 independent runs, got 3|runs: expected at least",
-        ),
-        (lambda run: assert_tracks([run] * 12, at_least=2.0), ValueError, "at_least: expected an efficiency"),
-        (lambda run: assert_tracks(run.theta), TypeError, "runs: expected a TrackerRun"),
-        (lambda run: assert_tracks([run] * 12, relative_to=[run]), ValueError, "relative_to"),
-        (lambda run: assert_interval_coverage(run, level=95), ValueError, "level: expected a probability"),
-        (lambda run: assert_interval_coverage(TrackerRun(run.theta, truth=run.truth)), ValueError, "std"),
-        (lambda run: assert_recovers_parameters(TrackerRun(run.theta, truth=run.truth)), ValueError, "scenario"),
-        (lambda run: TrackerRun(run.theta, truth=run.truth[:-1]), ValueError, r"truth: expected shape \(30, 4\)"),
-        (lambda run: TrackerRun(run.theta[0]), ValueError, r"theta: expected shape \(N, n\)"),
-        (lambda run: TrackerRun(run.theta).error, ValueError, "true parameters"),
-        (
-            lambda run: run_tracker(ParameterTracker(run.known.structure), draw("arx", 5, nothing=1)),
-            TypeError,
-            "nothing",
-        ),
-        (lambda run: assert_efficient([], at_least=1, relative_to=[]), TypeError, "runs"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "match"), [
+    (lambda run: assert_tracks([run] * 3), ValueError, "at least 10 independent runs, got 3|runs: expected at least"),
+    (lambda run: assert_tracks([run] * 12, at_least=2.0), ValueError, "at_least: expected an efficiency"),
+    (lambda run: assert_tracks(run.theta), TypeError, "runs: expected a TrackerRun"),
+    (lambda run: assert_tracks([run] * 12, relative_to=[run]), ValueError, "relative_to"),
+    (lambda run: assert_interval_coverage(run, level=95), ValueError, "level: expected a probability"),
+    (lambda run: assert_interval_coverage(TrackerRun(run.theta, truth=run.truth)), ValueError, "std"),
+    (lambda run: assert_recovers_parameters(TrackerRun(run.theta, truth=run.truth)), ValueError, "scenario"),
+    (lambda run: TrackerRun(run.theta, truth=run.truth[:-1]), ValueError, r"truth: expected shape \(30, 4\)"),
+    (lambda run: TrackerRun(run.theta[0]), ValueError, r"theta: expected shape \(N, n\)"),
+    (lambda run: TrackerRun(run.theta).error, ValueError, "true parameters"),
+    (lambda run: run_tracker(ParameterTracker(run.known.structure), draw("arx", 5, nothing=1)), TypeError, "nothing"),
+    (lambda run: assert_efficient([], at_least=1, relative_to=[]), TypeError, "runs"),
+])  # fmt: skip
 def test_bad_input_is_named(call, error, match):
     scenario = draw("fir", 30, rng=0)
     with pytest.raises(error, match=match):

@@ -185,32 +185,17 @@ def test_pytest_is_not_needed():
     assert done.stdout == "kept\n", done.stderr
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "match"),
-    [
-        (
-            lambda: check_filter(lambda n, m: None),
-            TypeError,
-            "make: expected a function of dim_x and dim_z .* got None",
-        ),
-        (lambda: check_filter(lambda n, m: KalmanFilter), TypeError, "make: expected"),
-        (
-            lambda: check_filter(lambda n, m: KalmanFilter(2, 1)),
-            ValueError,
-            r"make: expected x of 4 numbers from make\(4",
-        ),
-        (lambda: check_filter(KalmanFilter(4, 2)), TypeError, "make: expected a class or a function"),
-        (lambda: check_filter(KalmanFilter, not_claimed="robust"), TypeError, r"use \('robust',\)"),
-        (lambda: check_filter(KalmanFilter, not_claimed=["fast"]), ValueError, "not_claimed: expected one of"),
-        (
-            lambda: check_filter(KalmanFilter, expected_failures={"x": ""}),
-            ValueError,
-            "expected_failures: expected one",
-        ),
-        (lambda: filter_checks(false_alarm=1.0), ValueError, "false_alarm"),
-        (lambda: filter_checks(seed=-1), ValueError, "seed"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "match"), [
+    (lambda: check_filter(lambda n, m: None), TypeError, "make: expected a function of dim_x and dim_z .* got None"),
+    (lambda: check_filter(lambda n, m: KalmanFilter), TypeError, "make: expected"),
+    (lambda: check_filter(lambda n, m: KalmanFilter(2, 1)), ValueError, r"make: expected x of 4 numbers from make\(4"),
+    (lambda: check_filter(KalmanFilter(4, 2)), TypeError, "make: expected a class or a function"),
+    (lambda: check_filter(KalmanFilter, not_claimed="robust"), TypeError, r"use \('robust',\)"),
+    (lambda: check_filter(KalmanFilter, not_claimed=["fast"]), ValueError, "not_claimed: expected one of"),
+    (lambda: check_filter(KalmanFilter, expected_failures={"x": ""}), ValueError, "expected_failures: expected one"),
+    (lambda: filter_checks(false_alarm=1.0), ValueError, "false_alarm"),
+    (lambda: filter_checks(seed=-1), ValueError, "seed"),
+])  # fmt: skip
 def test_bad_input_is_named(call, error, match):
     with pytest.raises(error, match=match):
         call()

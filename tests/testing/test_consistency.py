@@ -46,18 +46,12 @@ def test_the_false_alarm_probability_is_what_it_says(assertion):
     assert 0.5 * low <= fails <= high, fails
 
 
-@pytest.mark.parametrize(
-    ("factors", "expected"),
-    [
-        ({"R": 0.1}, r"NIS mean .* expected 2 .* S is about \S+ times too small: R too small"),
-        (
-            {"Q": 0.01},
-            r"times too small: Q too small, or the state moves otherwise \(the innovations are correlated by",
-        ),
-        ({"R": 10.0}, r"times too large: R or Q too large"),
-        ({"Q": 1000.0}, r"times too large: R or Q too large"),
-    ],
-)
+@pytest.mark.parametrize(("factors", "expected"), [
+    ({"R": 0.1}, r"NIS mean .* expected 2 .* S is about \S+ times too small: R too small"),
+    ({"Q": 0.01}, r"times too small: Q too small, or the state moves otherwise \(the innovations are correlated by"),
+    ({"R": 10.0}, r"times too large: R or Q too large"),
+    ({"Q": 1000.0}, r"times too large: R or Q too large"),
+])  # fmt: skip
 def test_a_wrong_model_is_told_in_words_and_figures(factors, expected):
     run = told(draw("constant velocity", 500, rng=1), **factors)
     with pytest.raises(AssertionError, match=expected):
@@ -147,36 +141,30 @@ def test_correlation_at_a_later_lag_is_found():
     assert_innovations_white(run, lags=2)
 
 
-@pytest.mark.parametrize(
-    ("P", "expected"),
-    [
-        (np.array([[1.0, 0.0], [1e-3, 1.0]]), "not symmetric at step 0"),
-        (np.array([[1.0, 1.1], [1.1, 1.0]]), "no covariance at step 0: its least eigenvalue is -0.1"),
-        (np.array([[1e12, 1.1], [1.1, 1e-12]]), "no covariance"),
-        (np.array([[1.0, np.nan], [np.nan, 1.0]]), "NaN or infinity"),
-    ],
-)
+@pytest.mark.parametrize(("P", "expected"), [
+    (np.array([[1.0, 0.0], [1e-3, 1.0]]), "not symmetric at step 0"),
+    (np.array([[1.0, 1.1], [1.1, 1.0]]), "no covariance at step 0: its least eigenvalue is -0.1"),
+    (np.array([[1e12, 1.1], [1.1, 1e-12]]), "no covariance"),
+    (np.array([[1.0, np.nan], [np.nan, 1.0]]), "NaN or infinity"),
+])  # fmt: skip
 def test_what_is_no_covariance_is_told_whatever_the_units(P, expected):
     assert expected in words(assert_covariance_stays_one, P)
     assert_covariance_stays_one(np.diag([1e12, 1e-12]))
     assert_covariance_stays_one(draw("constant velocity", 20, rng=1).reference)
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "match"),
-    [
-        (lambda run: assert_consistent(np.zeros(3)), TypeError, "runs: expected a FilterRun, a Saver or a list"),
-        (lambda run: assert_consistent([]), TypeError, "runs"),
-        (lambda run: assert_consistent(run, factor=0.5), ValueError, "factor: expected a number >= 1"),
-        (lambda run: assert_consistent(run, false_alarm=0.0), ValueError, "false_alarm: expected a probability"),
-        (lambda run: assert_unbiased(FilterRun(run.y, run.S)), ValueError, "truth|P"),
-        (lambda run: assert_innovations_white(run, lags=0), ValueError, "lags"),
-        (lambda run: assert_covariance_stays_one(np.zeros(3)), ValueError, "P: expected shape"),
-        (lambda run: assert_covariance_stays_one(FilterRun(run.y, run.S)), ValueError, "P: expected a run"),
-        (lambda run: assert_consistent(FilterRun(run.y * np.nan, run.S)), ValueError, "at least one measurement"),
-        (lambda run: assert_consistent(FilterRun(run.y, -run.S)), AssertionError, "S of step 0 is no covariance"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "match"), [
+    (lambda run: assert_consistent(np.zeros(3)), TypeError, "runs: expected a FilterRun, a Saver or a list"),
+    (lambda run: assert_consistent([]), TypeError, "runs"),
+    (lambda run: assert_consistent(run, factor=0.5), ValueError, "factor: expected a number >= 1"),
+    (lambda run: assert_consistent(run, false_alarm=0.0), ValueError, "false_alarm: expected a probability"),
+    (lambda run: assert_unbiased(FilterRun(run.y, run.S)), ValueError, "truth|P"),
+    (lambda run: assert_innovations_white(run, lags=0), ValueError, "lags"),
+    (lambda run: assert_covariance_stays_one(np.zeros(3)), ValueError, "P: expected shape"),
+    (lambda run: assert_covariance_stays_one(FilterRun(run.y, run.S)), ValueError, "P: expected a run"),
+    (lambda run: assert_consistent(FilterRun(run.y * np.nan, run.S)), ValueError, "at least one measurement"),
+    (lambda run: assert_consistent(FilterRun(run.y, -run.S)), AssertionError, "S of step 0 is no covariance"),
+])  # fmt: skip
 def test_bad_input_is_named(call, error, match):
     with pytest.raises(error, match=match):
         call(draw("level", 20, rng=0).reference)
