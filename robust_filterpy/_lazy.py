@@ -27,7 +27,7 @@ _HOMES = (
     "filters RobustCubatureKalmanFilter RobustEnsembleKalmanFilter OutlierShareWarning",
     "correction.definition correct", "correction.options Choices", "correction.result Correction",
     "experiments.metrics Interval mean_square_error", "fleet.models Model", "fusion.motion Motion",
-    "identification.models.grey_box_model GreyBoxModel", "identification.models.results Coefficients TrackingResult",
+    "identification.models.grey_box GreyBoxModel", "identification.models.results Coefficients TrackingResult",
     "identification.models.state_space StateSpaceModel", "identification.models.structures Structure",
     "influence.functions Influence", "plants.drift random_walk stable", "plants.linear Simulation",
     "plants.excitation.signals bandlimited_pink_spectrum sample_autocovariance",

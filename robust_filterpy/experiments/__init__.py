@@ -11,7 +11,7 @@ from __future__ import annotations
 from robust_filterpy._lazy import elsewhere
 from robust_filterpy.experiments.metrics import bootstrap_interval
 from robust_filterpy.experiments.monte_carlo import monte_carlo, rerun
-from robust_filterpy.identification.models.fit import fit_percent
+from robust_filterpy.identification.models.noise import fit_percent
 
 __all__ = ["bootstrap_interval", "fit_percent", "monte_carlo", "rerun"]
 

@@ -15,7 +15,10 @@ from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.judging.compare import compare
 from robust_filterpy.identification.judging.select import select_structure
 from robust_filterpy.identification.judging.validate import validate
-from robust_filterpy.identification.models.constructors import (
+from robust_filterpy.identification.models.grey_box import GreyBox
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.state_space import StateSpace
+from robust_filterpy.identification.models.structures import (
     AR,
     ARMA,
     ARMAX,
@@ -25,9 +28,6 @@ from robust_filterpy.identification.models.constructors import (
     LinearRegression,
     OutputError,
 )
-from robust_filterpy.identification.models.grey_box import GreyBox
-from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.state_space_structure import StateSpace
 from robust_filterpy.identification.recursive.bank import TrackerBank
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning

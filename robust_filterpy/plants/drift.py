@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, count, finite_vector, matrix, numbers, positive
 from robust_filterpy._checks import covariance as require_covariance
-from robust_filterpy.identification.models.guard import is_stable
+from robust_filterpy.identification.models.regressor import is_stable
 
 #: Mean of theta in section 4 of the paper: na = nb = 4, nk = 1, poles .867 +- .139j and -.411 +- .363j.
 THETA_BAR: Array = np.array([-0.9131, -0.3523, 0.1118, 0.2318, -0.0413, 0.0766, 0.0115, 0.0647])

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.diagnostics.recording import is_saver
-from robust_filterpy.identification.models.fit import fit_percent
+from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.plotting import sources
 from robust_filterpy.plotting._style import (
     COLOURS,

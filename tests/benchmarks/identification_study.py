@@ -27,7 +27,7 @@ from padasip.filters import FilterRLS
 from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.estimation.prediction_error import minimised
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_output_error

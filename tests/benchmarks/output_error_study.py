@@ -17,7 +17,7 @@ from measuring import target
 from robust_filterpy import Contaminated, Huber, StudentT
 from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
-from robust_filterpy.identification.models.guard import GUARDS
+from robust_filterpy.identification.models.regressor import GUARDS
 from robust_filterpy.identification.recursive.tracker import GRADIENTS
 from robust_filterpy.influence import Linear
 from robust_filterpy.noise import fisher_information

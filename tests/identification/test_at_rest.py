@@ -17,7 +17,7 @@ from robust_filterpy.identification import (
     identify,
     validate,
 )
-from robust_filterpy.identification.models.fit import fit_percent
+from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.recursive.noise_scale import NoiseScale, followed, ordinary_mean
 from robust_filterpy.influence.regression import mad_scale, resolution, robust_regression, size_of
 

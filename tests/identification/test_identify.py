@@ -16,7 +16,7 @@ from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify
 from robust_filterpy.identification.estimation import prediction_error
 from robust_filterpy.identification.estimation.starts import output_error_starts
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence import Linear
 

@@ -6,7 +6,7 @@ from scipy.integrate import quad
 
 from robust_filterpy import Huber
 from robust_filterpy.correction.contaminated import START, Contaminated
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale
 

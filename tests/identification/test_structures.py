@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robust_filterpy.identification import AR, ARMA, ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
-from robust_filterpy.identification.models.guard import is_stable, restrained
+from robust_filterpy.identification.models.regressor import is_stable, restrained
 from robust_filterpy.identification.models.structures import Structure
 
 

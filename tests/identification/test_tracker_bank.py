@@ -9,7 +9,7 @@ import support
 
 from robust_filterpy import Contaminated, Huber
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
-from robust_filterpy.identification.models.guard import GUARDS
+from robust_filterpy.identification.models.regressor import GUARDS
 from robust_filterpy.identification.recursive import bank as bank_module
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS

@@ -8,7 +8,7 @@ from scipy.stats import norm
 from robust_filterpy import ARX, OutputError, ParameterTracker
 from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification import FIR
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.recursive.tuned import Tried, TunedTracker
 
 Q_TRUE = 1e-3

@@ -8,7 +8,7 @@ import support
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import ARX, FIR, BoxJenkins, OutputError, ParameterTracker
-from robust_filterpy.identification.models import gain
+from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.dependence import autocovariances, dependence
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning, _moved
 

@@ -10,7 +10,7 @@ from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, T
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.options import INFORMATIONS, SCALINGS
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
-from robust_filterpy.identification.models.guard import GUARDS
+from robust_filterpy.identification.models.regressor import GUARDS
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS

@@ -18,8 +18,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, response, touched
-from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence.regression import mad_scale
 

@@ -13,8 +13,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.guard import stabilised
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise
+from robust_filterpy.identification.models.regressor import stabilised
 
 __all__ = ["Colour", "colour_of", "evidence", "evidence_of_outputs"]
 

@@ -18,12 +18,10 @@ from robust_filterpy.identification.estimation.prediction_error import sandwich
 from robust_filterpy.identification.estimation.profile import profiled
 from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
 from robust_filterpy.identification.estimation.threads import one_thread
-from robust_filterpy.identification.models.beginnings import filled_memory, resting_level
-from robust_filterpy.identification.models.fit import least_variance, ordinary_fit, ordinary_samples
-from robust_filterpy.identification.models.learnt_noise import Noise
 from robust_filterpy.identification.models.model import Ending, Model
-from robust_filterpy.identification.models.polynomial_model import PolynomialModel
-from robust_filterpy.identification.models.several_recordings import SeveralRecordings, ends_of
+from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel, SeveralRecordings, ends_of
+from robust_filterpy.identification.models.prediction import filled_memory, resting_level
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence

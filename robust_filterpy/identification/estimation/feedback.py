@@ -13,8 +13,8 @@ from scipy.stats import f as fisher
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.estimate import Problem
-from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["feedback", "with_feedback"]

@@ -13,14 +13,15 @@ from robust_filterpy.identification.estimation.colour import evidence_of_outputs
 from robust_filterpy.identification.estimation.level import of_impulses
 from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
-from robust_filterpy.identification.models.findings import Finding
-from robust_filterpy.identification.models.fit import ROUNDING
-from robust_filterpy.identification.models.grey_box import GreyBox
-from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
-from robust_filterpy.identification.models.grey_box_recording import grey_recording, require_inputs
-from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals
-from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
+from robust_filterpy.identification.models.grey_box_residuals import (
+    GreyRecording,
+    GreyResiduals,
+    grey_recording,
+    require_inputs,
+)
+from robust_filterpy.identification.models.noise import ROUNDING, Noise, Noises
+from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.identification.models.signals import are_several, fingerprint, operating_point
 from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence

@@ -32,13 +32,11 @@ from robust_filterpy.identification.estimation.outputs import Outputs
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.estimation.wraps import with_wraps
-from robust_filterpy.identification.models.findings import Finding, said
-from robust_filterpy.identification.models.grey_box import GreyBox
-from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
+from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.results import Finding, said
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
-from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.identification.models.state_space_structure import StateSpace
+from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 

@@ -15,10 +15,10 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.trend import LAGS_OF_IMPULSES, PRICE, Break, Trend, impulse_output
-from robust_filterpy.identification.models import gain
+from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.dependence import LAGS, autocovariances, dependence, whitening_of
-from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = [

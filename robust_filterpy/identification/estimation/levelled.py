@@ -14,6 +14,7 @@ __all__ = ["Levelled"]
 
 class Levelled:
     """Residuals and their derivatives for an output less levels of sizes that are found with the model."""
+
     # The free parameters are those of the model, then the sizes.
 
     def __init__(self, model: PolynomialModel, columns: Array) -> None:

@@ -25,7 +25,7 @@ from robust_filterpy.identification.estimation.level import (
 )
 from robust_filterpy.identification.estimation.trend import PRICE, Break, Trend, piecewise_level
 from robust_filterpy.identification.estimation.wraps import wraps
-from robust_filterpy.identification.models.findings import Finding
+from robust_filterpy.identification.models.results import Finding
 
 __all__ = ["Outputs"]
 

@@ -16,8 +16,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.colour import colour_of
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.missing import CompletedModel
-from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.noise import Noise, Noises
 
 __all__ = ["Optimum", "minimised", "sandwich"]
 

@@ -19,7 +19,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.wandering import Place, Sections, wandered
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.uncertainty import principal_axes
 

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.findings import Finding
+from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.identification.models.signals import (
     are_several,
     measured_output,
@@ -21,7 +21,7 @@ from robust_filterpy.identification.models.signals import (
     recorded_input,
     require_squares,
 )
-from robust_filterpy.identification.models.state_space_structure import Signals
+from robust_filterpy.identification.models.state_space import Signals
 from robust_filterpy.identification.models.structures import Structure, input_columns
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.models.unmeasured import measurements, require_motion

@@ -27,11 +27,9 @@ from robust_filterpy.identification.estimation.starts import (
     regression_start,
     whitened,
 )
-from robust_filterpy.identification.models.constructors import OutputError
-from robust_filterpy.identification.models.fit import ROUNDING
-from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.polynomial_model import PolynomialModel
-from robust_filterpy.identification.models.several_recordings import SeveralRecordings
+from robust_filterpy.identification.models.noise import ROUNDING, Noise
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel, SeveralRecordings
+from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 
@@ -58,6 +56,7 @@ _UNMOVED: Final = 0.2
 
 class _Effort(NamedTuple):
     """How often outliers are looked for, steps of the parameters in between, turns of weights and steps at the end."""
+
     # Where no outlier is in a regressor, a step of so many standard deviations ends the search.
 
     cleanings: int

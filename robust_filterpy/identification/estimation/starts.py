@@ -19,8 +19,8 @@ from scipy.linalg import hankel, lstsq, toeplitz
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.guard import stabilised
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
+from robust_filterpy.identification.models.regressor import stabilised
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 
 __all__ = [

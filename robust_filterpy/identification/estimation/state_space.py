@@ -18,15 +18,12 @@ from robust_filterpy.identification.estimation.prediction_error import minimised
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.subspace import Start, impulse_start, predictor_start
 from robust_filterpy.identification.estimation.threads import one_thread
-from robust_filterpy.identification.models.fit import least_variance
-from robust_filterpy.identification.models.learnt_noise import Noise
-from robust_filterpy.identification.models.noise_of_outputs import Noises
+from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
+from robust_filterpy.identification.models.polynomial_model import ends_of
 from robust_filterpy.identification.models.reduction import balancing
-from robust_filterpy.identification.models.several_recordings import ends_of
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
-from robust_filterpy.identification.models.state_space import StateSpaceModel
+from robust_filterpy.identification.models.state_space import Signals, StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
-from robust_filterpy.identification.models.state_space_structure import Signals, StateSpace
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import size_of
 

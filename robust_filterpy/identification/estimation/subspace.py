@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.guard import mirrored
+from robust_filterpy.identification.models.regressor import mirrored
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
 from robust_filterpy.influence.regression import robust_regression
 

@@ -18,7 +18,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification.estimation.colour import evidence
 from robust_filterpy.identification.estimation.starts import robust_regression
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.influence.regression import mad_scale, resolution
 
 __all__ = ["LAGS_OF_IMPULSES", "PRICE", "Break", "Trend", "impulse_output", "piecewise_level"]

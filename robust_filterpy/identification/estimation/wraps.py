@@ -8,8 +8,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.estimate import Problem
-from robust_filterpy.identification.models.findings import Finding
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.results import Finding
 
 __all__ = ["with_wraps", "wraps"]
 

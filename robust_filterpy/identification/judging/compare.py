@@ -12,18 +12,16 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import Pictured
-from robust_filterpy.identification.judging.judged import any_model, signals_for
-from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
-from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
+from robust_filterpy.identification.judging.score import any_model, signals_for
+from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.signals import recorded_output
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.time_axis import table
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["Compared", "Comparison", "compare"]
 
 
 class Compared(NamedTuple):

@@ -33,20 +33,15 @@ from robust_filterpy.identification.estimation.cleaning import THRESHOLDS
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.estimation.level import Settled
 from robust_filterpy.identification.estimation.trend import PRICE, Trend
-from robust_filterpy.identification.judging.grid import Grid, Kind, Orders
-from robust_filterpy.identification.judging.selection import Candidate, ImpulseResponse, Selection
-from robust_filterpy.identification.models.constructors import FIR, OutputError
-from robust_filterpy.identification.models.findings import said
-from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
-from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
+from robust_filterpy.identification.judging.grid import Candidate, Grid, ImpulseResponse, Kind, Orders, Selection
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.noise import likelihood_of_mixture, ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.results import said
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
-from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.structures import FIR, OutputError, Structure
 from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import mad_scale
-
-__all__ = ["select_structure"]
 
 _CRITERIA: Final = {"bic": math.log, "aic": lambda samples: 2.0}
 # So many samples of the impulse response after the longest delay, and so many measured samples for each of them.

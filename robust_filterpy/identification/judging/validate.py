@@ -13,19 +13,24 @@ from scipy.stats import norm
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import Pictured
-from robust_filterpy.identification.judging.judged import Judged, any_model, signals_for
-from robust_filterpy.identification.judging.score import Portmanteau, Score, covariances, delayed
-from robust_filterpy.identification.models.fit import ordinary_fit, ordinary_samples
-from robust_filterpy.identification.models.grey_box_model import GreyBoxModel
+from robust_filterpy.identification.judging.score import (
+    Judged,
+    Portmanteau,
+    Score,
+    any_model,
+    covariances,
+    delayed,
+    signals_for,
+)
+from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.time_axis import table
 from robust_filterpy.identification.models.uncertainty import probability
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["Fit", "Validation", "Validations", "validate"]
 
 _RIGHT: Final = "nothing is left in the residuals"
 _DYNAMICS: Final = "right: residuals do not follow the inputs"

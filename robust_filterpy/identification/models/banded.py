@@ -13,8 +13,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.uncertainty import bands
 
-__all__ = ["Banded"]
-
 # What a row of parameters does, for each input: of shape (rows, n_inputs, points).
 _Rows = Callable[[Array], Any]
 

@@ -10,7 +10,7 @@ from scipy.linalg import logm
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.reduction import observer_form
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import table
@@ -18,8 +18,6 @@ from robust_filterpy.identification.models.uncertainty import Regions, regions
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["ContinuousModel", "continuous", "realized"]
 
 # A pole this near to the negative real axis, or to 0, is on it.
 _ON: Final = 1e-9

@@ -1,18 +1,41 @@
-"""The equations of a plant in continuous time: x' = f(x, u, p), y = h(x, u, p) + noise."""
+"""Equations of a plant in continuous time, x' = f(x, u, p), y = h(x, u, p) + noise, and their model of a recording."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals, Scale
+from robust_filterpy.identification.models.grey_box_residuals import (
+    Checked,
+    GreyRecording,
+    GreyResiduals,
+    Scale,
+    grey_recording,
+    require_inputs,
+)
+from robust_filterpy.identification.models.noise import Noise, Noises, fit_percent
+from robust_filterpy.identification.models.results import (
+    Estimated,
+    Finding,
+    Summary,
+    facts_of_outputs,
+    said,
+    summarized,
+)
+from robust_filterpy.identification.models.signals import trend_of
+from robust_filterpy.influence.regression import robust_regression
 
-__all__ = ["GreyBox"]
+# Steps towards the states in which a recording begins, and how often one is halved; less in -log of the likelihood is
+# no progress.
+_START_STEPS: Final = 20
+_HALVINGS: Final = 6
+_SETTLED: Final = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,3 +169,270 @@ class GreyBox:
             return x if h is None else h(x, u, whole(p))
 
         return GreyResiduals(f, outputs, recordings, *self.scales, starts, free_start, self.between == "lines")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GreyBoxModel(Estimated):
+    """A physical model as `identify` found it.
+
+    Attributes
+    ----------
+    structure : GreyBox
+        The equations.
+    p : dict of str to float
+        All parameters, those that were fixed too.
+    theta, std : ndarray, shape (k,)
+        The estimated ones, in the order of ``structure.free_names``, and their standard deviations.
+    P : ndarray, shape (k, k)
+        Their covariance.
+    starts : ndarray, shape (n_recordings, n)
+        States in the first samples.
+    noise : tuple of Noise
+        Of each output.
+    weights : ndarray, shape (N, n_outputs)
+        How much each sample was believed; NaN where it is missing.
+    log_likelihood : float
+        Of what is measured.
+    untold : tuple of tuple of str
+        Parameters that the recording cannot tell, or cannot tell from one another.
+    warning : str
+        What makes the estimate doubtful; empty if nothing does.
+    findings : tuple of Finding
+        What the recording has beside the model.
+    trends : tuple of (int, ndarray)
+        As of a `StateSpaceModel`.
+    colour : float
+        How many times as large standard deviations are as those of white residuals, which P counts.
+    """
+
+    structure: GreyBox
+    p: dict[str, float]
+    theta: Array
+    P: Array
+    starts: Array
+    noise: tuple[Noise, ...]
+    weights: Array
+    log_likelihood: float
+    untold: tuple[tuple[str, ...], ...]
+    warning: str
+    findings: tuple[Finding, ...] = ()
+    trends: tuple[tuple[int, Array], ...] = ()
+    colour: float = 1.0
+
+    @property
+    def R(self) -> Array:
+        """Variance of the ordinary noise of each output."""
+        return np.array([one.R for one in self.noise])
+
+    def __repr__(self) -> str:
+        """Show the estimated parameters with their standard deviations."""
+        beside = f"; found: {said(self.findings)}" if self.findings else ""
+        doubt = f"; doubtful: {self.warning}" if self.warning else ""
+        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + beside + doubt
+
+    def _summarized(self, level: float) -> Summary:
+        """Return the table, with what was found beside the parameters."""
+        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise, self.colour)
+        names = self.structure.free_names
+        return summarized("GreyBox", facts, names, self.theta, self.std, level, self.warning, said(self.findings))
+
+    def simulate(self, u: ArrayLike | None, t: ArrayLike, x0: ArrayLike | None = None) -> Array:
+        """Run the model on inputs alone.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,)
+            Times in s.
+        x0 : array_like, shape (n,), optional
+            States at the first of them. Default: those of the first recording.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
+        times = np.atleast_1d(_checks.numbers("t", t))
+        if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not np.isfinite(times).all():
+            raise ValueError("t: expected times that increase, of shape (N,)")
+        signal = np.zeros((times.size, 0)) if u is None else _checks.numbers("u", u).reshape(len(np.asarray(u)), -1)
+        if len(signal) != times.size:
+            raise ValueError(f"u: expected {times.size} samples like t, got {len(signal)}")
+        if not np.isfinite(signal).all():
+            k = int(np.argmin(np.isfinite(signal).all(axis=1)))
+            raise ValueError(f"u: expected finite numbers, got {signal[k]} in sample {k}; fill in what acted")
+        start = self.starts[0] if x0 is None else np.atleast_1d(_checks.numbers("x0", x0))
+        if start.shape != self.structure.x0.shape:
+            raise ValueError(f"x0: expected {self.structure.x0.size} states, got shape {start.shape}")
+        told = GreyRecording(times, np.zeros((times.size, len(self.noise))), signal)
+        require_inputs(self.structure, told, np.array([*self.p.values()]))
+        model = self.structure.residuals_of([told], start[None], False)
+        z = model.p.free(self.theta)
+        if not model.settled(z):
+            raise ValueError(
+                "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
+            )
+        return -model.residuals(z).reshape(times.size, -1)
+
+    def predict(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None, steps: int = 1) -> Array:
+        """Predict each output of a recording: from inputs alone, however far ahead, since equations have no noise.
+
+        Parameters
+        ----------
+        y, u, t
+            As in `free_run`.
+        steps : int, default 1
+            How many samples ahead, which is all the same.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+
+        Raises
+        ------
+        ValueError, TypeError
+            If they do not fit, the equations overflow, or steps is no positive integer.
+        """
+        _checks.count("steps", steps, 1)
+        return self.free_run(y, u, t)
+
+    def free_run(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
+        """Compute the outputs from inputs alone, beginning with the states that y tells.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Outputs, which tell the states in the first sample unless ``structure.start`` is "fixed"; NaN where one is
+            missing.
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,), optional
+            Times in s. Default: those of the index.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
+        told, residuals = self._left(y, u, t)
+        return told.recording.y - residuals
+
+    def residuals(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
+        """Return measured outputs less those from inputs alone.
+
+        Parameters
+        ----------
+        y, u, t
+            As in `free_run`.
+
+        Returns
+        -------
+        ndarray, shape (N, n_outputs)
+            NaN where y is missing.
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
+        told, residuals = self._left(y, u, t)
+        return np.where(told.known, residuals, np.nan)
+
+    def fit(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
+        """Compute how well the outputs from inputs alone agree with a recording.
+
+        Parameters
+        ----------
+        y, u, t
+            As in `free_run`.
+
+        Returns
+        -------
+        ndarray, shape (n_outputs,)
+            Percent, for each output; see `fit_percent`.
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, an output is constant, or the equations overflow.
+        """
+        told, residuals = self._left(y, u, t)
+        measured = np.where(told.known, told.recording.y, np.nan)
+        return np.atleast_1d(fit_percent(measured, told.recording.y - residuals))
+
+    def _left(self, y: Any, u: Any, t: Any) -> tuple[Checked, Array]:
+        """Return a checked recording, and what the outputs from inputs alone leave of it, of its shape."""
+        told, model, z = self.started(y, u, t)
+        return told, model.residuals(z).reshape(told.known.shape)
+
+    def started(self, y: Any, u: Any, t: Any) -> tuple[Checked, GreyResiduals, Array]:
+        """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Outputs; NaN where one is missing.
+        u : array_like, shape (N,) or (N, m), or None
+            Inputs.
+        t : array_like, shape (N,), or None
+            Times in s; None for those of the index.
+
+        Returns
+        -------
+        told : Checked
+        equations : GreyResiduals
+        z : ndarray
+
+        Raises
+        ------
+        ValueError
+            If they do not fit, or the equations overflow.
+        """
+        told = grey_recording(y, u, t)
+        shape, p = told.known.shape, np.array([*self.p.values()])
+        if shape[1] != len(self.noise):
+            raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
+        require_inputs(self.structure, told.recording, p)
+        rows, free = told.known.ravel(), self.structure.start == "free"
+        own = trend_of(self.trends, np.where(told.known, told.recording.y, np.nan))
+        recording = told.recording._replace(y=told.recording.y - own)
+        noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
+        ends: list[Any] = []
+        for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
+            model = self.structure.residuals_of([recording], start[None], free)
+            z = np.concatenate((model.p.free(self.theta), model.x.free(start) if free else []))
+            if model.settled(z):
+                z = _likeliest(model, z, noise, rows) if free else z
+                ends.append((noise.cost(model.residuals(z)[rows]), len(ends), model, z))
+        if not ends:
+            raise ValueError(
+                "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
+            )
+        return told, *min(ends)[2:]
+
+
+def _likeliest(model: GreyResiduals, z: Array, noise: Noises, rows: Any) -> Array:
+    """Return free parameters with the start at which the residuals are likeliest, the parameters as they are."""
+    size, cost = np.sqrt(noise.variance), noise.cost(model.residuals(z)[rows])
+    for _ in range(_START_STEPS):
+        J = model.jacobian(z)[rows, model.k :] / size[:, None]
+        step = np.zeros(z.size)
+        step[model.k :] = robust_regression(-J, model.residuals(z)[rows] / size)
+        before = cost
+        for share in 0.5 ** np.arange(_HALVINGS):
+            trial = model.residuals(z + share * step)[rows]
+            if np.isfinite(trial).all() and noise.cost(trial) < cost:
+                z, cost = z + share * step, noise.cost(trial)
+                break
+        if before - cost < _SETTLED:
+            break
+    return z

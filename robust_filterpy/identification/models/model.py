@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -13,29 +13,38 @@ from scipy.signal import lfilter
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array, count
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification.models import coefficients
-from robust_filterpy.identification.models.beginnings import filled_memory, held_input, motion_after, resting_level
+from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous, realized
-from robust_filterpy.identification.models.estimated import EstimatedPolynomials
-from robust_filterpy.identification.models.findings import Finding, said
-from robust_filterpy.identification.models.fit import fit_percent
-from robust_filterpy.identification.models.learnt_noise import Noise
+from robust_filterpy.identification.models.noise import Noise, fit_percent
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
-from robust_filterpy.identification.models.prediction import cleaned_residuals, predicted
+from robust_filterpy.identification.models.prediction import (
+    cleaned_residuals,
+    filled_memory,
+    held_input,
+    motion_after,
+    predicted,
+    resting_level,
+)
 from robust_filterpy.identification.models.reduction import balancing, observer_form, truncated
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.signals import measured_output, recorded_input, trend_of
-from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.summary import Summary, coloured, summarized
+from robust_filterpy.identification.models.results import (
+    EstimatedPolynomials,
+    Finding,
+    Summary,
+    coloured,
+    said,
+    summarized,
+)
+from robust_filterpy.identification.models.signals import measured_output, recorded_input, recorded_output, trend_of
+from robust_filterpy.identification.models.structures import OutputError, Structure
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.models.unmeasured import measurements
-from robust_filterpy.influence.regression import robust_regression
+from robust_filterpy.influence.functions import Huber
+from robust_filterpy.influence.regression import mad_scale, robust_regression
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["Ending", "Model"]
 
 # So many samples tell where noise that is summed up began.
 _FIRST_LEVEL: Final = 5
@@ -539,3 +548,43 @@ class Model(EstimatedPolynomials, Responses):
                 X, left = np.diff(X, axis=0), np.diff(left)
             y[model.first :] += motion @ robust_regression(X, left)
         return y
+
+
+def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
+    """Return a Model as it is, and one of a transfer function whose level and noise the recording tells; or raise."""
+    # Its parameters are taken as known for sure. The level is the median of what the transfer function leaves of y.
+    if isinstance(given, Model):
+        return given
+    if not (hasattr(given, "num_list") or hasattr(given, "num")) or not hasattr(given, "isdtime"):
+        raise TypeError(
+            f"{name}: expected a Model, StateSpaceModel or GreyBoxModel that identify found, or a "
+            f"control.TransferFunction, got {_checks.shown(given)}"
+        )
+    if not given.isdtime(strict=True):
+        raise ValueError(f"{name}: expected one in discrete time, got dt={given.dt}; use its sample(dt)")
+    if (given.ninputs, given.noutputs) != (1, 1):
+        raise ValueError(
+            f"{name}: expected a transfer function with one input and one output, got {given.ninputs} and "
+            f"{given.noutputs}"
+        )
+    b, a = (np.trim_zeros(np.asarray(part[0][0], dtype=float), "f") for part in (given.num, given.den))
+    if not 0 < b.size <= a.size:
+        raise ValueError(f"{name}: expected a transfer function that is proper and not 0, got {given}")
+    structure = OutputError(a.size - 1, b.size, a.size - b.size)
+    theta = np.concatenate((a[1:], b)) / a[0]
+    axis, y, u = recording(structure, y=y, u=u)
+    measured = recorded_output(y)
+    n, signal = structure.n_theta, recorded_input(structure, u, measured.size)
+    period = None if given.dt is True else float(given.dt)
+    axis.require_period(period)
+    model = Model(
+        structure, theta, 0.0, np.zeros((n, n)), 0.0, np.zeros(n), Noise(Huber(), 1.0), np.full(measured.size, np.nan),
+        np.nan, (), "", Memory.at_rest(Layout(structure)), True, period,
+    )  # fmt: skip
+    left = measured - model.simulate(signal)
+    left = left[~np.isnan(left)]
+    if not left.size:
+        return model
+    level = float(np.median(left))
+    R = max(mad_scale(left - level) ** 2, np.finfo(float).tiny)
+    return replace(model, offset=level, noise=Noise(Huber(), R))

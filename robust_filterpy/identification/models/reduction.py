@@ -13,8 +13,6 @@ from robust_filterpy._checks import Array
 if TYPE_CHECKING:
     import control
 
-__all__ = ["balancing", "observer_form", "truncated"]
-
 
 def observer_form(a: Array, numerators: Array) -> tuple[Array, Array, Array, Array]:
     """Return the matrices of b/(1 + a_1 q^-1 + ..) for each input."""

@@ -1,21 +1,168 @@
-"""What a recursion remembers between samples, as plain arrays: the past signals that phi is made of."""
+"""What stands in phi, what a recursion remembers of it, and what theta says: polynomials, stability, a simulation."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy.signal
 
+from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.structures import Structure
 
+#: What to do with a step of theta that leaves the stable region.
+Guard: TypeAlias = Literal["none", "reject", "halve"]
+GUARDS: Final[tuple[Guard, ...]] = ("none", "reject", "halve")
+# 2^-30 of a step is no step worth taking.
+MOST_HALVINGS: Final = 30
+_LARGEST_RADIUS: Final = 0.995
 # Beyond this the square of a signal, times P, leaves the range of floats.
 LARGEST: Final = 1e100
-
 # Standard deviations from which on an innovation makes its output one that a cleaned regressor replaces.
 CLEANED_FROM: Final = 3.0
+
+
+class PolynomialCoefficients(NamedTuple):
+    """Coefficients of a `Structure` that is none of the usual ones.
+
+    Attributes
+    ----------
+    a, f, c, d : ndarray
+        Without the leading 1s.
+    b : ndarray, or tuple of ndarray with several inputs
+        Coefficients of B.
+    """
+
+    a: Array
+    b: Any
+    f: Array
+    c: Array
+    d: Array
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
+
+class BoxJenkinsCoefficients(NamedTuple):
+    """Coefficients of y = B(q)/F(q) u + C(q)/D(q) v without the leading 1 of F, C and D.
+
+    Attributes
+    ----------
+    b : ndarray, shape (nb,), or tuple of ndarray
+        b_1 .. b_nb; with several inputs one array for each.
+    f : ndarray, shape (nf,)
+        f_1 .. f_nf.
+    c : ndarray, shape (nc,)
+        c_1 .. c_nc.
+    d : ndarray, shape (nd,)
+        d_1 .. d_nd.
+    """
+
+    b: Array | tuple[Array, ...]
+    f: Array
+    c: Array
+    d: Array
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
+
+class Coefficients(NamedTuple):
+    """Coefficients of A(q) y = B(q) u + C(q) v without the leading 1 of A and C.
+
+    Attributes
+    ----------
+    a : ndarray, shape (na,)
+        a_1 .. a_na.
+    b : ndarray, shape (nb,), or tuple of ndarray
+        b_1 .. b_nb; with several inputs one array for each.
+    c : ndarray, shape (nc,)
+        c_1 .. c_nc.
+    """
+
+    a: Array
+    b: Array | tuple[Array, ...]
+    c: Array
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
+
+def is_stable(coefficients: Sequence[float]) -> bool:
+    """Tell whether z^n + c_1 z^(n-1) + .. + c_n has all its roots strictly inside the unit circle.
+
+    Parameters
+    ----------
+    coefficients : sequence of float
+        c_1 .. c_n.
+
+    Returns
+    -------
+    bool
+        True for no coefficients at all, False for NaN.
+
+    Notes
+    -----
+    By the step-down recursion of Schur and Cohn, as Jury's table has it: stable if and only if every reflection
+    coefficient is inside (-1, 1).
+
+    Examples
+    --------
+    >>> is_stable([-1.5, 0.7]), is_stable([-2.5, 1.0])
+    (True, False)
+    """
+    c = list(coefficients)
+    while c:
+        k = c.pop()
+        # False for NaN as well.
+        if not -1.0 < k < 1.0:
+            return False
+        if c:
+            d = 1.0 - k * k
+            c = [(a - k * b) / d for a, b in zip(c, reversed(c), strict=True)]
+    return True
+
+
+def are_stable(theta: Array, parts: Sequence[slice]) -> bool:
+    """Tell whether each of some parts of theta is a stable polynomial."""
+    return all(is_stable(theta[part].tolist()) for part in parts)
+
+
+def mirrored(roots: Any) -> Any:
+    """Return roots, those outside a circle of radius .995 mirrored into it."""
+    radius = np.maximum(np.abs(roots), np.finfo(float).tiny)
+    return np.where(radius > _LARGEST_RADIUS, roots * np.minimum(_LARGEST_RADIUS, 1.0 / radius) / radius, roots)
+
+
+def stabilised(f: Array) -> Array:
+    """Return a polynomial, its leading 1 included, with its roots mirrored."""
+    roots = np.roots(f)
+    if (np.abs(roots) <= _LARGEST_RADIUS).all():
+        return f
+    stable = np.zeros(f.size)
+    stable[: roots.size + 1] = np.real(np.poly(mirrored(roots)))
+    return stable
+
+
+def restrained(theta: Array, old: Array, parts: Sequence[slice], guard: str) -> tuple[Array, int]:
+    """Return theta as far towards its new value as the guard lets it, and what the guard did."""
+    if guard == "none" or are_stable(theta, parts):
+        return theta, 0
+    if guard == "halve":
+        step = theta - old
+        for halvings in range(1, MOST_HALVINGS + 1):
+            step *= 0.5
+            shorter = old + step
+            if are_stable(shorter, parts):
+                return shorter, halvings
+    return old.copy(), -1
 
 
 def bounded(value: float) -> float:
@@ -27,6 +174,7 @@ def bounded(value: float) -> float:
 
 class Layout:
     """Where each signal stands in phi and in the memory of a structure."""
+
     # The inputs of all lags stand in one array, u(k), u(k-1), .. of the first input and then of the next, so that one
     # shift by one place makes them all a sample older.
 
@@ -164,3 +312,88 @@ def pushed(past: Array, newest: Array | float) -> Array:
     moved[1:] = past[:-1]
     moved[0] = newest
     return moved
+
+
+def coefficients(structure: Structure, theta: Array) -> Any:
+    """Split theta."""
+    if structure.takes_phi:
+        raise ValueError(f"{structure}: expected a model with a, b, c; the coefficients of your regressor are theta")
+    places = structure.polynomials
+    b = tuple(theta[place] for place in places.b)
+    first = b[0] if len(b) == 1 else b or theta[:0]
+    a, f, c, d = (theta[place] for place in (places.a, places.f, places.c, places.d))
+    if structure.form == "Structure" and structure.nf + structure.nd:
+        return PolynomialCoefficients(a, first, f, c, d)
+    if structure.form == "BoxJenkins":
+        return BoxJenkinsCoefficients(first, f, c, d)
+    return Coefficients(f if structure.form == "OutputError" else a, first, c)
+
+
+def denominator(structure: Structure, theta: Array) -> Array:
+    """Return A F, its leading 1 too."""
+    a, f = (np.concatenate(([1.0], theta[part])) for part in (structure.polynomials.a, structure.polynomials.f))
+    return np.convolve(a, f)
+
+
+def poles(structure: Structure, theta: Array) -> Any:
+    """Return the roots of A and F."""
+    return np.concatenate(
+        [np.roots([1.0, *theta[part]]) for part in (structure.polynomials.a, structure.polynomials.f)]
+    )
+
+
+def transfer_function(structure: Structure, theta: Array, dt: Any) -> Any:
+    """Return B/(A F) as a control.TransferFunction."""
+    import control
+
+    if structure.takes_phi:
+        coefficients(structure, theta)
+    if not structure.inputs:
+        raise ValueError(f"{structure}: expected a model with an input, this one has no transfer function")
+    if dt is not True and not (_is_number(dt) and 0.0 < dt < math.inf):
+        raise ValueError(f"dt: expected a sampling period > 0 in s, or True, got {dt!r}")
+    whole, numerators, denominators = denominator(structure, theta), [], []
+    for place, (nb, nk) in zip(structure.polynomials.b, structure.inputs, strict=True):
+        numerator = np.zeros(max(whole.size, nk + nb) if nb else whole.size)
+        numerator[nk : nk + nb] = theta[place]
+        numerators.append(numerator if numerator.any() else np.zeros(1))
+        denominators.append(np.pad(whole, (0, numerator.size - whole.size)))
+    return control.tf([numerators], [denominators], dt)
+
+
+def period(dt: Any, recorded: float | None) -> Any:
+    """Return the sampling period that was asked for; for "recorded" that of the recording, True if it is unknown."""
+    if not isinstance(dt, str) or dt != "recorded":
+        return dt
+    return True if recorded is None else recorded
+
+
+def _is_number(value: Any) -> bool:
+    """Tell whether value can be compared as a real number."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def simulate(structure: Structure, layout: Layout, memory: Memory, theta: Array, u: Array) -> Array:
+    """Run a model on its input alone, from what the memory holds; noise to come is 0."""
+    phi, _ = memory.regressors(layout, u)
+    forcing = phi.dot(theta)
+    c, noise = theta[layout.c], np.zeros(len(u))
+    # What noise is already in the memory goes on acting for nc samples.
+    for k in range(min(c.size, len(u))):
+        noise[k] = c[k:].dot(memory.residuals[: c.size - k])
+    with np.errstate(over="ignore", invalid="ignore"):
+        w = _fed_back(forcing, theta[layout.f], memory.undisturbed)
+        disturbance = _fed_back(noise, theta[layout.d], memory.outputs[layout.na :])
+        y = _fed_back(w + disturbance, theta[layout.a], memory.outputs[: layout.na])
+    if not np.isfinite(y).all():
+        k = int(np.argmin(np.isfinite(y)))
+        raise ValueError(f"theta: the output overflows at sample {k}: the model as it stands is unstable")
+    return y
+
+
+def _fed_back(forcing: Array, coefficients: Array, past: Array) -> Array:
+    """Return the output of 1/(1 + c_1 q^-1 + ..) that goes on from past outputs, with their minus sign."""
+    if not coefficients.size:
+        return forcing
+    a = np.concatenate(([1.0], coefficients))
+    return np.asarray(scipy.signal.lfilter([1.0], a, forcing, zi=scipy.signal.lfiltic([1.0], a, -past))[0])

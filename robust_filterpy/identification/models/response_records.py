@@ -15,8 +15,6 @@ from robust_filterpy.identification.models.time_axis import table
 if TYPE_CHECKING:
     import control
 
-__all__ = ["FrequencyResponse", "NoiseSpectrum", "StepResponse"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrequencyResponse(Pictured):

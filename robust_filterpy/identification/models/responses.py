@@ -11,14 +11,12 @@ from scipy.signal import lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.banded import Banded
-from robust_filterpy.identification.models.guard import is_stable
+from robust_filterpy.identification.models.regressor import is_stable
 from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.uncertainty import Regions, regions
-
-__all__ = ["Responses"]
 
 
 class Responses(Banded):

@@ -1,94 +1,60 @@
-"""What a tracker returns: one sample, a whole recording, coefficients, intervals."""
+"""What models and trackers tell: parameters with intervals, a table, samples, what a recording has beside them."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
 
-from robust_filterpy._brief import brief, lines_of
+from robust_filterpy._brief import brief, lines_of, wrapped
 from robust_filterpy._checks import Array, real
+from robust_filterpy._fill_values import FillValues
 from robust_filterpy._pictures import Pictured
+from robust_filterpy.identification.models import regressor as coefficients
+from robust_filterpy.identification.models.noise import Noise
+from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = [
-    "BoxJenkinsCoefficients",
-    "Coefficients",
-    "Intervals",
-    "PolynomialCoefficients",
-    "Sample",
-    "TrackingResult",
-]
+if TYPE_CHECKING:
+    import control
+
+_WIDTH: Final = 78
 
 
-class Coefficients(NamedTuple):
-    """Coefficients of A(q) y = B(q) u + C(q) v without the leading 1 of A and C.
+class Finding(NamedTuple):
+    """One thing that breaks an assumption of `identify`, and what was made of it.
 
     Attributes
     ----------
-    a : ndarray, shape (na,)
-        a_1 .. a_na.
-    b : ndarray, shape (nb,), or tuple of ndarray
-        b_1 .. b_nb; with several inputs one array for each.
-    c : ndarray, shape (nc,)
-        c_1 .. c_nc.
+    kind : str
+        "fill value", "stuck", "copy", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "wraps",
+        "closed loop".
+    text : str
+        In words, with time and size.
+    evidence : float
+        Twice the log-likelihood that it explains; NaN where it is no matter of likelihood.
+    place : tuple of int
+        First sample that it concerns, and the one after the last.
     """
 
-    a: Array
-    b: Array | tuple[Array, ...]
-    c: Array
-
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    kind: str
+    text: str
+    evidence: float
+    place: tuple[int, int]
 
 
-class BoxJenkinsCoefficients(NamedTuple):
-    """Coefficients of y = B(q)/F(q) u + C(q)/D(q) v without the leading 1 of F, C and D.
-
-    Attributes
-    ----------
-    b : ndarray, shape (nb,), or tuple of ndarray
-        b_1 .. b_nb; with several inputs one array for each.
-    f : ndarray, shape (nf,)
-        f_1 .. f_nf.
-    c : ndarray, shape (nc,)
-        c_1 .. c_nc.
-    d : ndarray, shape (nd,)
-        d_1 .. d_nd.
-    """
-
-    b: Array | tuple[Array, ...]
-    f: Array
-    c: Array
-    d: Array
-
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+def of_fill_values(fills: FillValues) -> tuple[Finding, ...]:
+    """Return the finding that y has fill values, or none."""
+    if not fills.values:
+        return ()
+    return (Finding("fill value", f"y has {fills.said}", float("nan"), (0, fills.signal.size)),)
 
 
-class PolynomialCoefficients(NamedTuple):
-    """Coefficients of a `Structure` that is none of the usual ones.
-
-    Attributes
-    ----------
-    a, f, c, d : ndarray
-        Without the leading 1s.
-    b : ndarray, or tuple of ndarray with several inputs
-        Coefficients of B.
-    """
-
-    a: Array
-    b: Any
-    f: Array
-    c: Array
-    d: Array
-
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+def said(findings: tuple[Finding, ...]) -> str:
+    """Return all findings in one sentence, empty if there are none."""
+    return "; ".join(finding.text for finding in findings)
 
 
 class Intervals(NamedTuple):
@@ -269,3 +235,265 @@ def intervals(theta: Array, std: Array, level: float) -> Intervals:
         raise ValueError(f"level: expected a number in (0, 1), got {level!r}")
     half = float(ndtri(0.5 * (1.0 + level))) * std
     return Intervals(theta - half, theta + half)
+
+
+class Estimate(NamedTuple):
+    """One parameter.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    estimate : float
+        Its value.
+    std : float
+        Its standard deviation.
+    z : float
+        Estimate over standard deviation: how far from 0 it is; NaN where the estimate is held, and has none.
+    lower, upper : float
+        Ends of its interval.
+    """
+
+    name: str
+    estimate: float
+    std: float
+    z: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Parameters with their uncertainty, and what was found beside them.
+
+    Attributes
+    ----------
+    title : str
+        The structure.
+    facts : dict of str to str
+        What was found beside the parameters.
+    rows : tuple of Estimate
+        The parameters.
+    level : float
+        Probability of each interval.
+    warning : str
+        What makes the estimates doubtful; empty if nothing does.
+    found : str
+        What the recording has beside the model and its noise; empty if nothing.
+    """
+
+    title: str
+    facts: dict[str, str]
+    rows: tuple[Estimate, ...]
+    level: float
+    warning: str
+    found: str = ""
+
+    def to_text(self) -> str:
+        """Return the table.
+
+        Returns
+        -------
+        str
+        """
+        half = _WIDTH // 2 - 1
+        cells = [f"{name + ':':<18}{value:>{half - max(len(name) + 1, 18)}}" for name, value in self.facts.items()]
+        pairs = zip(cells[::2], [*cells[1::2], ""][: len(cells[::2])], strict=True)
+        lower, upper = (f"{100 * edge:.4g} %" for edge in (0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level))
+        lines = [self.title.center(_WIDTH).rstrip(), "=" * _WIDTH, *(f"{a}  {b}".rstrip() for a, b in pairs)]
+        lines += ["-" * _WIDTH, f"{'':<12}{'estimate':>14}{'std':>13}{'z':>11}{lower:>14}{upper:>14}", "-" * _WIDTH]
+        for name, estimate, std, z, low, high in self.rows:
+            # A parameter that is told, or stands at a bound, or was not estimated, has nothing to be doubted.
+            short = f"{z:.1f}" if abs(z) < 1e6 else f"{z:.1e}"
+            sure = f"{'held':>13}" if std == 0.0 else f"{std:>13.3g}{short:>11}{low:>14.5g}{high:>14.5g}"
+            lines.append(f"{name:<12}{estimate:>14.5g}{sure}")
+        words = {"Found": self.found, "Doubtful": self.warning}
+        return "\n".join([*lines, "=" * _WIDTH, *(f"{name}: {text}" for name, text in words.items() if text)])
+
+    def to_frame(self) -> Any:
+        """Return the parameters as a pandas DataFrame, a row for each.
+
+        Returns
+        -------
+        pandas.DataFrame
+            estimate, std, z, lower, upper.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        columns = {field: [getattr(row, field) for row in self.rows] for field in Estimate._fields[1:]}
+        return table(columns, [row.name for row in self.rows], "parameter")
+
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
+
+    def __repr__(self) -> str:
+        """Return the table, which is what a prompt is to show."""
+        return self.to_text()
+
+
+def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, ...], colour: float) -> dict[str, str]:
+    """Return what a summary says of a model whose outputs have each a noise."""
+    known = int((~np.isnan(weights)).sum())
+    facts = {"Samples": f"{known} of {weights.size}", "Log-likelihood": f"{log_likelihood:.1f}"}
+    for j, one in enumerate(noise):
+        share = getattr(one.influence, "contamination", None)
+        beside = "" if share is None else f", {100 * share:.1f} % wild"
+        facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
+    return facts | coloured(colour)
+
+
+def coloured(colour: float) -> dict[str, str]:
+    """Return what a summary says of residuals that are not white."""
+    return {} if colour == 1.0 else {"Colored residuals": f"std times {colour:.2g}"}
+
+
+def summarized(
+    title: str,
+    facts: dict[str, str],
+    names: tuple[str, ...],
+    theta: Array,
+    std: Array,
+    level: float,
+    warning: str,
+    found: str = "",
+) -> Summary:
+    """Return the summary of parameters."""
+    lower, upper = intervals(theta, std, level)
+    z = np.divide(theta, std, out=np.full(np.shape(theta), np.nan), where=std != 0.0)
+    columns = (column.tolist() for column in (theta, std, z, lower, upper))
+    rows = tuple(Estimate(*row) for row in zip(names, *columns, strict=True))
+    return Summary(title, facts, rows, float(level), warning, found)
+
+
+class Estimated:
+    """Parameters with standard deviations: a model, a tracker, physics."""
+
+    theta: Any
+    P: Any
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (n,)."""
+        return np.sqrt(np.maximum(np.diagonal(self.P), 0.0))
+
+    def _valued(self, names: tuple[str, ...]) -> str:
+        """Return the parameters with their standard deviations, as a line shows them."""
+        each = zip(names, self.theta, self.std, strict=True)
+        return ", ".join(f"{name}={value:.4g}+-{std:.2g}" for name, value, std in each)
+
+    def __str__(self) -> str:
+        """Return what `repr` says, on lines that a screen holds."""
+        return wrapped(repr(self))
+
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std, z the normal quantile of the level.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of each interval, in (0, 1).
+
+        Returns
+        -------
+        Intervals
+            lower, upper, each of shape (n,).
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+
+        Notes
+        -----
+        Of a tracker as honest as its Q and R: P is the covariance for noise of variance R.
+        """
+        return intervals(self.theta, self.std, level)
+
+    def summary(self, level: float = 0.95) -> Summary:
+        """Return a table of the parameters with their uncertainty, and what was found beside them.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            As in `confidence_intervals`.
+
+        Returns
+        -------
+        Summary
+            It prints as a table.
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        """
+        return self._summarized(level)
+
+    def to_frame(self, level: float = 0.95) -> Any:
+        """Return the parameters as a pandas DataFrame, the table of `summary`.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            As in `confidence_intervals`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each: estimate, std, z, lower, upper.
+
+        Raises
+        ------
+        ValueError
+            If level is no probability.
+        ImportError
+            If pandas is not installed.
+        """
+        return self.summary(level).to_frame()
+
+    def _summarized(self, level: float) -> Summary:
+        """Return the table, with the facts that there are."""
+        raise NotImplementedError
+
+
+class EstimatedPolynomials(Estimated):
+    """The same with a structure: the parameters are coefficients of polynomials."""
+
+    structure: Structure
+    dt: float | None
+
+    @property
+    def coefficients(self) -> Any:
+        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
+        return coefficients.coefficients(self.structure, self.theta)
+
+    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
+        """Return the way from u to y, B(q)/A(q) or B(q)/F(q), as it stands.
+
+        Parameters
+        ----------
+        dt : float, True or "recorded", default "recorded"
+            Sampling period in s; True leaves it open. "recorded": as an index told it, True if none did.
+
+        Returns
+        -------
+        control.TransferFunction
+            One output and as many inputs as the structure has.
+
+        Raises
+        ------
+        ValueError
+            If the structure has no input, or a regressor of the caller's.
+
+        Examples
+        --------
+        >>> from robust_filterpy import ARX, ParameterTracker
+        >>> tf = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0]).transfer_function(dt=0.1)
+        >>> tf.poles().real, float(tf.dcgain())
+        (array([0.5]), 4.0)
+        """
+        return coefficients.transfer_function(self.structure, self.theta, coefficients.period(dt, self.dt))

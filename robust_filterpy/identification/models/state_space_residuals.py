@@ -15,8 +15,6 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["Matrices", "StateSpaceResiduals"]
-
 # Derivatives of so many samples at a time.
 _CHUNK: Final = 4096
 

@@ -9,18 +9,17 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models import coefficients
+from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.banded import Banded
 from robust_filterpy.identification.models.continuous import ContinuousModel, continuous
 from robust_filterpy.identification.models.reduction import truncated
 from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
-from robust_filterpy.identification.models.state_space_structure import StateSpace
 from robust_filterpy.identification.models.uncertainty import Regions, regions
 
 if TYPE_CHECKING:
     import control
 
-__all__ = ["StateSpaceSystem"]
+    from robust_filterpy.identification.models.state_space import StateSpace
 
 # A zero as far out is rounding of one at infinity.
 _INFINITE: Final = 1e6

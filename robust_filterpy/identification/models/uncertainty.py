@@ -21,8 +21,6 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.time_axis import table
 
-__all__ = ["Regions", "bands", "principal_axes", "probability", "regions"]
-
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
 _SAMPLES: Final = 2000

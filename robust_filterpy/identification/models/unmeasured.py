@@ -13,7 +13,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
-from robust_filterpy.identification.models.findings import Finding, of_fill_values
+from robust_filterpy.identification.models.results import Finding, of_fill_values
 
 __all__ = ["measurements", "require_motion"]
 

@@ -14,8 +14,8 @@ from robust_filterpy._checks import Array, numbers
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
-from robust_filterpy.identification.models import coefficients
-from robust_filterpy.identification.models.guard import GUARDS, Guard
+from robust_filterpy.identification.models import regressor as coefficients
+from robust_filterpy.identification.models.regressor import GUARDS, Guard
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import recording

@@ -9,8 +9,7 @@ import numpy as np
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.identification.models.guard import are_stable
-from robust_filterpy.identification.models.regressor import LARGEST
+from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.returning import checked

@@ -13,8 +13,15 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
-from robust_filterpy.identification.models.guard import are_stable, restrained
-from robust_filterpy.identification.models.regressor import CLEANED_FROM, Memory, bounded, gradient, pushed
+from robust_filterpy.identification.models.regressor import (
+    CLEANED_FROM,
+    Memory,
+    are_stable,
+    bounded,
+    gradient,
+    pushed,
+    restrained,
+)
 from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.conditioning import SHARP, repaired, tempering

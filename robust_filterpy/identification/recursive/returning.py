@@ -10,7 +10,7 @@ import numpy as np
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.models.guard import are_stable
+from robust_filterpy.identification.models.regressor import are_stable
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.state import READINGS, Form, require_plausible
 

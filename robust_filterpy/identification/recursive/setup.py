@@ -15,8 +15,8 @@ from robust_filterpy._warning import warn
 from robust_filterpy.filters.conversion import robust
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.shell import leave_unwatched
-from robust_filterpy.identification.models.guard import are_stable
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.regressor import are_stable
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Linear
 

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models import coefficients
-from robust_filterpy.identification.models.estimated import EstimatedPolynomials
-from robust_filterpy.identification.models.fit import fit_percent
-from robust_filterpy.identification.models.guard import Guard
-from robust_filterpy.identification.models.regressor import Layout, Memory
+from robust_filterpy.identification.models import regressor as coefficients
+from robust_filterpy.identification.models.noise import fit_percent
+from robust_filterpy.identification.models.regressor import Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import Responses
+from robust_filterpy.identification.models.results import EstimatedPolynomials, Summary, summarized
 from robust_filterpy.identification.models.signals import one_input, recorded_input
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.summary import Summary, summarized
 from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.recursion import Gradient, Regressor

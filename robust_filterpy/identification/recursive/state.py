@@ -13,9 +13,8 @@ import numpy as np
 from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
-from robust_filterpy.identification.models import gain
-from robust_filterpy.identification.models.guard import GUARDS
-from robust_filterpy.identification.models.regressor import Layout, Memory
+from robust_filterpy.identification.models import dependence as gain
+from robust_filterpy.identification.models.regressor import GUARDS, Layout, Memory
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.watch import Followed, Windows

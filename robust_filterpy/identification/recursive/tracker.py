@@ -19,9 +19,8 @@ from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.snapshot import put_back, snapshot
 from robust_filterpy.filters.states import go_on_beside, kept_beside, moved_shapes
-from robust_filterpy.identification.models.guard import GUARDS, Guard
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.regressor import Layout
+from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout
 from robust_filterpy.identification.models.results import Columns, Sample, TrackingResult
 from robust_filterpy.identification.models.signals import (
     filled_output,

@@ -20,7 +20,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import Pictured
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.models.learnt_noise import likelihood_of_mixture
+from robust_filterpy.identification.models.noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output
 from robust_filterpy.identification.models.time_axis import recording, table
 from robust_filterpy.influence.regression import mad_scale

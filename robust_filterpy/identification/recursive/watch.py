@@ -12,7 +12,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._documentation import STOPPED, pointer
 from robust_filterpy._warning import RobustFilterWarning
 from robust_filterpy.filters.notices import StuckSensorWarning
-from robust_filterpy.identification.models import gain
+from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.dependence import (
     CLIP,
     SHARE,

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from robust_filterpy import _checks
-from robust_filterpy.identification.models.guard import is_stable
+from robust_filterpy.identification.models.regressor import is_stable
 from robust_filterpy.testing.assertions.contracts import at_least_one, fail, probability
 from robust_filterpy.testing.assertions.robustness import ratio_of_errors
 from robust_filterpy.testing.scenarios.runs import TrackerRun, as_tracker_runs

@@ -1,0 +1,300 @@
+"""The noise that residuals show, and how well a model agrees with a recording.
+
+Huber's psi is the safest answer for a class of distributions. The noise of one recording is one member of it, which the
+residuals show: its own score loses nothing where there are no outliers and less than Huber's psi where there are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robust_filterpy._checks import Array
+from robust_filterpy.correction.contaminated import REACH, SETTLING_STEPS, START, Contaminated, maximised
+from robust_filterpy.influence.functions import Influence
+from robust_filterpy.influence.regression import mad_scale, moving_size, resolution, size_of
+
+#: What a model leaves of an output, in units of its size, that is rounding and tells nothing.
+ROUNDING: Final = 1e-12
+# Within so many standard deviations of the ordinary noise a sample is an ordinary one.
+_ORDINARY: Final = 3.0
+# What arithmetic loses of the largest values of a recording that else rests.
+_NUMBERS: Final = 3e-14
+
+
+def fit_percent(y: ArrayLike, y_model: ArrayLike, axis: int = 0) -> Any:
+    """Compute the normalised root-mean-square fit of a model's output.
+
+    ``100 (1 - ||y - y_model|| / ||y - mean(y)||)``: 100 is perfect, 0 no better than the mean, below 0 worse.
+
+    Parameters
+    ----------
+    y : array_like, shape (steps,), or with more axes for several outputs or runs
+        Measured output. NaN is a missing sample and does not count.
+    y_model : array_like, of the shape of `y`
+        Simulated or predicted output.
+    axis : int
+        The axis of time.
+
+    Returns
+    -------
+    float, or ndarray without the axis of time
+        Percent.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, or an output is constant (or wholly missing), for which the fit is undefined.
+
+    Examples
+    --------
+    >>> round(fit_percent([0.0, 2.0, 0.0, 2.0], [0.0, 1.0, 0.0, 1.0]), 1)
+    29.3
+    """
+    measured, model = np.asarray(y, dtype=float), np.asarray(y_model, dtype=float)
+    if measured.ndim == 0 or measured.shape != model.shape:
+        raise ValueError(f"y_model: expected shape {measured.shape} as y has it, got {model.shape}")
+    present = ~np.isnan(measured)
+    count = present.sum(axis=axis, keepdims=True)
+    mean = np.where(present, measured, 0.0).sum(axis=axis, keepdims=True) / np.maximum(count, 1)
+    spread = np.linalg.norm(np.where(present, measured - mean, 0.0), axis=axis)
+    missed = np.linalg.norm(np.where(present, measured - model, 0.0), axis=axis)
+    scale = np.max(np.where(present, np.abs(measured), 0.0), axis=axis, initial=0.0)
+    if np.any(spread <= _constant(scale) * np.sqrt(count.squeeze(axis))):
+        raise ValueError("y: expected samples that differ, found a constant output; its fit is undefined")
+    fit = 100 * (1 - missed / spread)
+    return fit if fit.ndim else float(fit)
+
+
+def _constant(scale: Any) -> Any:
+    """Return the standard deviation of equal numbers of a size: their mean need not be that number to the last bit."""
+    return 4 * np.finfo(float).eps * scale
+
+
+def least_variance(y: Array, size: float, in_steps: bool = True) -> float:
+    """Return what the noise of an output has at least, in units of a size: rounding, of numbers or of its sensor."""
+    known = y[~np.isnan(y)]
+    numbers = _NUMBERS * moving_size(known - np.median(known)) if known.size else 0.0
+    steps = resolution(known) if in_steps else 0.0
+    return max(ROUNDING**2, (steps / size) ** 2 / 12.0, (numbers / size) ** 2)
+
+
+def ordinary_samples(residual: Array, y: Array) -> Any:
+    """Tell which samples are ordinary: within three standard deviations of the noise, known by its median.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        Measured less predicted output; NaN where there is none.
+    y : ndarray, shape (N,)
+        Measured output: what is rounding of its variation is ordinary.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        False where the residual is NaN.
+
+    Examples
+    --------
+    >>> ordinary_samples(np.array([0.1, -0.1, 0.2, 9.0, np.nan]), np.array([4.0, 2.0, 4.0, 2.0, 4.0]))
+    array([ True,  True,  True, False, False])
+    """
+    known, measured = residual[~np.isnan(residual)], y[~np.isnan(y)]
+    scale = max(mad_scale(known), ROUNDING * size_of(measured - np.median(measured))) if known.size else 0.0
+    return np.abs(np.where(np.isnan(residual), np.inf, residual)) <= _ORDINARY * scale
+
+
+def ordinary_fit(y: Array, y_model: Array, ordinary: Any) -> float:
+    """Compute the fit of a model's output on ordinary samples.
+
+    Parameters
+    ----------
+    y, y_model : ndarray, shape (N,)
+        Measured and computed output; NaN where there is none.
+    ordinary : ndarray of bool, shape (N,)
+        Which samples count.
+
+    Returns
+    -------
+    float
+        Percent; NaN if the output does not vary in these samples.
+
+    Examples
+    --------
+    >>> y = np.array([0.0, 2.0, 0.0, 2.0, 99.0])
+    >>> round(ordinary_fit(y, np.array([0.0, 1.0, 0.0, 1.0, 0.0]), y < 9.0), 1)
+    29.3
+    """
+    counts = ordinary & ~np.isnan(y) & ~np.isnan(y_model)
+    if counts.sum() < 2 or np.std(y[counts]) <= _constant(np.abs(y[counts]).max()):
+        return float("nan")
+    return float(fit_percent(y[counts], y_model[counts]))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a model's residuals: a variance, and the influence function of the standardized residual.
+
+    Parameters
+    ----------
+    influence : Influence
+        A `Contaminated` is learnt with R; any other stays as it is.
+    R : float
+        Variance of the ordinary noise, in the unit of the residual squared.
+    known : bool, default False
+        Whether R is told and stays as it is.
+    least : float, optional
+        R never becomes smaller than this, which keeps a recording without noise from dividing by 0.
+    """
+
+    influence: Influence
+    R: float
+    known: bool = False
+    least: float = np.finfo(float).tiny
+
+    def refitted(self, residual: Array, steps: int = 5) -> Noise:
+        """Return the noise that these residuals show.
+
+        Parameters
+        ----------
+        residual : ndarray, shape (N,)
+            Residuals of a model, outliers among them.
+        steps : int, default 5
+            Steps of expectation-maximisation, for a `Contaminated`.
+
+        Returns
+        -------
+        Noise
+            For a `Contaminated` the step of expectation-maximisation with weak priors (contamination .05 as if
+            from 10 samples, scale_ratio 8 as if from 2 outliers), from the present one; otherwise R is the square of
+            the scaled median absolute deviation from 0.
+        """
+        if isinstance(self.influence, Contaminated):
+            return self._maximised(self.influence, residual, steps)
+        return self if self.known else replace(self, R=max(mad_scale(residual) ** 2, self.least))
+
+    def settled(self, residual: Array) -> Noise:
+        """Return `refitted` after so many steps that more would hardly move it."""
+        return self.refitted(residual, SETTLING_STEPS)
+
+    def times(self, size: float) -> Noise:
+        """Return the noise of residuals that are so many times as large."""
+        return replace(self, R=self.R * size**2, least=self.least * size**2)
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether there is no noise: R is the least that it may be, but for the degrees of freedom."""
+        return not self.known and self.R <= 2.0 * self.least
+
+    @property
+    def has_outliers(self) -> bool:
+        """Whether a large residual has less weight than a small one: not for `Linear`."""
+        return float(np.asarray(self.influence.weights(np.array([1e6])))[0]) < 1.0
+
+    def cost(self, residual: Array) -> float:
+        """Return -log of the likelihood of the residuals, up to a constant that R alone determines."""
+        return float(np.sum(self.influence.rho(residual / math.sqrt(self.R))))
+
+    def weights(self, residual: Array) -> Array:
+        """Return psi(e)/e of each residual."""
+        return np.asarray(self.influence.weights(residual / math.sqrt(self.R)), dtype=float)
+
+    @property
+    def variance(self) -> float:
+        """R, as what each residual has of it."""
+        return self.R
+
+    def psi(self, residual: Array) -> Array:
+        """Return psi of each residual in units of its standard deviation."""
+        return np.asarray(self.influence.psi(residual / math.sqrt(self.R)), dtype=float)
+
+    def slope(self, residual: Array) -> float:
+        """Return the mean of psi', at least 1e-3."""
+        return max(float(np.mean(self.influence.psi_deriv(residual / math.sqrt(self.R)))), 1e-3)
+
+    def log_likelihood(self, residual: Array) -> float:
+        """Return the log-likelihood of the residuals under the density that psi is made for.
+
+        Beyond the reach of a `Contaminated` the density falls as Cauchy's does: with outliers of two sizes the smaller
+        ones set its ratio, and the larger ones would say nothing but that.
+        """
+        normalizer = getattr(self.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
+        beyond = 0.0
+        if isinstance(self.influence, Contaminated):
+            reach = REACH * self.influence.scale_ratio * math.sqrt(self.R)
+            beyond = 2.0 * float(np.sum(np.log(np.maximum(np.abs(residual) / reach, 1.0))))
+            residual = np.clip(residual, -reach, reach)
+        return -self.cost(residual) - beyond - residual.size * (normalizer(1) + 0.5 * math.log(self.R))
+
+    def _maximised(self, mixture: Contaminated, residual: Array, steps: int) -> Noise:
+        """Return the noise after some steps of expectation-maximisation."""
+        contamination, ratio, R = maximised(residual, mixture, self.R, self.known, self.least, steps)
+        return replace(self, influence=Contaminated(contamination, ratio), R=R)
+
+
+def likelihood_of_mixture(residual: Array, wild: float) -> float:
+    """Return the log-likelihood of residuals under the mixture that they show; a larger one counts as ``wild``."""
+    bounded = np.clip(residual, -wild, wild)
+    start = Noise(START, max(mad_scale(bounded) ** 2, np.finfo(float).tiny))
+    return start.settled(bounded).log_likelihood(bounded)
+
+
+class Noises(NamedTuple):
+    """Noise of residuals of several outputs, in one row.
+
+    Attributes
+    ----------
+    parts : tuple of Noise
+        That of each output.
+    which : ndarray of int, shape (N,)
+        The output of each residual.
+    """
+
+    parts: tuple[Noise, ...]
+    which: Any
+
+    @property
+    def variance(self) -> Array:
+        """R of each residual, shape (N,)."""
+        return np.array([noise.R for noise in self.parts])[self.which]
+
+    def refitted(self, residual: Array, steps: int = 5) -> Noises:
+        """Return the noise that these residuals show."""
+        parts = enumerate(self.parts)
+        return self._replace(parts=tuple(noise.refitted(residual[self.which == j], steps) for j, noise in parts))
+
+    def learnt(self) -> Noises:
+        """Return the same with the mixture in the place of each influence function."""
+        return self._replace(parts=tuple(Noise(START, one.R, one.known, one.least) for one in self.parts))
+
+    def weights(self, residual: Array) -> Array:
+        """Return psi(e)/e of each residual."""
+        return self._each(residual, lambda noise, own: noise.weights(own))
+
+    def psi(self, residual: Array) -> Array:
+        """Return psi of each residual in units of its standard deviation."""
+        return self._each(residual, lambda noise, own: noise.psi(own))
+
+    def slope(self, residual: Array) -> Array:
+        """Return the mean of psi' of its output for each residual."""
+        return self._each(residual, lambda noise, own: np.full(own.size, noise.slope(own)))
+
+    def cost(self, residual: Array) -> float:
+        """Return -log of the likelihood of the residuals, up to a constant that the variances determine."""
+        return sum(noise.cost(residual[self.which == j]) for j, noise in enumerate(self.parts))
+
+    def log_likelihood(self, residual: Array) -> float:
+        """Return the log-likelihood of the residuals."""
+        return sum(noise.log_likelihood(residual[self.which == j]) for j, noise in enumerate(self.parts))
+
+    def _each(self, residual: Array, of: Callable[[Noise, Array], Array]) -> Array:
+        """Return what the noise of its output makes of each residual."""
+        found = np.zeros(residual.size)
+        for j, noise in enumerate(self.parts):
+            found[self.which == j] = of(noise, residual[self.which == j])
+        return found
