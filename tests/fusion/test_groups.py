@@ -117,12 +117,6 @@ def test_a_recording_with_a_group_is_its_steps_and_a_state_goes_on(way):
     assert_allclose(other.estimate().x, whole.x[-1], rtol=1e-9)
 
 
-def test_without_outliers_to_judge_a_group_changes_nothing():
-    table, _ = together(5, 50)
-    with_group, without = (fused(pair(group), influence=Linear()).run(table) for group in ("receiver", None))
-    assert_allclose(with_group.x, without.x, rtol=1e-9, atol=1e-9)
-
-
 def test_a_name_that_nobody_shares_joins_the_components_of_one_sensor():
     rng = np.random.default_rng(0)
     found = []

@@ -79,17 +79,3 @@ def test_a_fusion_goes_on_the_same_after_pickle(options):
     np.testing.assert_array_equal(fusion.estimate().x, other.estimate().x)
     np.testing.assert_array_equal(fusion.estimate().P, other.estimate().P)
     assert fusion.counts == other.counts and repr(fusion) == repr(other)
-
-
-def _estimated(fusion):
-    """Return where a fusion stands, as a worker does."""
-    fusion.observe("gps", 3.0, 1.0)
-    return fusion.estimate().x
-
-
-@pytest.mark.nightly
-def test_joblib_runs_a_list_of_fusions_in_processes():
-    joblib = pytest.importorskip("joblib")
-    made = [Fusion(constant_velocity(1, q=q), {"gps": Sensor([1.0, 0.0], R=1.0)}, window=5.0) for q in (0.1, 1.0)]
-    found = joblib.Parallel(n_jobs=2)(joblib.delayed(_estimated)(one) for one in made)
-    np.testing.assert_array_equal(found, [_estimated(one) for one in made])

@@ -195,21 +195,6 @@ def test_a_stamp_from_the_future_sends_nobody_to_the_cables():
     assert "of its readings were refused: check the clocks" in fusion.report() and "cable" not in fusion.report()
 
 
-@pytest.mark.nightly
-def test_any_order_of_arrival_gives_the_same_verdicts_and_bits():
-    readings, _ = recording(3, FAULTS["biased"], 40.0)
-    rng = np.random.default_rng(0)
-    in_order, late = made(window=1.0), made(window=1.0)
-    for one in readings:
-        in_order.observe(*one)
-    delayed = [t + (rng.uniform(0.0, 0.9) if rng.random() < 0.1 else 0.0) for _, t, _ in readings]
-    for place in np.argsort(delayed, kind="stable"):
-        late.observe(*readings[place])
-    assert str(in_order.verdicts()) == str(late.verdicts())
-    assert in_order.verdicts()["b"].fault == "biased"
-    assert in_order.estimate().x.tobytes() == late.estimate().x.tobytes()
-
-
 def later(fusion, readings):
     for one in readings:
         fusion.observe(*one)

@@ -6,7 +6,6 @@ from scipy.signal import lfilter
 
 from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate_noise, identify
 from robust_filterpy._progress import progress_bar, stage, stages
-from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.identification import ARMAX, ARX, ParameterTracker, StateSpace, TrackerBank, select_structure
 
@@ -80,12 +79,6 @@ def test_only_the_outer_call_speaks(clock, capsys):
     select_structure(*recorded(), na=[1, 2], nk=[1])
     lines = capsys.readouterr().err.splitlines()
     assert lines and all(line.startswith("select_structure: ") for line in lines)
-
-
-def test_of_a_study_of_models_only_the_study_speaks(clock, capsys):
-    monte_carlo(lambda rng: identify(*recorded(), OutputError(2, 2)).theta, 2, seed=0, n_jobs=1)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines and all(line.startswith("monte_carlo: ") for line in lines)
 
 
 def test_an_error_ends_the_stages(clock, capsys):

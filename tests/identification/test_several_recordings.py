@@ -7,7 +7,6 @@ from scipy.signal import lfilter
 
 from robust_filterpy import ARX, OutputError, identify
 from robust_filterpy.identification import AR, ARMAX, BoxJenkins
-from robust_filterpy.identification.estimation.recordings import recordings
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 TRUE = np.array([-1.5, 0.7, 1.0, 0.5])
@@ -37,12 +36,6 @@ def test_several_recordings_tell_as_much_as_one(structure, inside, near):
     assert (np.abs(model.theta[:4] - TRUE) < 5.0 * model.std[:4]).all()
     assert model.levels.size == 3
     assert "Recordings" in model.summary().facts
-
-
-def test_each_recording_begins_with_its_first_sample():
-    ys, us = plant([30, 20, 25], 0)
-    assert recordings(ARX(1, 1), ys, us).begins == (0, 30, 50)
-    assert recordings(ARX(1, 1), ys[0], us[0]).begins == (0,)
 
 
 def test_each_recording_is_known_again_with_its_level_and_start():

@@ -41,16 +41,6 @@ def test_equation_13_phi_of_the_plant():
     np.testing.assert_array_equal(phi[3], [-7.0, -6.0, 3.0, 2.0, 1.0])
 
 
-def test_arx_and_output_error_differ_only_in_whose_output_they_take():
-    u, y = np.arange(5.0), np.arange(5.0) ** 2
-    np.testing.assert_array_equal(ARX(2, 2).regressors(u, y), OutputError(2, 2).regressors(u, y))
-
-
-def test_fir_is_arx_without_past_outputs():
-    u = np.arange(6.0)
-    np.testing.assert_array_equal(FIR(3, nk=0).regressors(u), ARX(0, 3, nk=0).regressors(u))
-
-
 def test_linear_regression_takes_phi_as_it_is():
     phi = np.arange(6.0).reshape(3, 2)
     np.testing.assert_array_equal(LinearRegression(2).regressors(phi), phi)

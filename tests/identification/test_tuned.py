@@ -5,11 +5,10 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.stats import norm
 
-from robust_filterpy import ARX, OutputError, ParameterTracker
+from robust_filterpy import OutputError, ParameterTracker
 from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification import FIR
 from robust_filterpy.identification.models.noise import Noise
-from robust_filterpy.identification.recursive.tuned import Tried, TunedTracker
 
 Q_TRUE = 1e-3
 GRID = Q_TRUE * 4.0 ** np.arange(-4, 5)
@@ -160,8 +159,3 @@ def test_too_short_a_recording_is_refused():
     # The values are looked at before the recording is.
     with pytest.raises(ValueError, match="Q: expected"):
         ParameterTracker(OutputError(1, 1)).tuned(y, u, over={"Q": [np.nan]})
-
-
-def test_the_best_is_the_greatest():
-    rows = (Tried({"Q": 1.0}, -np.inf), Tried({"Q": 2.0}, -5.0), Tried({"Q": 3.0}, -7.0))
-    assert TunedTracker(ParameterTracker(ARX(1, 1)), rows, 10, "").best is rows[1]
