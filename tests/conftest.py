@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+import support
 from hypothesis import settings
 
 # A run that fails must fail again; `pytest --hypothesis-profile search` draws others, and finds new defects.
@@ -24,6 +25,27 @@ def numpy_errors_stay_as_they_were():
         yield
 
 
+def served(which, monkeypatch):
+    """Let the kernel serve, or the definition alone."""
+    if which == "definition":
+        support.without_kernel(monkeypatch)
+    else:
+        support.needs_kernel()
+    return which
+
+
+@pytest.fixture(params=["kernel", "definition"])
+def form(request, monkeypatch):
+    """The kernel where it serves, and the definition alone."""
+    return served(request.param, monkeypatch)
+
+
+@pytest.fixture(params=["kernel", pytest.param("definition", marks=pytest.mark.nightly)])
+def path(request, monkeypatch):
+    """As form, the definition by night: by day the tests of the kernel hold it to the kernel's numbers."""
+    return served(request.param, monkeypatch)
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_collection_modifyitems(config, items):
     """Leave to the night what a product has beyond a table of pairs; of what marks then choose take every Nth."""
@@ -39,7 +61,7 @@ def pairs_only(items):
     products = {}
     for item in items:
         mark = item.get_closest_marker("pairwise")
-        if mark and hasattr(item, "callspec"):
+        if mark and hasattr(item, "callspec") and not item.get_closest_marker("nightly"):
             product = products.setdefault(item.nodeid.partition("[")[0], {})
             values = sorted((name, id(value)) for name, value in item.callspec.params.items())
             product[item] = set(itertools.combinations(values, *mark.args or (2,)))

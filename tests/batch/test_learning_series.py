@@ -69,11 +69,8 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("served", ["kernel", "definition"])
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
-def test_series_are_a_loop_over_filters(options, served, monkeypatch):
-    if served == "definition":
-        support.without_kernel(monkeypatch)
+def test_series_are_a_loop_over_filters(options, form):
     problem, zs = problem_and_series()
     assert_same(learning(zs, *arguments(problem), **options), by_filters(problem, zs, **options))
 

@@ -20,21 +20,12 @@ def arguments(problem):
     return problem.F, problem.H, problem.Q, problem.R, problem.x[:, 0], problem.P
 
 
-@pytest.fixture(params=["kernel", "definition"])
-def path(request, monkeypatch):
-    if request.param == "definition":
-        support.without_kernel(monkeypatch)
-    else:
-        support.needs_kernel()
-    return request.param
-
-
 @pytest.mark.parametrize("choices", [
     {"scaling": "learnt"},
     {"scaling": "innovation"},
     {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
 ])  # fmt: skip
-def test_series_are_a_loop_over_filters(path, choices):
+def test_series_are_a_loop_over_filters(form, choices):
     problem, zs = problem_and_series()
     result = filter_series(zs, *arguments(problem), **choices)
     for s, z in enumerate(zs):
@@ -48,7 +39,7 @@ def test_series_are_a_loop_over_filters(path, choices):
         assert result.log_likelihood[s] == pytest.approx(total, rel=1e-10)
 
 
-def test_each_series_may_have_its_own_matrices_at_each_step(path):
+def test_each_series_may_have_its_own_matrices_at_each_step(form):
     problem, zs = problem_and_series()
     rng = np.random.default_rng(1)
     F = np.array([[support.stable(rng, 3) for _ in range(30)] for _ in range(4)])
@@ -63,7 +54,7 @@ def test_each_series_may_have_its_own_matrices_at_each_step(path):
         np.testing.assert_allclose(result.x[s], kf.batch_filter(list(zs[s]), Fs=list(F[s]))[0], rtol=1e-10, atol=1e-11)
 
 
-def test_keeping_less_changes_nothing_else(path):
+def test_keeping_less_changes_nothing_else(form):
     problem, zs = problem_and_series()
     whole = filter_series(zs, *arguments(problem))
     last = filter_series(zs, *arguments(problem), keep="last", covariance="diagonal")
@@ -93,7 +84,7 @@ def test_keeping_less_changes_nothing_else(path):
     ({"covariance": "half"}, "covariance"),
     ({"F": 1e200 * np.eye(3)}, "step 0: predict"),
 ])  # fmt: skip
-def test_refusals_say_what_was_expected(path, change, match):
+def test_refusals_say_what_was_expected(form, change, match):
     problem, zs = problem_and_series()
     call = dict(zip(["F", "H", "Q", "R", "x0", "P0"], arguments(problem), strict=True), zs=zs)
     with pytest.raises(ValueError, match=match):
@@ -114,7 +105,7 @@ def test_blocks_on_a_dask_cluster_are_the_whole():
         np.testing.assert_array_equal(x.compute(), filter_series(zs, *model).x)
 
 
-def test_a_series_that_is_refused_leaves_the_others_alone(path):
+def test_a_series_that_is_refused_leaves_the_others_alone(form):
     zs = np.random.default_rng(3).normal(size=(5, 30, 1))
     P0 = np.tile(0.1 * np.eye(2), (5, 1, 1))
     P0[3] *= 1e4
@@ -129,7 +120,7 @@ def test_a_series_that_is_refused_leaves_the_others_alone(path):
         assert np.isnan(found[3]).all()
 
 
-def test_a_series_is_nan_from_the_refused_step_on(path):
+def test_a_series_is_nan_from_the_refused_step_on(form):
     zs = np.zeros((2, 30, 1))
     H = np.tile(np.eye(1, 2), (2, 30, 1, 1))
     H[1, 20] *= 100.0
@@ -154,7 +145,7 @@ def test_a_bad_R_among_many_is_found():
 
 
 @pytest.mark.parametrize("shape", [(0, 7, 2), (4, 0, 2), (0, 0, 2)])
-def test_of_nothing_comes_nothing(path, shape):
+def test_of_nothing_comes_nothing(form, shape):
     problem, _ = problem_and_series()
     result = filter_series(np.zeros(shape), *arguments(problem))
     assert result.x.shape == (*shape[:2], 3) and result.P.shape == (*shape[:2], 3, 3)
@@ -162,7 +153,7 @@ def test_of_nothing_comes_nothing(path, shape):
 
 
 @pytest.mark.parametrize("spoil", ["x0", "P0", "F"])
-def test_a_series_of_numbers_that_are_not_finite_leaves_the_others_alone(path, spoil):
+def test_a_series_of_numbers_that_are_not_finite_leaves_the_others_alone(form, spoil):
     zs = np.random.default_rng(4).normal(size=(3, 30, 1))
     x0, P0 = np.zeros((3, 2)), np.tile(np.eye(2), (3, 1, 1))
     F = np.tile(np.eye(2), (3, 1, 1, 1))

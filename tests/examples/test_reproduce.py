@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import support
 from numpy.testing import assert_allclose
 from scipy import signal
 
@@ -61,16 +60,7 @@ def test_unknown_figure_is_refused(paper, tmp_path):
         assert refused.value.code == 2
 
 
-@pytest.fixture(params=["kernel", "definition"])
-def engine(request, monkeypatch):
-    """With the kernel and without."""
-    if request.param == "definition":
-        support.without_kernel(monkeypatch)
-    else:
-        support.needs_kernel()
-
-
-def test_filters_over_all_runs_are_the_loop_over_filterpy_and_refuse_the_same_runs(paper, engine):
+def test_filters_over_all_runs_are_the_loop_over_filterpy_and_refuse_the_same_runs(paper, form):
     paper("state_estimation")
     study = paper("state_estimation_study")
     rng = np.random.default_rng(3)
@@ -88,7 +78,7 @@ def test_filters_over_all_runs_are_the_loop_over_filterpy_and_refuse_the_same_ru
 
 
 @pytest.mark.parametrize("plant", ["SECTION4", "WELL"])
-def test_trackers_of_a_recording_are_the_loop_over_filterpy(paper, engine, plant, monkeypatch):
+def test_trackers_of_a_recording_are_the_loop_over_filterpy(paper, form, plant, monkeypatch):
     identification = paper("identification")
     monkeypatch.setattr(identification, "STEPS", 300)
     found, expected = (

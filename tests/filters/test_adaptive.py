@@ -198,13 +198,10 @@ def test_the_scale_of_the_process_is_found(scale):
     assert kf.process_probabilities.sum(axis=0) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("kernel", [True, False])
 @pytest.mark.parametrize("size", [30.0, 3e4])
-def test_a_jump_of_the_whole_state_is_believed(size, kernel, monkeypatch):
+def test_a_jump_of_the_whole_state_is_believed(size, path):
     """What a sensor does not see has jumped as well, so the candidate is as uncertain of it."""
-    if not kernel:
-        without_kernel(monkeypatch)
-    for seed in range(20 if kernel else 4):
+    for seed in range(20 if path == "kernel" else 4):
         rng = np.random.default_rng(seed)
         problem = random_problem(seed, 4, 3)
         problem = with_(problem, F=np.eye(4) + 0.02 * rng.normal(size=(4, 4)), Q=0.01 * problem.Q)
@@ -282,12 +279,9 @@ def test_what_is_shown_where_s_is_singular_to_rounding(sensors):
     np.testing.assert_array_equal(twin.x, kf.x)
 
 
-@pytest.mark.parametrize("kernel", [True, False])
 @pytest.mark.parametrize("grouping", ["component", "joint"])
 @pytest.mark.parametrize("variances", [(0.0,), (1.0, 0.0)])
-def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, grouping, kernel, monkeypatch):
-    if not kernel:
-        without_kernel(monkeypatch)
+def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, grouping, path):
     m = len(variances)
     problem = with_(random_problem(8, 3, m), R=np.diag(variances), M=np.zeros((3, m)))
     kf = make(AdaptiveKalmanFilter, problem, 1, grouping=grouping)
@@ -299,12 +293,9 @@ def test_a_sensor_without_noise_is_believed_and_teaches_nothing(variances, group
     assert (kf.learnt[-1, 0] == 1.0) == (grouping == "component" or m == 1)
 
 
-@pytest.mark.parametrize("kernel", [True, False])
 @pytest.mark.parametrize("noise", [0.0, 1e-6])
-def test_sensors_next_to_without_noise_are_believed_wherever_the_start_is(noise, kernel, monkeypatch):
+def test_sensors_next_to_without_noise_are_believed_wherever_the_start_is(noise, path):
     """The start's covariance less what such a reading tells is rounding; nothing is beyond what a sensor may say."""
-    if not kernel:
-        without_kernel(monkeypatch)
     for seed in range(20):
         problem = with_(random_problem(seed, 3, 2), R=noise * np.eye(2), P=np.eye(3))
         kf = make(AdaptiveKalmanFilter, problem, 1)
@@ -557,10 +548,7 @@ def test_a_start_that_is_doubted_stays_so_where_a_sensor_couples_two_parts(off):
             assert k < 2 or np.abs(np.ravel(kf.x) - off).max() < 4.0
 
 
-@pytest.mark.parametrize("kernel", [True, False])
-def test_parts_that_contradict_each_other_utterly_become_one_all_the_same(kernel, monkeypatch):
-    if not kernel:
-        without_kernel(monkeypatch)
+def test_parts_that_contradict_each_other_utterly_become_one_all_the_same(path):
     apart = {name: np.eye(3) for name in ("F", "Q", "H", "R", "P")}
     kf = make(AdaptiveKalmanFilter, with_(random_problem(1, 3, 3), **apart), 1)
     state = kf.state()
@@ -660,12 +648,9 @@ def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed(sp
     assert np.abs(np.ravel(kf.x) - [truth[-1], 15.0]).max() < 3.0
 
 
-@pytest.mark.parametrize("defined", [False, True], ids=["kernel", "definition"])
 @pytest.mark.parametrize("wild", [2e5, 5e5])
-def test_a_jump_that_nothing_confirms_does_not_show(defined, wild, monkeypatch):
+def test_a_jump_that_nothing_confirms_does_not_show(path, wild):
     """One wild reading is hardly ever a jump: its candidate, as far off as it, adds nothing to x and P."""
-    if defined:
-        without_kernel(monkeypatch)
     kf = make(AdaptiveKalmanFilter, cart(), 1)
     advance(kf, 0.1 * np.arange(100) + np.random.default_rng(0).normal(size=100))
     before, P = np.ravel(kf.x).copy(), kf.P.copy()

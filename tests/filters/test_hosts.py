@@ -19,14 +19,7 @@ from robust_filterpy.influence import Hampel, Linear
 SIZES = [1e-300, 1e-160, 1.0, 1e20, 1e160, 1e300]
 READ = ("x", "P", "log_likelihood", "likelihood", "mahalanobis", "y_bounded", "weights")
 
-
-@pytest.fixture(params=["kernel", "definition"], autouse=True)
-def path(request, monkeypatch):
-    """Let the kernel serve, where there is one, and then the definition."""
-    if request.param == "definition":
-        support.without_kernel(monkeypatch)
-    else:
-        support.needs_kernel()
+pytestmark = pytest.mark.usefixtures("path")
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import support
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -10,14 +9,7 @@ from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters import StuckSensorWarning
 
-
-@pytest.fixture(params=["kernel", "definition"], autouse=True)
-def path(request, monkeypatch):
-    """The kernel where it serves, and the definition alone."""
-    if request.param == "definition":
-        support.without_kernel(monkeypatch)
-    else:
-        support.needs_kernel()
+pytestmark = pytest.mark.usefixtures("path")
 
 
 def moving(kind, R=1.0, h=1.0, q=1e-3, x=0.0):

@@ -185,11 +185,8 @@ def test_bounded_scaling_is_unit_where_s_is_below_one_and_innovation_above():
         support.assert_same_state(one, two, (*support.STATE, "y", "K", "S", "T", "e", "weights"))
 
 
-@pytest.mark.parametrize("served", ["kernel", "definition"])
 @pytest.mark.parametrize("place, growth", [(1e3, None), (1e5, 1e6), (1e9, 1e6)])
-def test_at_a_jump_that_is_believed_S_grows_by_a_million_at_most(served, place, growth, monkeypatch):
-    if served == "definition":
-        support.without_kernel(monkeypatch)
+def test_at_a_jump_that_is_believed_S_grows_by_a_million_at_most(path, place, growth):
     kf, grown = RobustKalmanFilter(1, 1), []
     kf.H[:], kf.Q[:] = 1.0, 0.01
     # None repeats the one before to the last bit.

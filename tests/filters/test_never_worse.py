@@ -13,16 +13,6 @@ pytestmark = pytest.mark.core
 STEPS, FILTERS = 120, (RobustKalmanFilter, KalmanFilter)
 
 
-@pytest.fixture(params=["kernel", "definition"])
-def path(request, monkeypatch):
-    """The kernel where it serves, and the definition alone."""
-    if request.param == "definition":
-        support.without_kernel(monkeypatch)
-    else:
-        support.needs_kernel()
-    return request.param
-
-
 def problem(m, seed=0):
     """Position and velocity; m sensors of which the first two see the same."""
     rng = np.random.default_rng(seed)

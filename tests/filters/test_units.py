@@ -11,15 +11,6 @@ STEPS = 40
 SIZES = [(2, 1), (3, 2), (4, 3), (5, 5)]
 
 
-@pytest.fixture(params=["kernel", "definition"])
-def path(request, monkeypatch):
-    """Let the kernel serve, where there is one, and then the definition."""
-    if request.param == "definition":
-        support.without_kernel(monkeypatch)
-    else:
-        support.needs_kernel()
-
-
 def recording(seed, dims):
     """Return a problem, a recording with outliers and gaps, and the same two in other units of the sensors."""
     problem = support.random_problem(seed, *dims)

@@ -170,15 +170,6 @@ def test_how_sharp_a_sample_is_is_measured_by_what_is_left_of_P(large, served, h
     assert (not handed_back) == served
 
 
-def test_a_recording_of_sharp_samples_is_left_to_the_definition(handed_back):
-    y, u = recording(3000)
-    one, other = pair(FIR(3), R=1e-9, Q=1.0)
-    result = one.run(y, u)
-    expected = [(other.update(a, b), other.theta)[1] for a, b in zip(y, u, strict=True)]
-    np.testing.assert_allclose(result.theta, expected, rtol=1e-6, atol=1e-9)
-    assert len(handed_back) > 2900
-
-
 @pytest.mark.parametrize("value", [1e99, 1e100, 1e200, 1e308])
 def test_no_overflow(value, handed_back):
     y, u = recording()
@@ -235,18 +226,6 @@ class Odd(Huber):
     def psi(self, e):
         """Return Huber's psi."""
         return super().psi(e)
-
-
-def test_without_the_kernel_the_numbers_are_the_same(handed_back, monkeypatch):
-    y, u = recording()
-    for structure in STRUCTURES[:3]:
-        fast = pair(structure)[0].run(y, u)
-        with monkeypatch.context() as patch:
-            patch.setattr(track, "rules_of", lambda choices: None)
-            slow = pair(structure)[0].run(y, u)
-        for found, expected in zip(fast, slow, strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
-    assert handed_back == 3 * list(range(len(y)))
 
 
 def test_bounded_scaling_on_both_sides_of_one(handed_back):

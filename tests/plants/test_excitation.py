@@ -145,19 +145,6 @@ def test_the_first_sample_begins_the_best_signal_of_an_exhaustive_search(size):
         assert drawn == starts == {-1, 1}
 
 
-@pytest.mark.parametrize("size", [4, 6])
-def test_each_sample_begins_the_best_continuation_of_an_exhaustive_search(size):
-    r = bandlimited_pink_autocovariance(*BAND, 3)
-    target = zero_one_target(r, -1, 1)
-    s = (receding_horizon_binary(r, size, size) + 1) / 2
-    for t in range(size):
-        best = min(
-            (np.linalg.norm(lag_sums([*s[:t], *tail], 3) / (t + size) - target), tail)
-            for tail in product((0, 1), repeat=size)
-        )
-        assert s[t] == best[1][0]
-
-
 def test_many_tuples_are_weighed_in_blocks_with_the_result_of_one():
     # 2^13 tuples take two blocks; the second holds those that begin with a one.
     r = [0.6, 0.5, 0.4]

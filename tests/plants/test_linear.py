@@ -115,28 +115,6 @@ def test_equations_11_to_14_term_by_term(seed, na, nb, nk, moving):
         np.testing.assert_array_equal(found.theta, path)
 
 
-def test_a_constant_path_gives_what_the_constant_gives():
-    rng = np.random.default_rng(2)
-    u, v = rng.normal(size=(2, 300))
-    for simulate in SIMULATORS:
-        fixed = simulate(THETA, u, noise=v, na=2, nb=2)
-        path = simulate(np.tile(THETA, (300, 1)), u, noise=v, na=2, nb=2)
-        np.testing.assert_allclose(path.y, fixed.y, atol=1e-12)
-
-
-def test_row_k_of_a_path_makes_sample_k():
-    path = np.array([[0.0, 1.0], [0.0, 1.0], [0.0, 9.0], [0.0, 1.0]])
-    assert simulate_output_error(path, [1, 1, 1, 1], na=1, nb=1, nk=0).y.tolist() == [1, 1, 9, 1]
-    assert simulate_output_error(path, [1, 1, 1, 1], na=1, nb=1).y.tolist() == [0, 1, 9, 1]
-
-
-def test_noise_goes_round_the_loop_of_arx_and_not_of_output_error():
-    u, v = np.zeros(5), np.array([0.0, 1.0, 0.0, 0.0, 0.0])
-    options = {"noise": v, "na": 1, "nb": 1}
-    assert simulate_arx([-0.5, 1.0], u, **options).y.tolist() == [0, 1, 0.5, 0.25, 0.125]
-    assert simulate_output_error([-0.5, 1.0], u, **options).y.tolist() == v.tolist()
-
-
 @pytest.mark.parametrize("simulate", SIMULATORS)
 @pytest.mark.parametrize(
     "noise",
