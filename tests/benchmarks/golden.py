@@ -297,7 +297,7 @@ def difference(before: np.ndarray, after: np.ndarray) -> float:
     if before.shape != after.shape or not (np.isnan(before) == np.isnan(after)).all():
         return np.inf
     scale = np.nanmax(np.abs(before), initial=0.0) + 1e-300 if before.ndim < 2 else (
-        np.nanmax(np.abs(np.where(np.isnan(before), 0.0, before)), axis=0) + 1e-300
+        np.nanmax(np.abs(np.where(np.isnan(before), 0.0, before)), axis=0, initial=0.0) + 1e-300
     )  # fmt: skip
     return float(np.nanmax(np.abs(before - after) / np.maximum(scale, 1e-9), initial=0.0))
 

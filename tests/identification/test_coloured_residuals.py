@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import ARX, LinearRegression, OutputError, identify
-from robust_filterpy.identification.estimation.colour import colour_of
+from robust_filterpy.identification.estimation.prediction_error import colour_of
 from robust_filterpy.identification.estimation.trend import piecewise_level
 
 

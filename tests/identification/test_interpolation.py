@@ -11,8 +11,7 @@ from scipy.signal import lfilter
 from robust_filterpy import ARX, Contaminated, identify
 from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification.estimation.cleaning import found_outliers
-from robust_filterpy.identification.estimation.missing import Unknowns
-from robust_filterpy.identification.estimation.neighbours import Neighbours
+from robust_filterpy.identification.estimation.missing import Neighbours, Unknowns
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import cleaned_residuals

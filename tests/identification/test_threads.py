@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from robust_filterpy import OutputError, identify
+from robust_filterpy.identification.estimation import prediction_error as _threads
 from robust_filterpy.identification.estimation import search
-from robust_filterpy.identification.estimation import threads as _threads
 
 
 def test_a_search_has_one_thread_and_gives_the_others_back(monkeypatch):

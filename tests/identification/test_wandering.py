@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import ARX, OutputError, identify
-from robust_filterpy.identification.estimation.wandering import Place, Sections, wandered
+from robust_filterpy.identification.estimation.profile import Place, Sections, wandered
 
 
 @pytest.mark.parametrize(

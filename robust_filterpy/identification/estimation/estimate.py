@@ -9,15 +9,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.colour import evidence
-from robust_filterpy.identification.estimation.excitation_check import require_informative
-from robust_filterpy.identification.estimation.levelled import Levelled
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.missing import response
-from robust_filterpy.identification.estimation.prediction_error import sandwich
+from robust_filterpy.identification.estimation.prediction_error import evidence, one_thread, sandwich
 from robust_filterpy.identification.estimation.profile import profiled
 from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
-from robust_filterpy.identification.estimation.threads import one_thread
+from robust_filterpy.identification.estimation.starts import require_informative
 from robust_filterpy.identification.models.model import Ending, Model
 from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel, SeveralRecordings, ends_of
@@ -26,8 +23,6 @@ from robust_filterpy.identification.models.signals import fingerprint, operating
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import size_of
-
-__all__ = ["Estimated", "Problem", "estimated"]
 
 # Two ends as close in log-likelihood, and so far apart in output (percent, and twice what the noise explains), leave
 # the model open.
@@ -107,6 +102,39 @@ class Problem(NamedTuple):
         if len(self.begins) == 1:
             return PolynomialModel(self.structure, y, u, self.offset, self.moving)
         return SeveralRecordings(self.structure, y, u, self.offset, self.moving, self.begins)
+
+
+class Levelled:
+    """Residuals and their derivatives for an output less levels of sizes that are found with the model."""
+    # The free parameters are those of the model, then the sizes.
+
+    def __init__(self, model: PolynomialModel, columns: Array) -> None:
+        """Keep both."""
+        self.model, self.columns, self.n = model, columns, model.n + columns.shape[1]
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what levels do not change."""
+        return getattr(self.model, name)
+
+    def inner(self, p: Array) -> tuple[PolynomialModel, Array]:
+        """Return the model of the output less the levels, and its own free parameters."""
+        return self.model.with_output(self.model.y - self.columns @ p[self.model.n :]), p[: self.model.n]
+
+    def with_output(self, y: Array) -> Levelled:
+        """Return the same for another output."""
+        return Levelled(self.model.with_output(y), self.columns)
+
+    def residuals(self, p: Array) -> Array:
+        """Return the residuals."""
+        model, q = self.inner(p)
+        return model.residuals(q)
+
+    def jacobian(self, p: Array) -> Array:
+        """Return the derivatives of the residuals by the free parameters."""
+        model, q = self.inner(p)
+        rest = model.with_output(np.zeros(model.y.size)).residuals(q)
+        levels = [rest - model.with_output(column).residuals(q) for column in self.columns.T]
+        return np.column_stack((model.jacobian(q), *levels))
 
 
 class Estimated(NamedTuple):

@@ -9,10 +9,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.identification.estimation.colour import evidence_of_outputs
-from robust_filterpy.identification.estimation.level import of_impulses
-from robust_filterpy.identification.estimation.outputs import Outputs
-from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
+from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
+from robust_filterpy.identification.estimation.prediction_error import evidence_of_outputs, minimised, sandwich
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.grey_box_residuals import (
     GreyRecording,
@@ -54,9 +52,6 @@ def identified_grey_box(
     def of(y: Array, u: Array) -> list[GreyRecording]:
         return [one._replace(y=np.nan_to_num(y[part]), u=u[part]) for one, part in zip(told, spans, strict=True)]
 
-    def find(y: Array, u: Array) -> GreyBoxModel:
-        return _modelled(structure, of(y, u), known, influence)
-
     def alone(model: GreyBoxModel, y: Array, u: Array) -> Array:
         equations = structure.residuals_of(of(y, u), model.starts, False)
         z = equations.p.free(model.theta)
@@ -66,16 +61,18 @@ def identified_grey_box(
     outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)])
     inputs = np.concatenate([one.u for one in told])
 
-    def judged(model: GreyBoxModel, y: Array, u: Array) -> float:
-        return evidence_of_outputs(model.noise, y - alone(model, y, u), spans)
+    def find(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
+        y = outputs - levels
+        model = _modelled(structure, of(y, u), known, influence)
+        return Beside(model, levels, u, evidence_of_outputs(model.noise, y - alone(model, y, u), spans))
 
-    def starts(y: Array, u: Array, plain: GreyBoxModel) -> list[Array]:
-        return [of_impulses(y, u, spans) if all(one.is_sampled for one in told) else alone(plain, y, u)]
+    def starts(u: Array, plain: GreyBoxModel) -> list[Array]:
+        return [of_impulses(outputs, u, spans) if all(one.is_sampled for one in told) else alone(plain, outputs, u)]
 
-    whole = Outputs(outputs, inputs, spans, find, alone, judged, starts)
-    best = whole.beside(trend)
+    search = Search(outputs, inputs, spans, find, alone, starts)
+    best = search.best(trend)
     levels, output = best.levels, alone(best.model, outputs - best.levels, best.u)
-    left = whole.left(
+    left = search.left(
         best, output, outputs - levels - output, operating_point(best.u), True, "the parameters are biased by that"
     )
     trends = tuple((fingerprint(outputs[part]), levels[part]) for part in spans if levels[part].any())

@@ -4,38 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._checks import Array
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.estimation.estimate import Problem, estimated
-from robust_filterpy.identification.estimation.feedback import with_feedback
+from robust_filterpy.identification.estimation.beside import TRENDS, Settled
+from robust_filterpy.identification.estimation.estimate import Problem
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
-from robust_filterpy.identification.estimation.level import (
-    TRENDS,
-    Beside,
-    Settled,
-    beside_input_outliers,
-    output_of,
-    undisturbed_outputs,
-    unlike_in_parts,
-    without_endless_motion,
-    without_leverage,
-)
 from robust_filterpy.identification.estimation.limits import Limits
-from robust_filterpy.identification.estimation.outputs import Outputs
-from robust_filterpy.identification.estimation.recordings import Recordings, recordings
+from robust_filterpy.identification.estimation.polynomials import identified_polynomials
+from robust_filterpy.identification.estimation.recordings import recordings
 from robust_filterpy.identification.estimation.state_space import identified_state_space
-from robust_filterpy.identification.estimation.wraps import with_wraps
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.results import Finding, said
-from robust_filterpy.identification.models.signals import fingerprint, operating_point
+from robust_filterpy.identification.models.results import said
+from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
@@ -197,142 +184,76 @@ def identify(
     (array([-1.5,  0.7,  1. ,  0.5]), 20)
     """
     found: Model | StateSpaceModel | GreyBoxModel
+    if influence is not None and not isinstance(influence, Influence):
+        raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
     with stages("identify", progress):
-        told = _Told(influence, offset, R, trend, groups, t, fixed, bounds, sampled)
         if isinstance(structure, (StateSpace, GreyBox)):
-            found = _of_outputs(y, u, structure, told)
+            found = _of_outputs(y, u, structure, influence, trend, groups, t, {
+                "offset": offset, "R": R, "fixed": fixed, "bounds": bounds, "sampled": sampled
+            })  # fmt: skip
         else:
-            found = _of_polynomials(y, u, structure, told)
+            if t is not None:
+                raise ValueError(
+                    f"t: expected None for {structure}, whose samples are equally far apart; take a GreyBox"
+                )
+            if not isinstance(structure, Structure):
+                raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
+            for name, value in (("offset", offset), ("sampled", sampled)):
+                if not isinstance(value, (bool, np.bool_)):
+                    raise TypeError(f"{name}: expected True or False, got {_checks.shown(value)}")
+            limits = Limits.of(structure, fixed, bounds)
+            found = _of_polynomials(y, u, structure, influence, bool(offset), R, trend, groups, limits, bool(sampled))
     for words in (said(found.findings), found.warning):
         if words:
             warn(f"identify: {words}")
     return found
 
 
-class _Told(NamedTuple):
-    """What a structure may be told."""
-
-    influence: Any
-    offset: Any
-    R: Any
-    trend: Any
-    groups: Any
-    t: Any
-    fixed: Any
-    bounds: Any
-    sampled: Any
-
-
-def _of_polynomials(y: Any, u: Any, structure: Any, told: _Told) -> Model:
-    """Return a model of one output, or raise if it is asked for what it does not take."""
-    trend, offset = told.trend, told.offset
-    if told.t is not None:
-        raise ValueError(f"t: expected None for {structure}, whose samples are equally far apart; take a GreyBox")
-    if not isinstance(structure, Structure):
-        raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
-    if told.influence is not None and not isinstance(told.influence, Influence):
-        got = _checks.shown(told.influence)
-        raise TypeError(f"influence: expected an influence function such as Huber(), got {got}")
-    if not isinstance(offset, (bool, np.bool_)):
-        raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
-    if not isinstance(told.sampled, (bool, np.bool_)):
-        raise TypeError(f"sampled: expected True or False, got {_checks.shown(told.sampled)}")
+def _of_polynomials(
+    y: Any, u: Any, structure: Structure, influence: Any, offset: bool, R: Any, trend: Any, groups: Any, limits: Limits,
+    sampled: bool,
+) -> Model:  # fmt: skip
+    """Return a model of one output."""
     if trend is not None and not isinstance(trend, Settled):
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
             raise ValueError(f'trend: expected "none" with offset=False, got {_checks.shown(trend)}; leave offset out')
-    limits = Limits.of(structure, told.fixed, told.bounds)
-    recorded = recordings(structure, y, u, told.groups)
-    signal, dt = recorded.u, recorded.axis.dt
-    has_offset = bool(offset) and trend != "none"
-    moves = has_offset and not structure.takes_phi
+    recorded = recordings(structure, y, u, groups)
+    signal = recorded.u
+    offset = offset and trend != "none"
+    moves = offset and not structure.takes_phi
     problem = Problem(
-        structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), told.influence, has_offset,
-        None if told.R is None else _checks.positive("R", told.R), dt, begins=recorded.begins,
-        limits=limits if limits.any else None, sampled=bool(told.sampled),
+        structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), influence, offset,
+        None if R is None else _checks.positive("R", R), recorded.axis.dt, begins=recorded.begins,
+        limits=limits if limits.any else None, sampled=sampled,
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
-    found, findings = _in_recording(problem, recorded, chosen)
-    findings = (*recorded.findings, *findings, *with_feedback(problem, recorded.y, found))
-    return replace(found, findings=findings)
+    found = identified_polynomials(problem, recorded.y[:, None], recorded.axis.index, chosen)
+    return replace(found, findings=(*recorded.findings, *found.findings))
 
 
-def _in_recording(problem: Problem, recorded: Recordings, chosen: str | Settled) -> tuple[Model, tuple[Finding, ...]]:
-    """Return the model beside whatever else a recording has, and that."""
-    y, spans = recorded.y, problem.spans
-    several = len(spans) > 1
-
-    def find(y: Array, u: Array) -> Model:
-        return estimated(problem.of_inputs(u), y[:, 0]).model
-
-    def joint(y: Array, u: Array, levels: Array, columns: list[Array], begin: Any) -> tuple[Model, Array, Array]:
-        at = np.column_stack([one[:, 0] for one in columns])
-        found = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, begin)
-        return found.model, levels + (at @ found.sizes)[:, None], found.p
-
-    def alone(model: Model, y: Array, u: Array) -> Array:
-        return np.concatenate([output_of(model, y[part, 0], u[part]) for part in spans])[:, None]
-
-    def starts(y: Array, u: Array, plain: Model) -> Any:
-        return (one[:, None] for one in undisturbed_outputs(problem.of_inputs(u), y[:, 0], plain))
-
-    def judged(model: Model, y: Array, u: Array) -> float:
-        return model.evidence
-
-    def settled(best: Beside) -> Beside:
-        return without_endless_motion(problem.of_inputs(best.u), y, best)
-
-    whole = Outputs(y[:, None], problem.u, spans, find, alone, judged, starts, joint, recorded.axis.index, settled)
-
-    def beside(u: Array) -> Beside:
-        if not problem.structure.n_inputs:
-            return Beside(find(whole.y, u), (), np.zeros(whole.y.shape), u)
-        return whole._replace(u=u).beside_levels(chosen)
-
-    # A row of the caller's regressor is no input that is held.
-    if problem.structure.takes_phi:
-        best = without_leverage(problem, y)
-    else:
-        best = beside_input_outliers(problem.u, beside, chosen if isinstance(chosen, Settled) else None)
-    model, findings, levels = best.model, best.findings, best.levels[:, 0]
-    acted = problem.of_inputs(best.u) if best.held else problem
-    if several:
-        again = zip(spans, model.recordings, strict=True)
-        known_again = tuple((fingerprint(y[part]), own + levels[part]) for part, (_, own) in again)
-        model = replace(model, recordings=known_again)
-        for i, part in enumerate(spans):
-            unlike = unlike_in_parts(acted.alone(i), y[part], model, True)
-            findings = (*findings, *(one._replace(text=f"recording {i}: {one.text}") for one in unlike))
-        return model, findings
-    if levels.any():
-        model = replace(model, trend=levels, fingerprint=fingerprint(y))
-    findings = (*findings, *with_wraps(problem, y, model))
-    return model, (*findings, *unlike_in_parts(acted, y, model))
-
-
-def _of_outputs(y: Any, u: Any, structure: StateSpace | GreyBox, told: _Told) -> StateSpaceModel | GreyBoxModel:
+def _of_outputs(
+    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, trend: Any, groups: Any, t: Any, told: Any
+) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
-    physical, kind, influence = isinstance(structure, GreyBox), type(structure).__name__, told.influence
+    physical, kind = isinstance(structure, GreyBox), type(structure).__name__
     own = "GreyBox(.., fixed=, bounds=) has its own" if physical else "its matrices have no names"
-    kept = {
+    only = {
         "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
-        "fixed": (None, own), "bounds": (None, own),
-        "sampled": (True, "its P is the curvature at the minimum"),
+        "fixed": (None, own), "bounds": (None, own), "sampled": (True, "its P is the curvature at the minimum"),
     }  # fmt: skip
-    for name, (only, mend) in kept.items():
-        value = getattr(told, name)
-        if value is not only:
-            raise ValueError(f"{name}: expected {only} for a {kind}, got {_checks.shown(value)}; {mend}")
+    for name, value in told.items():
+        if value is not only[name][0]:
+            expected, mend = only[name]
+            raise ValueError(f"{name}: expected {expected} for a {kind}, got {_checks.shown(value)}; {mend}")
     # Outputs of states have levels; those of physics have none but what the equations say.
     levels = tuple(one for one in TRENDS if one != ("constant" if physical else "none"))
-    trend = "breaks" if told.trend is None else _checks.option("trend", told.trend, levels)
-    if influence is not None and not isinstance(influence, Influence):
-        raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
+    trend = "breaks" if trend is None else _checks.option("trend", trend, levels)
     if isinstance(structure, GreyBox):
-        if told.groups is not None:
+        if groups is not None:
             raise ValueError("groups: expected None for a GreyBox; give lists of y, u and t")
-        return identified_grey_box(y, u, structure, told.t, influence, trend)
-    if told.t is not None:
+        return identified_grey_box(y, u, structure, t, influence, trend)
+    if t is not None:
         raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
-    return identified_state_space(y, u, structure, influence, told.groups, trend)
+    return identified_state_space(y, u, structure, influence, groups, trend)

@@ -14,7 +14,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import START, Contaminated
 from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
-from robust_filterpy.identification.estimation.excitation_check import require_informative
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, response, touched
 from robust_filterpy.identification.estimation.prediction_error import Optimum, minimised
@@ -25,6 +24,7 @@ from robust_filterpy.identification.estimation.starts import (
     disturbance_start,
     output_error_starts,
     regression_start,
+    require_informative,
     whitened,
 )
 from robust_filterpy.identification.models.noise import ROUNDING, Noise

@@ -7,6 +7,11 @@
   equations with autocorrelations from robust scales (Ma and Genton 2000).
 * For Box and Jenkins' model: the same for the disturbance that an output-error model leaves, and an output-error model
   of signals that have been whitened so.
+* For several outputs: long impulse responses to all inputs; and a long autoregression of cleaned outputs, which tells
+  what inputs to come do to them: what is left is regressed on the past, and its principal directions are the state
+  (SSARX: Jansson 2003). It serves slow plants, whose impulse responses are too long, and closed loops.
+
+Before that: whether a recording is long enough for a structure, and its input excites it.
 """
 
 from __future__ import annotations
@@ -20,19 +25,12 @@ from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
-from robust_filterpy.identification.models.regressor import stabilised
+from robust_filterpy.identification.models.regressor import mirrored, stabilised
+from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 
-__all__ = [
-    "Start",
-    "autocorrelation_start",
-    "bounded_mean",
-    "disturbance_start",
-    "output_error_starts",
-    "regression_start",
-    "whitened",
-]
-
+# Singular values below this share of the largest are zero but for rounding.
+_RANK: Final = 1e-9
 # Lengths of the impulse response that are tried, in samples.
 _LENGTHS: Final = (30, 80, 200)
 # A model with poles that the data do not show is found from one with fewer, the others at 0.
@@ -44,6 +42,85 @@ _MOST_EQUAL_POLES: Final = 10
 _ITERATIONS: Final = 15
 # More samples make no better start.
 _MOST_ROWS: Final = 20_000
+# So many equations for each coefficient of a long regression.
+_EQUATIONS_EACH: Final = 4
+
+
+def require_informative(model: PolynomialModel, missing: Any) -> None:
+    """Raise unless the recording is long enough for the structure and its input excites it."""
+    structure, samples = model.structure, missing.size
+    present = samples - int(missing.sum())
+    if present == 0:
+        raise ValueError("y: expected some measured samples, got NaN in all of them")
+    for i, (nb, nk) in enumerate(structure.inputs):
+        if nb and nk >= samples:
+            raise ValueError(
+                f"nk: expected a delay shorter than the recording of {samples} samples, got {nk} for input {i}: "
+                "none of it can be seen in y"
+            )
+    least = 2 * model.n + model.first
+    if samples < least or present < 2 * model.n:
+        raise ValueError(
+            f"y: expected at least {least} samples, {2 * model.n} of them measured, for the {model.n} unknowns of "
+            f"{structure}, got {samples} with {present} measured; record more, or take a smaller structure"
+        )
+    values = model.y[~missing]
+    if np.ptp(values) <= 1e-12 * np.abs(values).max():
+        raise ValueError("y: expected an output that varies, got the same value throughout")
+    if model.inputs:
+        _require_excitation(model)
+
+
+def _require_excitation(model: PolynomialModel) -> None:
+    """Raise unless the inputs, delayed as often as the model needs, are linearly independent."""
+    structure = model.structure
+    for i, (u, _, _, _) in enumerate(model.inputs):
+        if not u.any():
+            raise ValueError(f"u: expected an input that moves the output, got 0 in every sample of input {i}")
+    if structure.takes_phi:
+        if _rank(model, 0) < structure.n_theta + model.offset:
+            mend = "; a column of ones is what offset=True adds, use offset=False" if model.offset else ""
+            raise ValueError(f"u: expected linearly independent regressors, got some that others explain{mend}")
+        return
+    orders = [acting.nb + model.nf for acting in model.inputs]
+    full = sum(orders) + model.offset
+    if _rank(model, model.nf) == full:
+        return
+    lags = max(orders)
+    order = next((n for n in range(lags, 0, -1) if _independent(model, n)), 0)
+    kind = " next to the offset" if model.offset else ""
+    several = "inputs that together excite" if len(model.inputs) > 1 else "an input that excites"
+    raise ValueError(
+        f"u: expected {several} {structure} with order {lags}{kind}, got persistent excitation of order {order}; "
+        "vary the input more (a random binary signal excites with every order)"
+        + (", use offset=False if y has none" if model.offset else "")
+        + ", or take a structure with fewer parameters"
+    )
+
+
+def _independent(model: PolynomialModel, n: int) -> bool:
+    """Tell whether n delays of every input are linearly independent."""
+    return (
+        _rank_of([(u, range(n)) for u, _, _, _ in model.inputs], n - 1, model) == n * len(model.inputs) + model.offset
+    )
+
+
+def _rank(model: PolynomialModel, more: int) -> int:
+    """Return the rank of the delayed inputs of the model and so many further delays."""
+    delayed = [(acting.u, range(acting.nb + more)) for acting in model.inputs]
+    return _rank_of(delayed, max(len(lags) for _, lags in delayed) - 1, model)
+
+
+def _rank_of(delayed: list[tuple[Array, range]], first: int, model: PolynomialModel) -> int:
+    """Return the rank of delayed signals, each column of unit size, and of a constant if the model has one."""
+    columns = [u[first - lag : u.size - lag] for u, lags in delayed for lag in lags]
+    if model.offset:
+        columns.append(np.ones(columns[0].size))
+    X = np.column_stack(columns)
+    size = np.linalg.norm(X, axis=0)
+    X = X / np.where(size > 0.0, size, 1.0)
+    values = np.linalg.svd(np.linalg.qr(X, mode="r"), compute_uv=False)
+    return int((values > _RANK * values[0]).sum())
 
 
 class Start(NamedTuple):
@@ -74,8 +151,27 @@ def regression_start(model: PolynomialModel, rows: Any) -> Start:
         free[place] = False
     if not free.any():
         return Start("regression", p)
+    return Start("regression", _with_linear(model, p, free, rows))
+
+
+def _with_linear(model: Any, p: Array, free: Any, rows: Any) -> Array:
+    """Return free parameters with those in which the residuals are linear found by robust regression, from 0."""
     p[free] = robust_regression(-model.jacobian(p)[rows][:, free], model.residuals(p)[rows])
-    return Start("regression", p)
+    return p
+
+
+def _realized(hankel: Array, order: int, outputs: int) -> tuple[Array, Array]:
+    """Return stable A and C of a Hankel matrix of responses (Kung 1978)."""
+    left, values, _ = np.linalg.svd(hankel, full_matrices=False)
+    observed = left[:, :order] * np.sqrt(values[:order])
+    return _inside(lstsq(observed[:-outputs], observed[outputs:])[0]), observed[:outputs]
+
+
+def _inside(A: Array) -> Array:
+    """Return a matrix with its eigenvalues mirrored into a circle."""
+    values, vectors = np.linalg.eig(A)
+    inside = mirrored(values)
+    return A if np.array_equal(inside, values) else np.real(vectors * inside @ np.linalg.inv(vectors))
 
 
 def autocorrelation_start(model: PolynomialModel, rows: Any) -> Start:
@@ -167,23 +263,17 @@ def _reduced(model: PolynomialModel, responses: Array, order: int) -> Array:
         parts.append(hankel(g[skipped:], np.zeros(length - skipped)))
     rows = max(min(len(part) for part in parts) // 2, nf + 1)
     columns = min(len(part) for part in parts) - rows + 1
-    left, values, _ = np.linalg.svd(np.hstack([part[:rows, :columns] for part in parts]), full_matrices=False)
-    observed = left[:, :order] * np.sqrt(values[:order])
-    transition = lstsq(observed[:-1], observed[1:])[0]
+    transition, _ = _realized(np.hstack([part[:rows, :columns] for part in parts]), order, 1)
     f = np.zeros(nf + 1)
     f[: len(transition) + 1] = np.real(np.poly(transition))
-    return stabilised(f)
+    return f
 
 
 def _refitted(model: PolynomialModel, rows: Any, f: Array) -> Array:
     """Return all free parameters for a given F, the rest by robust regression."""
-    p = np.zeros(model.n)
-    place = model.structure.polynomials.f
-    p[place] = f[1:]
-    free = np.ones(model.n, dtype=bool)
-    free[place] = False
-    p[free] = robust_regression(-model.jacobian(p)[rows][:, free], model.residuals(p)[rows])
-    return p
+    p, free, place = np.zeros(model.n), np.ones(model.n, dtype=bool), model.structure.polynomials.f
+    p[place], free[place] = f[1:], False
+    return _with_linear(model, p, free, rows)
 
 
 def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) -> Array:
@@ -203,3 +293,98 @@ def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) ->
         if mean < least:
             best, least = p, mean
     return best
+
+
+def impulse_start(model: StateSpaceResiduals, known: list[Any], lags: int) -> Array | None:
+    """Return the start from impulse responses of so many lags, None if the recordings do not tell them."""
+    m, least = model.inputs, 0 if model.shapes["D"][1] else 1
+    X, Y, seen = _stacked(model, known, range(least, least + lags))
+    if len(X) < _EQUATIONS_EACH * X.shape[1]:
+        return None
+    columns = []
+    for j in range(model.outputs):
+        rows = seen[:, j]
+        if rows.sum() < _EQUATIONS_EACH * X.shape[1]:
+            return None
+        columns.append(robust_regression(X[rows], Y[rows, j])[: m * lags].reshape(lags, m))
+    G = np.stack(columns, axis=1)
+    if not least:
+        G = G[1:]
+    rows = len(G) // 2 + 1
+    hankel = np.block([[G[i + j] for j in range(len(G) - rows + 1)] for i in range(rows)])
+    if min(hankel.shape) < model.order + model.outputs or not hankel.any():
+        return None
+    return _from(model, known, *_realized(hankel, model.order, model.outputs), None)
+
+
+def predictor_start(model: StateSpaceResiduals, known: list[Any], cleaned: list[Array], reach: int) -> Array | None:
+    """Return the start from a long autoregression of cleaned outputs."""
+    p, m, n = model.outputs, model.inputs, model.order
+    feeds = bool(model.shapes["D"][1])
+    reach = max(reach, n // p + 1)
+    past, now, ahead = [], [], []
+    for (_, u), y in zip(model.recordings, cleaned, strict=True):
+        if len(y) <= 2 * reach:
+            continue
+        y = y - np.median(y, axis=0)
+        rows = np.arange(reach, len(y) - reach + 1)
+        past.append(np.hstack([np.hstack((y[rows - j], u[rows - j])) for j in range(1, reach + 1)]))
+        now.append(np.hstack([y[rows + j] for j in range(reach)]))
+        ahead.append(np.hstack([u[rows + j] for j in range(reach)]))
+    if not past or sum(map(len, past)) < 2 * reach * (p + m) + 10:
+        return None
+    Z, F, U = (np.concatenate(part) for part in (past, now, ahead))
+    X = np.hstack((Z, U[:, :m])) if feeds else Z
+    markov = lstsq(X, F[:, :p])[0]
+    residual = F.copy()
+    for i in range(reach):
+        own = slice(p * i, p * i + p)
+        if feeds:
+            residual[:, own] -= U[:, m * i : m * i + m] @ markov[reach * (p + m) :]
+        for j in range(i):
+            block = markov[(i - j - 1) * (p + m) : (i - j) * (p + m)]
+            residual[:, own] -= F[:, p * j : p * j + p] @ block[:p] + U[:, m * j : m * j + m] @ block[p:]
+    weights = lstsq(Z, residual)[0]
+    # Canonical directions: what of the future the past explains, in units of the noise of the future.
+    noise = residual - Z @ weights
+    ridge = 1e-9 * np.mean(np.square(residual)) + np.finfo(float).tiny
+    whitening = np.linalg.inv(np.linalg.cholesky(noise.T @ noise / len(noise) + ridge * np.eye(noise.shape[1]))).T
+    _, values, right = np.linalg.svd(np.linalg.qr(Z, mode="r") @ weights @ whitening, full_matrices=False)
+    if values.size < n or not np.isfinite(values).all():
+        return None
+    states = Z @ weights @ whitening @ right[:n].T
+    # A row is followed by the next sample, but for the last of each recording.
+    inside = np.delete(np.arange(len(states)), np.cumsum([len(part) for part in past]) - 1)
+    direct = np.hstack((states, U[:, :m])) if feeds else states
+    C = lstsq(direct, F[:, :p])[0]
+    e = F[:, :p] - direct @ C
+    moved = lstsq(np.hstack((states, U[:, :m], e))[inside], states[inside + 1])[0].T
+    K = moved[:, n + m :] if model.shapes["K"][1] else None
+    return _from(model, known, moved[:, :n], C[:n].T, K)
+
+
+def _from(model: StateSpaceResiduals, known: list[Any], A: Array, C: Array, K: Array | None) -> Array:
+    """Return the start with these matrices, and all else by robust regression."""
+    n, p, m, zero = model.order, model.outputs, model.inputs, np.zeros
+    count = len(model.recordings)
+    one = Matrices(_inside(A), zero((n, m)), C, zero((p, m)), zero((n, p)) if K is None else K, zero(n), zero(p))
+    q, free = model.packed(one, zero((count, p)), zero((count, n))), np.ones(model.n, dtype=bool)
+    gain = q[model.places["K"]].copy() if model.is_stable(q) else 0.0
+    q[model.places["K"]] = 0.0
+    for name in ("A", "C", "K"):
+        free[model.places[name]] = False
+    _with_linear(model, q, free, np.concatenate([part.ravel() for part in known]))
+    q[model.places["K"]] = gain
+    return q
+
+
+def _stacked(model: StateSpaceResiduals, known: list[Any], lags: range) -> tuple[Array, Array, Any]:
+    """Return delayed inputs and a constant for each recording, the outputs, and which of them are measured."""
+    X, Y, seen = [], [], []
+    for i, ((y, u), good) in enumerate(zip(model.recordings, known, strict=True)):
+        rows = np.arange(lags[-1], len(y))
+        constant = np.tile(np.eye(len(model.recordings))[i], (rows.size, 1))
+        X.append(np.hstack((*(u[rows - lag] for lag in lags), constant)))
+        Y.append(y[rows])
+        seen.append(good[rows])
+    return np.concatenate(X), np.concatenate(Y), np.concatenate(seen)

@@ -10,14 +10,16 @@ from scipy.signal import dlsim
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.identification.estimation.colour import evidence_of_outputs
-from robust_filterpy.identification.estimation.level import of_impulses
+from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
 from robust_filterpy.identification.estimation.limits import Limits
-from robust_filterpy.identification.estimation.outputs import Outputs
-from robust_filterpy.identification.estimation.prediction_error import minimised, sandwich
+from robust_filterpy.identification.estimation.prediction_error import (
+    evidence_of_outputs,
+    minimised,
+    one_thread,
+    sandwich,
+)
 from robust_filterpy.identification.estimation.recordings import Recordings, recordings
-from robust_filterpy.identification.estimation.subspace import Start, impulse_start, predictor_start
-from robust_filterpy.identification.estimation.threads import one_thread
+from robust_filterpy.identification.estimation.starts import impulse_start, predictor_start
 from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
 from robust_filterpy.identification.models.polynomial_model import ends_of
 from robust_filterpy.identification.models.reduction import balancing
@@ -76,24 +78,23 @@ def identified_state_space(
     told = recordings(Signals.of(y, u), y, u, groups)
     spans = [slice(b, e) for b, e in zip(told.begins, ends_of(told.begins, len(told.y)), strict=True)]
 
-    def find(y: Array, u: Array) -> StateSpaceModel:
-        return _modelled(told._replace(y=y, u=u), spans, structure, influence)
-
     def each(y: Array, u: Array, of: Any) -> Array:
         return np.concatenate([of(y[part], u[part]) for part in spans])
 
-    def judged(model: StateSpaceModel, y: Array, u: Array) -> float:
-        return evidence_of_outputs(model.noise, each(y, u, model.residuals), spans)
+    def found(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
+        model = _modelled(told._replace(y=told.y - levels, u=u), spans, structure, influence)
+        left = each(told.y - levels, u, model.residuals)
+        return Beside(model, levels, u, evidence_of_outputs(model.noise, left, spans))
 
-    whole = Outputs(
-        told.y, told.u, spans, find, lambda model, y, u: each(y, u, model.free_run), judged,
-        lambda y, u, plain: [of_impulses(y, u, spans)], None, told.axis.index,
+    search = Search(
+        told.y, told.u, spans, found, lambda model, y, u: each(y, u, model.free_run),
+        lambda u, plain: [of_impulses(told.y, u, spans)], index=told.axis.index,
     )  # fmt: skip
     with one_thread():
-        best = whole.beside(trend)
+        best = search.best(trend)
         model, y, u = best.model, told.y - best.levels, best.u
         output = each(y, u, model.free_run)
-        left = whole.left(
+        left = search.left(
             best, output, each(y, u, model.residuals), model.operating_point, structure.feedthrough,
             "K is unbiased only as far as it is right about the noise" if structure.disturbance
             else "it is biased by that unless the noise is white: disturbance=True models the noise",
@@ -244,10 +245,10 @@ def _searched(structure: StateSpace, n: int, parts: Any, known: Any, influence: 
 
 
 def _descended(
-    model: StateSpaceResiduals, start: Start, noise: Noises, rows: Any, limits: Limits | None = None
+    model: StateSpaceResiduals, start: Array, noise: Noises, rows: Any, limits: Limits | None = None
 ) -> _Found:
     """Return where a few steps from a start lead."""
-    end = minimised(model, start.q, noise, rows, rows, _FIRST_STEPS, limits)
+    end = minimised(model, start, noise, rows, rows, _FIRST_STEPS, limits)
     return _Found(model, end.p, end.noise.learnt().refitted(end.residual[rows], 30), rows, end.converged)
 
 
@@ -279,14 +280,14 @@ def _with_disturbance(structure: StateSpace, found: _Found, known: Any, influenc
     model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
     one = found.model.matrices(found.q)
     own = found.q[found.model.shared :].reshape(len(parts), -1)
-    zero = Start("without disturbance", model.packed(one, own[:, : model.outputs], own[:, model.outputs :]))
+    zero = model.packed(one, own[:, : model.outputs], own[:, model.outputs :])
     cleaned = _cleaned(found, known)
     starts = [zero] + [s for reach in _REACHES if (s := predictor_start(model, known, cleaned, reach)) is not None]
     ends = []
     for start in starts:
         model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
         model.weights = [good.astype(float) for good in known]
-        end = found._replace(model=model, q=start.q)
+        end = found._replace(model=model, q=start)
         for _ in range(_TURNS):
             _weigh(end, known)
             done = minimised(model, end.q, end.noise, end.rows, end.rows, _FIRST_STEPS)

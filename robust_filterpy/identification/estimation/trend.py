@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import START
-from robust_filterpy.identification.estimation.colour import evidence
+from robust_filterpy.identification.estimation.prediction_error import evidence
 from robust_filterpy.identification.estimation.starts import robust_regression
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.influence.regression import mad_scale, resolution

@@ -29,9 +29,9 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
+from robust_filterpy.identification.estimation.beside import Settled
 from robust_filterpy.identification.estimation.cleaning import THRESHOLDS
 from robust_filterpy.identification.estimation.identify import identify
-from robust_filterpy.identification.estimation.level import Settled
 from robust_filterpy.identification.estimation.trend import PRICE, Trend
 from robust_filterpy.identification.judging.grid import Candidate, Grid, ImpulseResponse, Kind, Orders, Selection
 from robust_filterpy.identification.models.model import Model
