@@ -17,10 +17,9 @@ from robust_filterpy._checks import Array, numbers
 from robust_filterpy._state import widened
 from robust_filterpy.correction import copies
 from robust_filterpy.correction.learning import NoiseClasses
-from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.kernel.series import Output
 
-__all__ = ["began", "continued", "refuse"]
+__all__ = ["began", "continued"]
 
 _COVARIANCES = ("full", "diagonal", "none")
 _REFUSED = ("raise", "nan")
@@ -142,15 +141,10 @@ def _every(keep: Any, steps: int) -> int:
     return _checks.count("keep", keep, 1)
 
 
-# What becomes NaN where a series is refused; what was learnt of its noise stays.
-_LOST = ("x", "P", "means", "covariances")
-
-
-def began(kf: RobustKalmanFilter, given: SeriesArguments, learnt: ArrayLike | None) -> dict[str, Array]:
+def began(policy: Any, given: SeriesArguments, learnt: ArrayLike | None) -> dict[str, Array]:
     """Return where series stand that begin, or raise."""
     (series, n), m = given.x.shape, given.z.shape[2]
-    policy: Any = kf.policy
-    stands, is_mixture = {"x": given.x, "P": given.P}, kf.noise is not None
+    stands, is_mixture = {"x": given.x, "P": given.P}, policy.noise is not None
     if learnt is not None and not (is_mixture and policy.learns):
         raise ValueError("learnt: expected none without noise=Learnt(..), got some")
     if policy.learns and not is_mixture:
@@ -168,9 +162,9 @@ def began(kf: RobustKalmanFilter, given: SeriesArguments, learnt: ArrayLike | No
     return stands
 
 
-def continued(kf: RobustKalmanFilter, given: SeriesArguments, state: Mapping[str, Any]) -> dict[str, Array]:
+def continued(policy: Any, given: SeriesArguments, state: Mapping[str, Any]) -> dict[str, Array]:
     """Return a copy of where an earlier part of the same series has ended, or raise."""
-    stands = began(kf, given, None)
+    stands = began(policy, given, None)
     if set(state) != set(stands):
         raise ValueError(
             f"state: expected {', '.join(stands)} in it, got {', '.join(state)}; it goes on with the same noise=, "
@@ -188,18 +182,10 @@ def continued(kf: RobustKalmanFilter, given: SeriesArguments, state: Mapping[str
     if "belief" in stands:
         copies.require_belief("state['belief']", stands["belief"])
     if "learnt" in stands:
-        policy: Any = kf.policy
         stands["learnt"] = _learnt(policy.classes, stands["learnt"], len(given.x), given.z.shape[2])
     if not np.isfinite(stands.get("spread", 0.0)).all():
         raise ValueError("state['spread']: expected finite numbers, got NaN or infinity")
     return stands
-
-
-def refuse(stands: dict[str, Array], s: int) -> None:
-    """Say that a series stands nowhere."""
-    for name in _LOST:
-        if name in stands:
-            stands[name][s] = np.nan
 
 
 def _learnt(classes: NoiseClasses, learnt: ArrayLike | None, series: int, m: int) -> Array:

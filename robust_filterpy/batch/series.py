@@ -10,17 +10,17 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
-from robust_filterpy.batch.arguments import SeriesArguments, began, continued, refuse, series_arguments, spread, threads
-from robust_filterpy.correction import copies
-from robust_filterpy.correction.copies import Copies
-from robust_filterpy.correction.options import Grouping, Information, Scaling
+from robust_filterpy.batch.arguments import SeriesArguments, began, continued, series_arguments, spread, threads
+from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.spread import FILLED
+from robust_filterpy.filters.driver import run
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.notices import say_stuck_among
+from robust_filterpy.filters.policies import Kept
 from robust_filterpy.influence.functions import Huber, Influence
-from robust_filterpy.kernel import learnt as learnt_kernel
 from robust_filterpy.kernel import series as kernel
+from robust_filterpy.kernel.series import Kept as Rows
 from robust_filterpy.kernel.series import Model
 
 __all__ = ["FilteredSeries", "filter_series"]
@@ -168,119 +168,69 @@ def filter_series(
         x0, P0 = state["x"], state["P"]
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
     (_, steps, m), kept = given.z.shape, given.kept
-    kf = RobustKalmanFilter(
+    policy = RobustKalmanFilter(
         given.x.shape[1], m, influence=influence, scaling=scaling, information=information, grouping=grouping,
         noise=noise, process=process,
-    )  # fmt: skip
-    is_mixture = kf.noise is not None
-    stands = began(kf, given, learnt) if state is None else continued(kf, given, state)
+    ).policy  # fmt: skip
+    is_mixture = policy.noise is not None
+    stands = began(policy, given, learnt) if state is None else continued(policy, given, state)
     before = None if is_mixture or "spread" not in stands else stands["spread"][:, :, FILLED].copy()
-    shown = Shown(np.empty(kept.means.shape[:2]), np.empty(kept.means.shape)) if is_mixture else Shown(None, None)
-    by_kernel = _by_classes if is_mixture else _by_psi
-    for s, start in enumerate(by_kernel(kf.policy, given, stands, shown, threads(n_threads)).tolist()):
-        if start < steps:
-            _by_filter(kf, given, stands, shown, s, start)
+    scale = np.empty(kept.means.shape) if is_mixture else None
+    outlying = np.empty(kept.weights.shape) if is_mixture else None
+
+    def part(low: int, high: int) -> np.ndarray:
+        """Advance some series: all together by psi and the kernel, then each from where that declined."""
+        done = np.zeros(high - low, dtype=int) if is_mixture else _together(policy.choices, given, stands, low, high)
+        for s in (low + np.flatnonzero(done < steps)).tolist():
+            _alone(policy, given, stands, scale, outlying, s, int(done[s - low]))
+        return done
+
+    spread(part, len(given.z), threads(n_threads))
     if is_mixture or before is not None:
         stuck = (kept.weights == 0.0).any(axis=1) if before is None else stands["spread"][:, :, FILLED] > before
         say_stuck_among("filter_series", "series", stuck)
+    probability = None if outlying is None else policy.any_outlier(outlying)  # type: ignore[union-attr]
     return FilteredSeries(
-        kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, *shown, stands
+        kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, probability, scale, stands
     )  # fmt: skip
 
 
-class Shown(NamedTuple):
-    """What a filter under noise= shows besides, (series, kept step), and of the scale (series, kept step, n)."""
-
-    outlier_probability: Array | None
-    process_scale: Array | None
-
-
-def _by_psi(policy: Any, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int) -> np.ndarray:
-    """Run the kernel, which lets go of the interpreter, on threads; return how many steps of each were taken."""
-    choices, (F, Q, H, R) = policy.choices, given.model
+def _together(choices: Choices, given: SeriesArguments, stands: dict[str, Array], low: int, high: int) -> np.ndarray:
+    """Run the kernel, which lets go of the interpreter, over some series; return how many steps of each were taken."""
     if not kernel.serves(choices) or not given.z.size:
-        return np.zeros(len(given.z), dtype=int)
-    model = Model(F, Q, H, R, np.zeros((1, 1, given.x.shape[1])))
-
-    def part(low: int, high: int) -> np.ndarray:
-        return kernel.filter_series(
-            choices, given.z, model, stands["x"], stands["P"], given.kept, memory=stands.get("spread"),
-            every=given.every, span=(low, high),
-        )[low:high]  # fmt: skip
-
-    return spread(part, len(given.z), n_threads)
+        return np.zeros(high - low, dtype=int)
+    return kernel.filter_series(
+        choices, given.z, Model(*given.model, np.zeros((1, 1, given.x.shape[1]))), stands["x"], stands["P"],
+        given.kept, memory=stands.get("spread"), every=given.every, span=(low, high),
+    )[low:high]  # fmt: skip
 
 
-def _by_classes(
-    policy: Any, given: SeriesArguments, stands: dict[str, Array], shown: Shown, n_threads: int
-) -> np.ndarray:
-    """Do the same under classes of noise."""
-    classes, kept = policy.classes, given.kept
-
-    def one(s: int) -> int:
-        x, P = stands["x"][s], stands["P"][s]
-        at = {name: array[s] for name, array in stands.items()}
-        kept_apart = [at[name] for name in ("means", "covariances", "belief") if name in at]
-        side = Copies(*kept_apart) if kept_apart else copies.start(x, P, policy.scales)
-        start = learnt_kernel.State(*side, at.get("learnt", classes.start(given.z.shape[2])), x, P)
-        outlier_probability, scale = (None if column is None else column[s] for column in shown)
-        outlying = None if outlier_probability is None else np.zeros((len(outlier_probability), given.z.shape[2]))
-        width = kept.covariances[s].size and (len(kept.covariances[s]), -1)
-        into = learnt_kernel.Kept(
-            kept.means[s], kept.covariances[s].reshape(width) if width else None, None, None, kept.weights[s],
-            outlying, scale, kept.log_likelihood[s : s + 1],
-        )  # fmt: skip
+def _alone(
+    policy: Any, given: SeriesArguments, stands: dict[str, Array], scale: Array | None, outlying: Array | None,
+    s: int, first: int,
+) -> None:  # fmt: skip
+    """Take the steps of one series from one on."""
+    kept, every, at = given.kept, given.every, {name: array[s] for name, array in stands.items()}
+    covariances = kept.covariances[s].reshape(len(kept.means[s]), -1) if kept.covariances[s].size else None
+    scales, odds = (None if column is None else column[s] for column in (scale, outlying))
+    into = Rows(kept.means[s], covariances, None, None, kept.weights[s], odds, scales, kept.log_likelihood[s : s + 1])
+    apart = Kept(at["means"], at["covariances"], at["belief"], at["x"], at["P"]) if "means" in at else None
+    memory = at.get("learnt", at.get("spread", policy.begin(given.z.shape[2])))
+    state = policy.standing(apart, at["x"], at["P"], memory)
+    lost: tuple[str, ...] = ()
+    try:
         model = (*(array[s % len(array)] for array in given.model), None)
-        taken = learnt_kernel.run(start, given.z[s], model, classes, policy.scales, into, every=given.every)
-        if outlying is not None:
-            rows = slice(0, taken // given.every)
-            outlier_probability[rows] = policy.any_outlier(outlying[rows])  # type: ignore[index]
-        return taken
-
-    return spread(lambda low, high: np.array([one(s) for s in range(low, high)], dtype=int), len(given.z), n_threads)
-
-
-def _by_filter(
-    kf: RobustKalmanFilter, given: SeriesArguments, stands: dict[str, Array], shown: Shown, s: int, start: int
-) -> None:
-    """Run one series by a filter's own steps from a step on."""
-    kept, every = given.kept, given.every
-    columns = [a for a in (kept.means, kept.covariances, kept.weights, *shown) if a is not None]
-    model = [matrix[s % len(matrix)] for matrix in given.model]
-    for k in range(start, given.z.shape[1]):
-        try:
-            if k == start:
-                kf.restore({name: array[s] for name, array in stands.items()})
-            kf.F, kf.Q, kf.H, kf.R = (a[k % len(a)] for a in model)
-            kf.predict()
-            kf.update(given.z[s, k])
-        except (ValueError, np.linalg.LinAlgError) as error:
-            if not given.skips:
-                error.args = (f"series {s}, step {k}: {error}", *error.args[1:])
-                raise
-            for column in columns:
-                column[s, k // every :] = np.nan
-            kept.log_likelihood[s] = np.nan
-            if k > start:
-                _take(kf, stands, s)
-            refuse(stands, s)
-            return
-        kept.log_likelihood[s] += kf.log_likelihood
-        if (k + 1) % every == 0:
-            row = (k + 1) // every - 1
-            kept.means[s, row], kept.weights[s, row] = kf.x, kf.weights
-            if kept.covariances.shape[2]:
-                kept.covariances[s, row] = np.diagonal(kf.P) if kept.covariances.shape[2] == 1 else kf.P
-            if shown.outlier_probability is not None and shown.process_scale is not None:
-                shown.outlier_probability[s, row], shown.process_scale[s, row] = (
-                    kf.outlier_probability,
-                    kf.process_scale,
-                )
-    _take(kf, stands, s)
-
-
-def _take(kf: RobustKalmanFilter, stands: dict[str, Array], s: int) -> None:
-    """Let a series stand where a filter stands."""
-    found = kf.state()
-    for name, array in stands.items():
-        array[s] = found.get(name, array[s])
+        run(policy, state, given.z[s], model, into, of="filter_series", first=first, every=every)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        if not given.skips:
+            error.args = (f"series {s}, {error}", *error.args[1:])
+            raise
+        for column in into[:-1]:
+            if column is not None:
+                column[error.step // every :] = np.nan  # type: ignore[attr-defined]
+        # What was learnt of its noise stays.
+        kept.log_likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
+    for name, value in zip(("means", "covariances", "belief", "spread", "x", "P"), state, strict=True):
+        name = "learnt" if name == "spread" and "learnt" in at else name
+        if name in at:
+            stands[name][s] = np.nan if name in lost else value

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._arrays import process_noise, state_of
 from robust_filterpy._checks import Array, all_covariances, entries, shown
+from robust_filterpy.filters.driver import run
 from robust_filterpy.filters.notices import look_at_recording, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import ordinary_noise
-from robust_filterpy.filters.problem import read
+from robust_filterpy.filters.problem import Problem, read
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
-from robust_filterpy.kernel import available, series
-from robust_filterpy.kernel.series import Kept
+from robust_filterpy.kernel.series import Kept as Rows
 
 
 class Given(NamedTuple):
@@ -28,21 +28,6 @@ class Given(NamedTuple):
     Rs: Any
     Bs: Any
     us: Any
-
-
-class Steps(NamedTuple):
-    """Steps of a recording as the kernel takes them, and where they leave what becomes of the filter."""
-
-    zs: Array
-    """Measurements, shape (N, m)."""
-    model: tuple[Array, ...]
-    """F, Q, H, R, B u, one a step or one for all."""
-    kept: Any
-    """A `robust_filterpy.kernel.series.Kept`."""
-    options: dict[str, Any]
-    """How far memory fades, and whether a step corrects first."""
-    last_seen: int
-    """The last step with a measurement, -1 if there is none."""
 
 
 class RecordingMixin(Shell):
@@ -68,18 +53,22 @@ class RecordingMixin(Shell):
         shape = (n, dim_x) if np.ndim(self.x) == 1 else (n, dim_x, 1)
         means, means_p = np.zeros(shape), np.zeros(shape)
         covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
-        steps = None
-        if by_kernel and n:
-            rows = [a.reshape(n, -1) for a in (means, covariances, means_p, covariances_p)]
-            kept = Kept(rows[0], rows[1], rows[2], rows[3], scale=scales)
-            steps = self._prepared(given, kept, bool(update_first))
+        rows = self._read(given) if by_kernel and n else None
+        # The filter's own are the last step and the last with a measurement: what they leave in it stays.
+        own: Iterable[int] = range(n)
+        if rows is not None:
+            shown = Rows(*(a.reshape(n, -1) for a in (means, covariances, means_p, covariances_p)))
+            shown = shown._replace(weights=np.full(rows.zs.shape, np.nan), scale=scales)
+            seen = np.flatnonzero(~np.isnan(rows.zs).all(axis=1))
+            own = sorted({*seen[-1:].tolist(), n - 1})
         k = 0
         with unchanged_if_refused(self):
-            try:
-                while k < n:
-                    if steps is not None:
-                        k = self._advance(steps, k)
-                    z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
+            for stop in own:
+                if rows is not None and k < stop:
+                    self._run(rows, shown, bool(update_first), k, stop)
+                k = stop
+                z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
+                try:
                     if update_first:
                         self.update(z, R=R, H=H)
                         means[k], covariances[k] = self.x, self.P
@@ -92,85 +81,76 @@ class RecordingMixin(Shell):
                         scales[k] = self.process_scale
                     if saver is not None:
                         saver.save()
-                    k += 1
-            except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-                error.args = (f"step {k}: {error}", *error.args[1:])
-                raise
+                except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+                    error.args = (f"step {k}: {error}", *error.args[1:])
+                    raise
+                k += 1
             return means, covariances, means_p, covariances_p
 
-    def _prepared(self, given: Given, kept: Kept, update_first: bool) -> Steps | None:
-        """Return the steps of a recording for the kernel, None if the call is for the filter's own methods."""
+    def _read(self, given: Given) -> Problem | None:
+        """Return a recording as arrays, None if the call is for the filter's own methods."""
         zs, Fs, Qs, Hs, Rs, Bs, us = given
         kf: Any = self
         # Sensors of an H that is passed are known by its rows, which the filter's own methods look up.
         if Hs is not None and self._policy.learns:
             return None
         try:
-            if not (series.serves(self._choices) if self._policy.by_kernel else available()):
-                return None
             # As in filterpy, without a B there is no input.
             rows = read(kf, zs, Fs, Qs, Hs, Rs, Bs, None if kf.B is None and Bs is None else us)
-            Q, R = rows.Q, rows.R
             if Hs is None and rows.H.shape[1] != self.dim_z:
                 return None
-            if not (_symmetric(Q) and _symmetric(R) and _symmetric(rows.P[None]) and all_covariances(R)):
+            symmetric = _symmetric(rows.Q) and _symmetric(rows.R) and _symmetric(rows.P[None])
+            if not (symmetric and all_covariances(rows.R) and (Qs is None or all_covariances(rows.Q))):
                 return None
             if Qs is None:
                 process_noise(kf.Q, None, len(rows.x))
-            elif not all_covariances(Q):
-                return None
         except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
             # Let the filter's own methods say what is wrong, and at which step.
             return None
-        kept = kept._replace(weights=np.full(rows.zs.shape, np.nan))
-        model = tuple(np.ascontiguousarray(a, dtype=float) for a in rows[1:6])
-        seen = np.flatnonzero(~np.isnan(rows.zs).all(axis=1))
-        options = {"alpha_sq": float(self._alpha_sq), "update_first": update_first}
-        return Steps(rows.zs, model, kept, options, int(seen[-1]) if len(seen) else -1)
+        return rows
 
-    def _advance(self, steps: Steps, k: int) -> int:
-        """Take steps from k on as far as the kernel can and return the next, which is the filter's."""
-        # The filter's own are the last step and the last with a measurement: what they leave in it stays.
-        last = steps.last_seen if k <= steps.last_seen else len(steps.zs) - 1
-        if k >= last:
-            return k
-        policy, (x, P), weights = self._policy, state_of(self), steps.kept.weights
-        state = policy.standing(self._kept, x.ravel(), P, self._known(steps.zs.shape[1]).memory)
-        taken: int = policy.advance(state, steps.zs, steps.model, steps.kept, first=k, last=last, **steps.options)
-        if taken == k:
-            return k
+    def _run(self, rows: Problem, shown: Rows, update_first: bool, first: int, last: int) -> None:
+        """Take steps of a recording at once."""
+        policy, (x, P), m = self._policy, state_of(self), rows.zs.shape[1]
+        known = self._known(m).memory
+        state = policy.standing(self._kept, x.ravel(), P, known)
+        run(
+            policy, state, rows.zs, rows[1:6], shown, of=type(self).__name__, first=first, last=last,
+            alpha_sq=float(self._alpha_sq), update_first=update_first,
+        )  # fmt: skip
         # What else a step leaves in the filter, the filter's own next step sets anew.
         self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
         self._kept = policy.kept_of(self._kept, state)
         if policy.noise is None and policy.learns:
-            look_for_repeats(self, state.learnt, self._known(steps.zs.shape[1]).memory)
+            look_for_repeats(self, state.learnt, known)
         self._learn(state.learnt, len(state.learnt))
+        weights: Any = shown.weights
         if policy.noise is None:
             if self._choices.scaling == "innovation":
-                self._look_back(weights[k:taken], _innovations(steps, k, taken))
-            return taken
-        look_for_stuck(self, weights[k:taken], k)
+                self._look_back(weights[first:last], _innovations(rows, shown, update_first, first, last))
+            return
+        look_for_stuck(self, weights[first:last], first)
         if self._counts_clipped:
-            _, _, H, R, _ = (np.broadcast_to(rows, (len(steps.zs), *rows.shape[1:]))[k:taken] for rows in steps.model)
+            H, R = (np.broadcast_to(a, (len(rows.zs), *a.shape[1:]))[first:last] for a in (rows.H, rows.R))
+            covariances: Any = shown.covariances_p
 
             def variances(some: list[int]) -> Array:
                 """Return those of the innovations of some steps, with the noise as it is learnt at the end."""
-                P = steps.kept.covariances_p[k:taken][some].reshape(-1, *self.P.shape)
+                P = covariances[first:last][some].reshape(-1, *self.P.shape)
                 noise = ordinary_noise(R[some], state.learnt)
                 return np.diagonal(H[some] @ P @ H[some].swapaxes(1, 2) + noise, axis1=1, axis2=2)
 
-            look_at_recording(self, _innovations(steps, k, taken), k, variances)
-        return taken
+            look_at_recording(self, _innovations(rows, shown, update_first, first, last), first, variances)
 
 
-def _innovations(steps: Steps, first: int, last: int) -> Array:
+def _innovations(rows: Problem, shown: Rows, update_first: bool, first: int, last: int) -> Array:
     """Return the innovations of steps that have been taken, but for what was missing."""
-    means = steps.kept.means_p[first:last]
-    if steps.options["update_first"]:
+    means: Any = shown.means_p[first:last]  # type: ignore[index]
+    if update_first:
         # A step's prediction comes after its correction, and the next corrects it.
         means = np.concatenate([means[:1], means[:-1]])
-    H = np.broadcast_to(steps.model[2], (len(steps.zs), *steps.model[2].shape[1:]))[first:last]
-    return steps.zs[first:last] - np.einsum("kij,kj->ki", H, means)
+    H = np.broadcast_to(rows.H, (len(rows.zs), *rows.H.shape[1:]))[first:last]
+    return rows.zs[first:last] - np.einsum("kij,kj->ki", H, means)
 
 
 def _columns(given: Given) -> list[Any]:

@@ -32,7 +32,7 @@ from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._parts import Part, Parts
 from robust_filterpy.filters._recording import Given, RecordingMixin
-from robust_filterpy.filters._rounding import without_rounding
+from robust_filterpy.filters.driver import without_rounding
 from robust_filterpy.filters.policies import Bounded, finite_product
 from robust_filterpy.filters.shell import is_own
 from robust_filterpy.filters.snapshot import whole
@@ -404,7 +404,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             """Correct with this P."""
             return self._policy.corrected(known, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse)
 
-        return without_rounding(self, correct, known, P, H, R)  # type: ignore[no-any-return]
+        return without_rounding(type(self).__name__, correct, known, P, H, R)  # type: ignore[no-any-return]
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
         """Return what `update` would make of x and P, and change nothing.

@@ -10,7 +10,7 @@ import numpy as np
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
-from robust_filterpy.filters._rounding import without_rounding
+from robust_filterpy.filters.driver import without_rounding
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel import moments
@@ -43,7 +43,7 @@ class NonlinearFilterMixin(Shell):
             difference = difference_of(residual, shape)
             return self._policy.corrected_by_moments(known, np.zeros(len(P)), P, innovation, self._inverse, difference)
 
-        return without_rounding(self, correct, known, P, C if S is None else None, R)
+        return without_rounding(type(self).__name__, correct, known, P, C if S is None else None, R)
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""

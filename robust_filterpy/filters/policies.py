@@ -219,6 +219,10 @@ class Bounded:
         """Return the factor of Q that is thought likely."""
         return 1.0
 
+    def process_scale(self, kept: Any, n: int) -> Array:
+        """Return the mean factor of each state's Q."""
+        return np.ones(n)
+
     def entries(self, kept: Insistence | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the count and the refused innovation that the next one is compared with."""
         if kept is None:
@@ -390,7 +394,7 @@ class Mixture:
 
     def standing(self, kept: Kept | None, x: Array, P: Array, memory: Array) -> State:
         """Return where a recording begins, in arrays of its own."""
-        return half_step.begin(self.current(kept, x, P).copies, memory)
+        return half_step.begin(self.current(kept, x, P).copies, memory)._replace(x=x.copy(), P=P.copy())
 
     def kept_of(self, kept: Kept | None, state: State) -> Kept | None:
         """Return what is kept besides where a recording has come to."""
@@ -422,6 +426,12 @@ class Mixture:
         if kept is None:
             return 1.0
         return float(np.exp(np.mean(np.log(self.scales.scales) @ side_by_side.slow(kept.copies, self.scales))))
+
+    def process_scale(self, kept: Kept | None, n: int) -> Array:
+        """Return the mean factor of each state's Q."""
+        if kept is None:
+            return np.ones(n)
+        return np.asarray(np.array(self.scales.scales) @ side_by_side.slow(kept.copies, self.scales))
 
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""

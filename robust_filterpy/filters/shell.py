@@ -18,6 +18,7 @@ from robust_filterpy.correction.options import Choices, Grouping, Information, S
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._insistence import is_near, jump_of, watched
 from robust_filterpy.filters._parts import log_density
+from robust_filterpy.filters.driver import require_finite_correction
 from robust_filterpy.filters.notices import EVERY, Share, judges, look_at_signs, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
@@ -333,8 +334,7 @@ class Shell(StateMixin):
     def _keep(self, last: Any, kept: Any, z: Array, passed: Array | None = None) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
         column = np.ndim(self.x) == 2
-        if not (np.isfinite(last.x).all() and np.isfinite(last.P).all()):
-            raise ValueError("update: expected a finite x and P, got NaN or infinity; check z, P and R, or units")
+        require_finite_correction(last)
         self._learn(last.memory, len(z), passed)
         if self._policy.noise is None and last.memory is not None:
             look_for_repeats(self, last.memory)

@@ -265,10 +265,7 @@ class StateMixin:
 
         Shape (dim_x,), equal for states of one part; 1 if Q is taken as told.
         """
-        probabilities = self.process_probabilities
-        if probabilities is None:
-            return np.ones(self.dim_x)
-        return np.asarray(np.array(self._policy.scales.scales) @ probabilities)
+        return self._policy.process_scale(self._kept, self.dim_x)  # type: ignore[no-any-return]
 
     def state(self) -> dict[str, Array]:
         """Return everything that the filter needs to go on, as plain arrays.

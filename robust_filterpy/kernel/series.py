@@ -149,6 +149,7 @@ def filter_series(
 def run(
     choices: Choices, state: State, zs: Array, model: tuple[Any, ...], kept: Kept,
     *, first: int = 0, last: int | None = None, alpha_sq: float = 1.0, update_first: bool = False,
+    every: int = 1,
 ) -> int:  # fmt: skip
     """Take the steps of one recording as far as the kernel can, in place, and return the first that was not taken."""
     if not serves(choices):
@@ -160,7 +161,7 @@ def run(
     kernel.extension().filter_series(
         rule(choices), plain(zs)[None], tuple(plain(a)[None] for a in matrices), state.x[None], state.P[None],
         state.learnt[None], tuple(None if a is None else a[None] for a in kept[:5]), np.zeros(1), done,
-        (first, last, 0, 1, alpha_sq, bool(update_first), 1), width,
+        (first, last, 0, 1, alpha_sq, bool(update_first), every), width,
     )  # fmt: skip
     return int(done[0])
 

@@ -1,0 +1,143 @@
+"""The one driver of recordings: the kernel until it declines a step, that step by the definition, the kernel again.
+
+Where rounding has made a P indefinite, the nearest covariance takes its place, and the correction goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._arrays import measured, regardless, require_finite_prediction
+from robust_filterpy._checks import Array
+from robust_filterpy._warning import RobustFilterWarning, warn
+from robust_filterpy.correction.standardization import SingularInnovationError
+from robust_filterpy.filters.policies import Kept, Known, Policy
+from robust_filterpy.kernel.series import Kept as Rows
+from robust_filterpy.kernel.series import State
+
+__all__ = ["require_finite_correction", "run", "without_rounding"]
+
+
+def run(
+    policy: Policy, state: State, zs: Array, model: tuple[Any, ...], shown: Rows,
+    *, of: str, first: int = 0, last: int | None = None, alpha_sq: float = 1.0, update_first: bool = False,
+    every: int = 1,
+) -> None:  # fmt: skip
+    """Take steps of a recording, in place; what is raised names the step, and has its number as ``step``.
+
+    model: F, Q, H, R, B u, one a step or one for all; of: whose steps they are, for a warning; every: distance of the
+    steps that have a row in what is shown.
+    """
+    last = len(zs) if last is None else last
+    how = {"alpha_sq": alpha_sq, "update_first": update_first, "every": every}
+    while first < last:
+        first = policy.advance(state, zs, model, shown, first=first, last=last, **how)
+        if first == last:
+            return
+        matrices = tuple(None if part is None else part[first % len(part)] for part in model)
+        row = (first + 1) // every - 1 if (first + 1) % every == 0 else None
+        try:
+            regardless(_step, policy, state, zs[first], (*matrices, alpha_sq), update_first, shown, row, of)
+        except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+            error.args, error.step = (f"step {first}: {error}", *error.args[1:]), first  # type: ignore[union-attr]
+            raise
+        first += 1
+
+
+def _step(
+    policy: Policy, state: State, z: Array, model: tuple[Any, ...], update_first: bool, shown: Rows, row: int | None,
+    of: str,
+) -> None:  # fmt: skip
+    """Take one step by the definition and show it in a row, if it has one."""
+    F, Q, H, R, Bu, alpha_sq = model
+    weights, outlying, log_density = np.full(len(z), np.nan), 0.0, 0.0
+    x, P, memory, kept = state.x, state.P, state.learnt, None
+    if len(state.means) > 1:
+        kept = Kept(*(part.copy() for part in (*state[:3], x, P)))
+    for predicts in (not update_first, update_first):
+        if predicts:
+            x, P, kept = policy.predicted(kept, x, P, F, Q, Bu, alpha_sq)
+            require_finite_prediction(x, P)
+            _show(shown.means_p, shown.covariances_p, row, x, P)
+            continue
+        if measured(z, len(z)) is not None:
+            at = x
+
+            def correct(known: Known, P: Array, at: Array = at) -> Any:
+                """Correct with this P."""
+                return policy.corrected(known, at, P, z, H, R, None, None)
+
+            found, kept = without_rounding(of, correct, Known(memory, kept), P, H, R)
+            require_finite_correction(found)
+            x, P, weights, log_density = found.x, found.P, found.weights, found.log_density
+            memory = memory if found.memory is None else found.memory
+            outlying = getattr(found, "outlier_probabilities", 0.0)
+        _show(shown.means, shown.covariances, row, x, P)
+    state.x[:], state.P[:], state.learnt[:] = x, P, memory
+    if len(state.means):
+        for whole, now in zip(state[:3], policy.current(kept, x, P), strict=False):
+            whole[:] = now
+    if shown.log_likelihood is not None:
+        shown.log_likelihood[:] += log_density
+    for column, value in ((shown.weights, weights), (shown.outlying, outlying)):
+        if column is not None and row is not None:
+            column[row] = value
+    if shown.scale is not None and row is not None:
+        shown.scale[row] = policy.process_scale(kept, len(x))
+
+
+def _show(means: Array | None, covariances: Array | None, row: int | None, x: Array, P: Array) -> None:
+    """Write a state into a row, the whole of P or its diagonal."""
+    if means is not None and row is not None:
+        means[row] = x
+    if covariances is not None and row is not None:
+        covariances[row] = P.ravel() if covariances.shape[1] == P.size else P.diagonal()
+
+
+def require_finite_correction(found: Any) -> None:
+    """Raise unless x and P of a correction are finite."""
+    if not (np.isfinite(found.x).all() and np.isfinite(found.P).all()):
+        raise ValueError("update: expected a finite x and P, got NaN or infinity; check z, P and R, or units")
+
+
+def without_rounding(
+    name: str, correct: Callable[[Any, Array], Any], known: Any, P: Array, H: Array | None, R: Array
+) -> Any:  # fmt: skip
+    """Return the correction of P, of what the policy knows; where rounding has left S no inverse, of a mended P."""
+    try:
+        return correct(known, P)
+    except SingularInnovationError:
+        kept, stack = known.kept, P[None]
+        if hasattr(kept, "covariances") and kept.P.tobytes() == P.tobytes():
+            stack = np.concatenate([stack, kept.covariances])
+        mended = None if H is None else _mended(stack, H, R)
+        if mended is None:
+            raise
+        if len(mended) > 1:
+            known = known._replace(kept=kept._replace(covariances=mended[1:], P=mended[0]))
+        found = correct(known, mended[0])
+    warn(
+        f"{name}: H P H' is negative by rounding, since P holds numbers as large as {np.abs(P).max():.3g}; the nearest "
+        f"covariance took the place of P; leave out states that no sensor sees, or begin with a smaller P",
+        RobustFilterWarning,
+        of=name,
+    )
+    return found
+
+
+def _mended(stack: Array, H: Array, R: Array) -> Array | None:
+    """Return the nearest covariances; None if sensors see nothing negative, or rounding is no match for their noise."""
+    variances, noise = np.diagonal(stack, axis1=1, axis2=2), R.diagonal()
+    seen = H @ stack @ H.T
+    if not (np.isfinite(stack).all() and np.isfinite(seen).all() and np.linalg.eigvalsh(seen).min() < 0.0):
+        return None
+    rounding = stack.shape[1] ** 2 * np.finfo(float).eps
+    if not (0.0 < noise).all() or not (rounding * H**2 @ variances.T > noise[:, None]).any():
+        return None
+    unit = np.sqrt(np.maximum(np.abs(variances), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(stack / unit[:, None] / unit[:, :, None])
+    root = unit[:, :, None] * vectors * np.sqrt(np.maximum(values, rounding))[:, None]
+    return np.asarray(root @ root.swapaxes(1, 2))
