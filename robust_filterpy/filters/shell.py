@@ -47,6 +47,26 @@ def _option(name: str, words: str) -> Any:
     return property(read, lambda kf, value: kf._choose(**{name: value}), doc=words)
 
 
+def _view(name: str, absent: Any, words: str) -> Any:
+    """Return a field of the last correction as an attribute."""
+    return property(lambda kf: kf._shown(name, absent), doc=words)
+
+
+def _made(name: str, words: str) -> Any:
+    """Return what is made of the last correction when somebody asks for it as an attribute, which may be set."""
+    place = f"_{name}"
+
+    def read(kf: Any) -> Any:
+        """Return it."""
+        value = getattr(kf, place)
+        if value is None:
+            value = kf._make(name)
+            setattr(kf, place, value)
+        return value
+
+    return property(read, lambda kf, value: setattr(kf, place, value), doc=words)
+
+
 class _Emptied(NamedTuple):
     """A correction with nothing observed, made when somebody looks."""
 
@@ -293,20 +313,9 @@ class Shell(StateMixin):
             return found if np.ndim(self.x) == 1 else found[:, None]
         return self._shown("weights", np.nan)
 
-    @property
-    def clipped(self) -> np.ndarray:
-        """Whether psi'(e) <= 0 in the last correction, shape of y."""
-        return self._shown("clipped", False)
-
-    @property
-    def e(self) -> Array:
-        """Standardized innovation T y of the last correction, shape of y (paper 29)."""
-        return self._shown("e", 0.0)
-
-    @property
-    def y_bounded(self) -> Array:
-        """Bounded innovation T^-1 psi(T y) of the last correction, shape of y, in the unit of z."""
-        return self._shown("y_bounded", 0.0)
+    clipped = _view("clipped", False, "Whether psi'(e) <= 0 in the last correction, shape of y.")
+    e = _view("e", 0.0, "Standardized innovation T y of the last correction, shape of y (paper 29).")
+    y_bounded = _view("y_bounded", 0.0, "Bounded innovation T^-1 psi(T y), shape of y, in the unit of z.")
 
     @property
     def T(self) -> Array:
@@ -393,51 +402,19 @@ class Shell(StateMixin):
 
     # y, S, SI and K are filterpy's. Few programs look at them at every step, so they are made when asked for.
 
-    @property
-    def y(self) -> Array:
-        """Innovation z - H x of the last correction, 0 where missing, shape (dim_z, 1) or (dim_z,)."""
-        if self._y is None:
-            self._y = self._shown("y", 0.0)
-        return self._y
+    y = _made("y", "Innovation z - H x of the last correction, 0 where missing, shape (dim_z, 1) or (dim_z,).")
+    S = _made("S", "Innovation covariance H P H' + R, shape (dim_z, dim_z).")
+    SI = _made("SI", "Inverse of S, shape (dim_z, dim_z).")
+    K = _made("K", "Gain before psi, C T'T, shape (dim_x, dim_z).")
 
-    @y.setter
-    def y(self, value: Array) -> None:
-        self._y = value
-
-    @property
-    def S(self) -> Array:
-        """Innovation covariance H P H' + R, shape (dim_z, dim_z)."""
-        if self._S is None:
-            self._S = self._arrays().S  # type: ignore[union-attr]
-        return self._S
-
-    @S.setter
-    def S(self, value: Array) -> None:
-        self._S = value
-
-    @property
-    def SI(self) -> Array:
-        """Inverse of S, shape (dim_z, dim_z)."""
-        if self._SI is None:
-            last = self._arrays()
-            inverse = self._inverse
-            self._SI = last.inverse if inverse is None else inverse(last.S)  # type: ignore[union-attr]
-        return self._SI
-
-    @SI.setter
-    def SI(self, value: Array) -> None:
-        self._SI = value
-
-    @property
-    def K(self) -> Array:
-        """Gain before psi, C T'T, shape (dim_x, dim_z)."""
-        if self._K is None:
-            self._K = self._arrays().K  # type: ignore[union-attr]
-        return self._K
-
-    @K.setter
-    def K(self, value: Array) -> None:
-        self._K = value
+    def _make(self, name: str) -> Array:
+        """Return y, S, SI or K of the last correction."""
+        if name == "y":
+            return self._shown("y", 0.0)
+        last: Any = self._arrays()
+        if name == "SI":
+            return last.inverse if self._inverse is None else self._inverse(last.S)  # type: ignore[no-any-return]
+        return getattr(last, name)  # type: ignore[no-any-return]
 
     @property
     def log_likelihood(self) -> float:
