@@ -1,7 +1,6 @@
 """Many series, many filters at once.
 
 * `series`: many recordings filtered, the noise of each learnt on request.
-* `arguments`: what the functions of many series take, checked.
 
 Imports from below: `influence`, `correction`, `kernel`, `filters`.
 """

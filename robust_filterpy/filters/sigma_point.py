@@ -15,12 +15,15 @@ from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
 from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt
-from robust_filterpy.filters._points import REDRAWS, covariance, drawn, transformed
 from robust_filterpy.filters.nonlinear_mixin import (
+    REDRAWS,
     NonlinearFilterMixin,
+    covariance,
     difference_of,
+    drawn,
     innovation_of,
     require_finite,
+    transformed,
 )
 from robust_filterpy.filters.snapshot import unchanged_if_refused, whole
 from robust_filterpy.influence.functions import Huber, Influence
