@@ -22,9 +22,8 @@ from robust_filterpy.correction.options import Choices, Grouping, Information, S
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.driver import run
-from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.notices import say_stuck_among
-from robust_filterpy.filters.policies import Kept
+from robust_filterpy.filters.policies import Kept, policy_of
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.series import Kept as Rows
@@ -352,11 +351,8 @@ def filter_series(
             raise TypeError(f"state: expected what filter_series returned as state, got {type(state).__name__}")
         x0, P0 = state["x"], state["P"]
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
-    (_, steps, m), kept = given.z.shape, given.kept
-    policy = RobustKalmanFilter(
-        given.x.shape[1], m, influence=influence, scaling=scaling, information=information, grouping=grouping,
-        noise=noise, process=process,
-    ).policy  # fmt: skip
+    steps, kept = given.z.shape[1], given.kept
+    policy = policy_of(influence, scaling, information, grouping, noise, process)
     is_mixture = policy.noise is not None
     stands = began(policy, given, learnt) if state is None else continued(policy, given, state)
     before = None if is_mixture or "spread" not in stands else stands["spread"][:, :, FILLED].copy()

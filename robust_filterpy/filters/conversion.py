@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from copy import deepcopy
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 
-from robust_filterpy.correction.options import Grouping, Information, Scaling
-from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.policies import Options, with_options
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
-from robust_filterpy.influence.functions import Huber, Influence
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["robust"]
 
@@ -27,17 +28,8 @@ _OURS: dict[type, Any] = {
 }
 
 
-def robust(
-    kf: Any,
-    *,
-    influence: Influence = Huber(),
-    scaling: Scaling | None = None,
-    information: Information = "realized",
-    grouping: Grouping = "component",
-    noise: Contaminated | Learnt | str | None = None,
-    process: Contaminated | Scales | str | None = None,
-    patience: int | None = None,
-) -> Any:
+@with_options
+def robust(kf: Any, **options: Unpack[Options]) -> Any:
     """Return a robust filter with the state and the matrices of an existing one, which stays as it is.
 
     Parameters
@@ -80,17 +72,13 @@ def robust(
     user: Any = type(kf)
     cls = _OURS[theirs] if user is theirs else _subclass(user, _OURS[theirs])
     ours = cls.__new__(cls)
-    choices: dict[str, Any] = dict(
-        influence=influence, scaling=scaling, information=information, grouping=grouping, noise=noise, process=process,
-        patience=patience,
-    )  # fmt: skip
     if theirs in (KalmanFilter, ExtendedKalmanFilter):
-        _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf.dim_u, **choices)
+        _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf.dim_u, **options)
     elif theirs is UnscentedKalmanFilter:
         arguments = (kf._dim_x, kf._dim_z, kf._dt, kf.hx, kf.fx, kf.points_fn)
-        _OURS[theirs].__init__(ours, *arguments, **choices)
+        _OURS[theirs].__init__(ours, *arguments, **options)
     else:
-        _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf._dt, kf.hx, kf.fx, **choices)
+        _OURS[theirs].__init__(ours, kf.dim_x, kf.dim_z, kf._dt, kf.hx, kf.fx, **options)
     theirs_now = deepcopy(kf)
     if vars(theirs_now).get("_log_likelihood", 0.0) is None:
         # Made when asked for; what it is made of is not kept.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,15 +13,17 @@ from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import EnsembleKalmanFilter
 from robust_filterpy._state import Shape, read, spelt
-from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
     innovation_of,
     require_finite,
 )
+from robust_filterpy.filters.policies import Options, with_options
 from robust_filterpy.filters.snapshot import whole
-from robust_filterpy.influence.functions import Huber, Influence
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["RobustEnsembleKalmanFilter"]
 
@@ -94,6 +96,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 
     _takes_process = _takes_mixtures = False
 
+    @with_options
     def __init__(
         self,
         x: ArrayLike,
@@ -104,19 +107,13 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         hx: Callable[..., ArrayLike],
         fx: Callable[..., ArrayLike],
         *,
-        influence: Influence = Huber(),
-        scaling: Scaling | None = None,
-        information: Information = "realized",
-        grouping: Grouping = "component",
-        noise: None = None,
-        process: None = None,
-        patience: None = None,
         rng: np.random.Generator | None = None,
+        **options: Unpack[Options],
     ) -> None:
         """Draw the ensemble and set up filterpy's attributes and the choices."""
         _checks.count("dim_z", dim_z, 1)
         _checks.count("N", N, 2)
-        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
+        self._set_policy(dim_z, options)
         self.rng = np.random.default_rng() if rng is None else rng
         self.dim_z, self.inv = dim_z, np.linalg.inv
         x = _checks.finite_vector("x", x)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,16 +19,17 @@ from robust_filterpy._arrays import (
 )
 from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
-from robust_filterpy.correction.options import Grouping, Information, Scaling
-from robust_filterpy.correction.policies import Contaminated, Learnt
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
     difference_of,
     innovation_of,
     require_finite,
 )
+from robust_filterpy.filters.policies import Options, with_options
 from robust_filterpy.filters.snapshot import whole
-from robust_filterpy.influence.functions import Huber, Influence
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["RobustExtendedKalmanFilter"]
 
@@ -99,24 +100,12 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     True
     """
 
-    def __init__(
-        self,
-        dim_x: int,
-        dim_z: int,
-        dim_u: int = 0,
-        *,
-        influence: Influence = Huber(),
-        scaling: Scaling | None = None,
-        information: Information = "realized",
-        grouping: Grouping = "component",
-        noise: Contaminated | Learnt | str | None = None,
-        process: None = None,
-        patience: int | None = None,
-    ) -> None:
+    @with_options
+    def __init__(self, dim_x: int, dim_z: int, dim_u: int = 0, **options: Unpack[Options]) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
             _checks.count(name, value, least)
-        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
+        self._set_policy(dim_z, options)
         super().__init__(dim_x, dim_z, dim_u)
         self.inv = np.linalg.inv
         self._start()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,17 +27,17 @@ from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.definition import Innovation
-from robust_filterpy.correction.options import Grouping, Information, Scaling
-from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._parts import Part, Parts
 from robust_filterpy.filters._recording import Given, RecordingMixin
 from robust_filterpy.filters.driver import without_rounding
-from robust_filterpy.filters.policies import Bounded, finite_product
+from robust_filterpy.filters.policies import Bounded, Options, finite_product, with_options
 from robust_filterpy.filters.shell import is_own
 from robust_filterpy.filters.snapshot import whole
-from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import moments
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["RobustKalmanFilter"]
 
@@ -175,24 +175,12 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         super().__init_subclass__(**options)
         cls._by_kernel = is_own(cls, RobustKalmanFilter)
 
-    def __init__(
-        self,
-        dim_x: int,
-        dim_z: int,
-        dim_u: int = 0,
-        *,
-        influence: Influence = Huber(),
-        scaling: Scaling | None = None,
-        information: Information = "realized",
-        grouping: Grouping = "component",
-        noise: Contaminated | Learnt | str | None = None,
-        process: Contaminated | Scales | str | None = None,
-        patience: int | None = None,
-    ) -> None:
+    @with_options
+    def __init__(self, dim_x: int, dim_z: int, dim_u: int = 0, **options: Unpack[Options]) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
             _checks.count(name, value, least)
-        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
+        self._set_policy(dim_z, options)
         super().__init__(dim_x, dim_z, dim_u)
         # filterpy 1.4.5 has it as (dim_z, dim_z), with which update_correlated cannot work.
         self.M = np.zeros((dim_x, dim_z))

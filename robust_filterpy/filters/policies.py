@@ -13,10 +13,11 @@ affair; each that the kernel declines it takes by the definition.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypedDict, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -55,7 +56,7 @@ from robust_filterpy.kernel import moments, series
 from robust_filterpy.kernel.series import Kept as Rows
 from robust_filterpy.kernel.series import State
 
-__all__ = ["Bounded", "Known", "Mixture", "Policy", "finite_product", "ordinary_noise", "policy_of"]
+__all__ = ["Bounded", "Mixture", "Options", "Policy", "finite_product", "ordinary_noise", "policy_of", "with_options"]
 
 
 class Known(NamedTuple):
@@ -537,21 +538,33 @@ def ordinary_noise(R: Array, memory: Array) -> Array:
 Policy: TypeAlias = Bounded | Mixture
 
 
+class Options(TypedDict, total=False):
+    """How a filter judges measurements; `RobustKalmanFilter` says what each means."""
+
+    influence: Influence
+    scaling: Scaling | None
+    information: Information
+    grouping: Grouping
+    noise: Contaminated | Learnt | str | None
+    process: Contaminated | Scales | str | None
+    patience: int | None
+
+
 def policy_of(
     influence: Influence = Huber(),
     scaling: Scaling | None = None,
     information: Information = "realized",
     grouping: Grouping = "component",
-    noise: Any = None,
-    process: Any = None,
+    noise: Contaminated | Learnt | str | None = None,
+    process: Contaminated | Scales | str | None = None,
     patience: int | None = None,
 ) -> Policy:
     """Return the policy that a filter's arguments ask for, or raise where they make no sense together."""
-    noise, process = noise_policy(noise), process_policy(process)
-    if noise is None:
-        if process is not None:
+    fails, moves = noise_policy(noise), process_policy(process)
+    if fails is None:
+        if moves is not None:
             raise ValueError(
-                f"process: expected None without noise=, got {process!r}; how likely a measurement is under each "
+                f"process: expected None without noise=, got {moves!r}; how likely a measurement is under each "
                 "process follows from its noise: say noise='learnt' or noise=Contaminated(..), Contaminated(0) for "
                 "noise without outliers"
             )
@@ -569,4 +582,15 @@ def policy_of(
     ):
         if value not in usual_ones:
             raise ValueError(f"{name}: expected none with noise=, got {value!r}; psi follows from the noise there")
-    return Mixture(noise, process, grouping)
+    return Mixture(fails, moves, grouping)
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def with_options(function: _Function) -> _Function:
+    """Show in the signature of a function the options, with their defaults, that it takes as ``**options``."""
+    own = inspect.signature(function)
+    options = [one.replace(kind=one.KEYWORD_ONLY) for one in inspect.signature(policy_of).parameters.values()]
+    function.__signature__ = own.replace(parameters=[*list(own.parameters.values())[:-1], *options])  # type: ignore
+    return function

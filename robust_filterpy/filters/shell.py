@@ -20,7 +20,7 @@ from robust_filterpy.filters._insistence import is_near, jump_of, watched
 from robust_filterpy.filters._parts import log_density
 from robust_filterpy.filters.driver import require_finite_correction
 from robust_filterpy.filters.notices import EVERY, Share, judges, look_at_signs, look_for_repeats, look_for_stuck
-from robust_filterpy.filters.policies import Mixture, Policy, policy_of
+from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Customs, StateMixin
 from robust_filterpy.kernel.moments import Taken, correction_of, judged_of, weights_of
@@ -115,9 +115,13 @@ class Shell(StateMixin):
     def influence(self, value: Any) -> None:
         self._choose(influence=value)
 
-    def _set_policy(self, dim_z: int, *choices: Any) -> None:
+    def _set_policy(self, dim_z: int, options: Any) -> None:
         """Check and keep what was chosen, as `policy_of` takes it; called before filterpy's constructor."""
-        self._policy = policy_of(*choices)
+        unknown = sorted(options.keys() - Options.__annotations__.keys())
+        if unknown:
+            known = ", ".join(Options.__annotations__)
+            raise TypeError(f"{type(self).__name__}: expected options among {known}, got {unknown[0]}")
+        self._policy = policy_of(**options)
         self._require_possible(self._policy)
         self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
         self._share, self._signs, self._updates, self._process_scales = Share(), None, 0, None

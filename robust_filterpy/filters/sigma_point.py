@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from filterpy.kalman.CubatureKalmanFilter import ckf_transform
@@ -13,8 +13,6 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
-from robust_filterpy.correction.options import Grouping, Information, Scaling
-from robust_filterpy.correction.policies import Contaminated, Learnt
 from robust_filterpy.filters.nonlinear_mixin import (
     REDRAWS,
     NonlinearFilterMixin,
@@ -25,8 +23,11 @@ from robust_filterpy.filters.nonlinear_mixin import (
     require_finite,
     transformed,
 )
+from robust_filterpy.filters.policies import Options, with_options
 from robust_filterpy.filters.snapshot import unchanged_if_refused, whole
-from robust_filterpy.influence.functions import Huber, Influence
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["RobustCubatureKalmanFilter", "RobustUnscentedKalmanFilter"]
 
@@ -138,6 +139,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
     True
     """
 
+    @with_options
     def __init__(
         self,
         dim_x: int,
@@ -152,19 +154,12 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         residual_x: Any = None,
         residual_z: Any = None,
         state_add: Any = None,
-        *,
-        influence: Influence = Huber(),
-        scaling: Scaling | None = None,
-        information: Information = "realized",
-        grouping: Grouping = "component",
-        noise: Contaminated | Learnt | str | None = None,
-        process: None = None,
-        patience: int | None = None,
+        **options: Unpack[Options],
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
             _checks.count(name, value, 1)
-        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
+        self._set_policy(dim_z, options)
         # Robust's attributes ask for dim_z before filterpy's constructor has run.
         self._dim_x, self._dim_z = dim_x, dim_z
         super().__init__(dim_x, dim_z, dt, hx, fx, points, sqrt_fn, x_mean_fn, z_mean_fn, residual_x, residual_z)
@@ -380,6 +375,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
     filterpy's `predict` turns x into a column; z may stay a row here.
     """
 
+    @with_options
     def __init__(
         self,
         dim_x: int,
@@ -391,19 +387,12 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         z_mean_fn: Any = None,
         residual_x: Any = None,
         residual_z: Any = None,
-        *,
-        influence: Influence = Huber(),
-        scaling: Scaling | None = None,
-        information: Information = "realized",
-        grouping: Grouping = "component",
-        noise: Contaminated | Learnt | str | None = None,
-        process: None = None,
-        patience: int | None = None,
+        **options: Unpack[Options],
     ) -> None:
         """Set up filterpy's attributes and the choices."""
         for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
             _checks.count(name, value, 1)
-        self._set_policy(dim_z, influence, scaling, information, grouping, noise, process, patience)
+        self._set_policy(dim_z, options)
         super().__init__(dim_x, dim_z, dt, hx, fx, x_mean_fn, z_mean_fn, residual_x, residual_z)
         self.inv = np.linalg.inv
         # filterpy starts with y = 0 and K = 0, scalars that change their shape at the first update.
