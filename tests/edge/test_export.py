@@ -31,7 +31,7 @@ from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.conditioning import repaired
+from robust_filterpy.identification.recursive.recursion import repaired
 from robust_filterpy.influence import Linear
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

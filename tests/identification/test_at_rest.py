@@ -18,7 +18,7 @@ from robust_filterpy.identification import (
     validate,
 )
 from robust_filterpy.identification.models.noise import fit_percent
-from robust_filterpy.identification.recursive.noise_scale import NoiseScale, followed, ordinary_mean
+from robust_filterpy.identification.recursive.recursion import NoiseScale, followed, ordinary_mean
 from robust_filterpy.influence.regression import mad_scale, resolution, robust_regression, size_of
 
 B, A = [0.0, 1.0, 0.5], [1.0, -1.5, 0.7]

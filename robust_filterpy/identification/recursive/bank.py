@@ -3,39 +3,155 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks, _state
-from robust_filterpy._brief import lines_of
+from robust_filterpy._brief import brief, lines_of
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._progress import stages
-from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.regressor import GUARDS, Guard
-from robust_filterpy.identification.models.results import Columns
+from robust_filterpy.identification.models.results import Columns, Intervals, TrackingResult, intervals
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.time_axis import recording
-from robust_filterpy.identification.recursive import bank_setup, setup, track
-from robust_filterpy.identification.recursive.bank_results import BankResult, BankSample
+from robust_filterpy.identification.models.time_axis import recording, table
+from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
-from robust_filterpy.identification.recursive.returning import Returning
-from robust_filterpy.identification.recursive.state import Form, State, at_rest
-from robust_filterpy.identification.recursive.tracker import START, ParameterTracker, continued
-from robust_filterpy.identification.recursive.watch import News
+from robust_filterpy.identification.recursive.state import Form, at_rest
+from robust_filterpy.identification.recursive.tracker import START, ParameterTracker
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.series import plain
 
-__all__ = ["TrackerBank"]
+__all__ = ["BankResult", "BankSample", "TrackerBank"]
 
 # Numbers in phi that are worked on at once.
 _CHUNK = 1_000_000
 
 
-class TrackerBank(Returning):
+class BankSample(NamedTuple):
+    """What one update did to each of n actuators; see `Sample`.
+
+    Attributes
+    ----------
+    prediction : ndarray, shape (n,)
+        phi(k)' theta(k-1), before y(k) is used (paper 22).
+    residual : ndarray, shape (n,)
+        y(k) - prediction (23); NaN where y is missing.
+    weights : ndarray, shape (n,)
+        psi(e)/e; NaN where there was no correction (y missing, or adaptation off).
+    guard : ndarray of int, shape (n,)
+        0: step taken as it is; h > 0: halved h times; -1: not taken.
+    """
+
+    prediction: Array
+    residual: Array
+    weights: Array
+    guard: np.ndarray
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
+
+class _Recorded(NamedTuple):
+    """The columns of a `BankResult`; see there."""
+
+    theta: Array
+    std: Array
+    prediction: Array
+    residual: Array
+    weights: Array
+    guard: np.ndarray
+    sample: np.ndarray
+
+
+class BankResult(_Recorded):
+    """What recordings of n actuators gave: the columns of a `TrackingResult` with an axis of actuators.
+
+    A tuple of its first seven attributes.
+
+    Attributes
+    ----------
+    theta, std : ndarray, shape (K, n, n_theta)
+        Parameters and their standard deviations, after each of the K samples that were kept.
+    prediction, residual, weights : ndarray, shape (K, n)
+        As in `BankSample`.
+    guard : ndarray of int, shape (K, n)
+        As in `BankSample`.
+    sample : ndarray of int, shape (K,)
+        Which samples were kept.
+    names : tuple of str, length n_theta
+        Names of the parameters.
+    actuators : tuple, length n
+        The columns of y if it was a pandas DataFrame, otherwise 0, 1, ..
+    index : pandas.Index or None
+        When the samples that were kept were taken, if the recording was a pandas object.
+    """
+
+    names: tuple[str, ...] = ()
+    actuators: tuple[Any, ...] = ()
+    index: Any = None
+
+    def __str__(self) -> str:
+        """Return what fits a screen."""
+        return brief(self)
+
+    def to_frame(self) -> Any:
+        """Return all columns as a pandas DataFrame, a row for each sample that was kept.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns (actuator, quantity), the quantities as in `TrackingResult.to_frame`.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        actuators = self.actuators or tuple(range(self.theta.shape[1]))
+        columns = {
+            (actuator, name): column
+            for i, actuator in enumerate(actuators)
+            for name, column in self.tracker(i).columns().items()
+        }
+        return table(columns, self.sample, "sample") if self.index is None else table(columns, self.index)
+
+    def tracker(self, i: int) -> TrackingResult:
+        """Return what actuator i gave.
+
+        Parameters
+        ----------
+        i : int
+            Which actuator.
+
+        Returns
+        -------
+        TrackingResult
+            A row for each sample that was kept.
+        """
+        return TrackingResult(*(column[:, i] for column in self[:6])).labelled(self.names, self.index)
+
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std for every sample that was kept, z the normal quantile of the level.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of the interval, in (0, 1).
+
+        Returns
+        -------
+        Intervals
+            lower, upper, each of shape (K, n, n_theta).
+        """
+        return intervals(self.theta, self.std, level)
+
+
+class TrackerBank(track.Following):
     """Follow the parameters of n actuators of one structure; equal to a loop over n `ParameterTracker`.
 
     Parameters
@@ -142,7 +258,7 @@ class TrackerBank(Returning):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
         self.structure, d = structure, structure.n_theta
         choices = {"influence": influence, "scaling": scaling, "information": information}
-        self._choices = bank_setup.choices(n, choices)
+        self._choices = setup.choices(n, choices)
         # One tracker checks the rest, and shows what all of them have in common.
         told = theta is not None or P is not None
         samples = (0 if told else START) if start is None else start
@@ -153,19 +269,19 @@ class TrackerBank(Returning):
         form = one.form
         self.form = Form.of(
             structure, form.layout, form.has_offset, form.cleans, form.judges,
-            bank_setup.options("gradient", gradient, n, GRADIENTS), bank_setup.options("guard", guard, n, GUARDS),
+            setup.options("gradient", gradient, n, GRADIENTS), setup.options("guard", guard, n, GUARDS),
         )  # fmt: skip
-        values = bank_setup.parameters(structure, 0.0 if theta is None else theta, n)
-        spread = bank_setup.covariances("P", 100.0 if P is None else P, n, d)
+        values = setup.parameters(structure, 0.0 if theta is None else theta, n)
+        spread = setup.covariances("P", 100.0 if P is None else P, n, d)
         size = self.form.layout.n
         first, covariance = np.zeros((n, size)), np.tile(100.0 * np.eye(size), (n, 1, 1))
         first[:, own], covariance[:, own[:, None], own] = values, spread
-        self.Q = bank_setup.covariances("Q", Q, n, d)
-        self.F = bank_setup.matrices("F", np.eye(d) if F is None else F, n, d).copy()
-        self._forgetting = bank_setup.factors(forgetting, n)
+        self.Q = setup.covariances("Q", Q, n, d)
+        self.F = setup.matrices("F", np.eye(d) if F is None else F, n, d).copy()
+        self._forgetting = setup.factors(forgetting, n)
         self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
         scale = np.tile(one.now.scale, (n, 1))
-        scale[:, 0] = bank_setup.variances(1.0 if R is None else R, n)
+        scale[:, 0] = setup.variances(1.0 if R is None else R, n)
         if R is not None:
             scale[:, 3] = 0.0
         self._now = at_rest(self.form, first, covariance, scale, int(one.now.samples[0]), samples == 0)
@@ -181,11 +297,6 @@ class TrackerBank(Returning):
         return "\n".join([repr(self), *lines_of({"theta": self.theta, "std": self.std, "R": self.R})])
 
     # The models as they stand.
-
-    @property
-    def now(self) -> State:
-        """Everything that the recursion goes on from."""
-        return track.settled(self.form, self._now)[0]
 
     @property
     def theta(self) -> Array:
@@ -211,7 +322,7 @@ class TrackerBank(Returning):
     @R.setter
     def R(self, value: ArrayLike) -> None:
         scale = self._now.scale.copy()
-        scale[:, 0], scale[:, 3] = bank_setup.variances(value, self.n), 0.0
+        scale[:, 0], scale[:, 3] = setup.variances(value, self.n), 0.0
         self._now = self._now._replace(scale=scale)
 
     @property
@@ -259,7 +370,7 @@ class TrackerBank(Returning):
         """
         setup.require_next_input(self.structure, u)
         width = self.structure.n_inputs
-        values = np.zeros((self.n, width)) if u is None else bank_setup.inputs(self.structure, u, self.n)
+        values = np.zeros((self.n, width)) if u is None else setup.inputs(self.structure, u, self.n)
         return track.predicted(self.form, self._using(None), self._now, values)
 
     def tracker(self, i: int) -> ParameterTracker:
@@ -286,21 +397,20 @@ class TrackerBank(Returning):
             raise TypeError(f"actuator: expected an integer from 0 to {self.n - 1}, got {i!r}")
         if not 0 <= i < self.n:
             raise IndexError(f"actuator: expected 0 to {self.n - 1}, got {i}")
-        choices = self._choices[i if len(self._choices) > 1 else 0]
+        chosen = self._choices[i if len(self._choices) > 1 else 0]
         tracker = ParameterTracker(
             self.structure,
             start=0,
             offset=self.form.has_offset,
             regressor=self._regressor,
-            forgetting=float(self._forgetting[i]),
             gradient=cast(Gradient, str(self.form.gradient[i])),
             guard=cast(Guard, str(self.form.guard[i])),
-            influence=choices.influence,
-            scaling=choices.scaling,
-            information=choices.information,
+            influence=chosen.influence,
+            scaling=chosen.scaling,
+            information=chosen.information,
         )
         initial, now = (whole.rows(np.array([i])) for whole in (self._first, self.now))
-        continued(tracker, self._settings(i), initial, now, bool(self._enabled[i]))
+        tracker.go_on(self._settings(i), initial, now, bool(self._enabled[i]))
         return tracker
 
     # The recursion.
@@ -329,9 +439,9 @@ class TrackerBank(Returning):
         LinAlgError
             If a filter refuses its sample; no actuator has changed then.
         """
-        outputs = bank_setup.outputs(y, self.n, False)
-        inputs = bank_setup.inputs(self.structure, u, self.n)
-        variances = None if R is None else bank_setup.variances(R, self.n)[:, None]
+        outputs = setup.outputs(y, self.n, False)
+        inputs = setup.inputs(self.structure, u, self.n)
+        variances = None if R is None else setup.variances(R, self.n)[:, None]
         signals = outputs[:, None], inputs[:, None], variances
         now, out, news, _ = track.step(self.form, self._using(None), self._now, *signals)
         self._say(news)
@@ -377,10 +487,10 @@ class TrackerBank(Returning):
         """
         columns_of_y = getattr(y, "columns", None)
         axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
-        outputs = bank_setup.outputs(y, self.n, True)
+        outputs = setup.outputs(y, self.n, True)
         length = len(outputs)
-        signal = bank_setup.inputs(self.structure, u, self.n, length)
-        noise = None if R is None else bank_setup.variances(R, self.n, length)
+        signal = setup.inputs(self.structure, u, self.n, length)
+        noise = None if R is None else setup.variances(R, self.n, length)
         every = _every(keep, length)
         kept = np.arange(every - 1, length, every)
         columns = Columns.empty(kept.size, self.n, self.form.layout.n)
@@ -429,16 +539,14 @@ class TrackerBank(Returning):
         whole = {name: value[i if len(value) > 1 else 0] for name, value in found.items()}
         return {**whole, "alpha_sq": np.array(self._alpha_sq[i])}
 
-    def _say(self, news: News) -> None:
-        """Warn of what is wrong, once for all actuators of which it is the same."""
-        for said, category in dict.fromkeys((one.said, one.category) for one in news):
-            some = np.isin(np.arange(self.n), [one.actuator for one in news if one.said == said])
-            warn(f"TrackerBank: {bank_setup.actuators(some)}: {said}", category)
+    def _named(self, which: list[int]) -> str:
+        """Return some actuators as a message begins with them."""
+        return f"{setup.actuators(np.isin(np.arange(self.n), which))}: "
 
     def _matrices(self, name: str) -> Array:
         """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
         own, size = self.form.own, self.form.layout.n
-        found = bank_setup.matrices(name, getattr(self, name), self.n, len(own))
+        found = setup.matrices(name, getattr(self, name), self.n, len(own))
         found = found[None] if found.ndim == 2 else found
         if size == len(own):
             return found
@@ -469,7 +577,7 @@ class TrackerBank(Returning):
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
-        found = bank_setup.checked_state(state, self.form, self.n)
+        found = setup.checked_state(state, self.form, self.n)
         self._now = self._now.restored(found, found["R"])
         self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
         self.Q, self.F = found["Q"], found["F"]

@@ -7,12 +7,14 @@ replaced, correct theta along the gradient, restrain an unstable step, follow R,
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.special import erfc, gammainc
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
+from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models.regressor import (
     CLEANED_FROM,
     Memory,
@@ -24,8 +26,6 @@ from robust_filterpy.identification.models.regressor import (
 )
 from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.conditioning import SHARP, repaired, tempering
-from robust_filterpy.identification.recursive.noise_scale import EARLY, NoiseScale, followed
 from robust_filterpy.identification.recursive.state import Form, State
 
 #: What the gain is computed from.
@@ -34,6 +34,35 @@ GRADIENTS: Final[tuple[Gradient, ...]] = ("pseudolinear", "filtered")
 #: Which outputs an ARX or ARMAX has in its regressor.
 Regressor: TypeAlias = Literal["measured", "cleaned"]
 REGRESSORS: Final[tuple[Regressor, ...]] = ("measured", "cleaned")
+
+# The sharpness of a sample is phi'phi tr(P)/R, about by how much it may shrink P in its direction.
+# The rounding of one correction is about 1e-16 P times the sharpness; from here on it is mended.
+SHARP: Final = 1e6
+
+# Beyond this, rounding of a P that is right would exceed R in H P H' + R.
+_SHARPEST: Final = 1e13
+
+# Standard deviations from which on an innovation is as large as any.
+_REACH: Final = 2.0
+# The first samples count as if there had been none before, so that R may be wrong by many powers of ten.
+_FIRST: Final = 5.0
+#: Up to so many samples P grows with R: what was learnt with an R far too small is known less well by as much.
+EARLY: Final = 20.0
+# min(e^2, 4) moves with R two thirds as much as e^2 does.
+_PACE: Final = 1.5
+
+
+class NoiseScale(NamedTuple):
+    """What following R takes besides R itself."""
+
+    samples: float
+    """How many samples R stands on."""
+    mean: float
+    """Mean of min(e^2, 4) where R is right."""
+    memory: float
+    """Number of samples that R is to remember; 0: R stays as it is."""
+    rounding: float
+    """Steps of the sensor, or what arithmetic loses, in the unit of y; 0: not known. R is what they make at least."""
 
 
 class Recursion:
@@ -163,3 +192,57 @@ def variance(phi: Array, P: Array, r: float) -> float:
     """Return the variance of an innovation, phi' P phi + r, for a row phi."""
     # Rounding of a P that a spike in phi has made singular may have a sign.
     return max(float(phi.dot(P).dot(phi.T).item()), 0.0) + r
+
+
+# The variance R of the ordinary noise, followed sample by sample through outliers. What is followed is a scale of the
+# standardized innovation e = nu/sqrt(S): the mean of min(e^2, 4), which no outlier moves by more than 4 (Huber's
+# proposal 2), against what it would be if R were right. The learnt share and size of the outliers belong to what it
+# would be, so that R stays the variance of the ordinary samples.
+
+
+def followed(R: float, scale: NoiseScale, nu: float, S: float) -> tuple[float, float]:
+    """Return R after one more innovation, and how many samples it stands on."""
+    # A sample whose regressor overflows tells nothing of R.
+    if not S < 1e290:
+        return R, scale.samples
+    share = R / S
+    gain = share * max(_PACE / scale.memory, min(1.0, _FIRST / (scale.samples + 1.0)))
+    surprise = min(nu * nu / S, _REACH * _REACH) / scale.mean - 1.0
+    # A plant at rest shows no noise in steps of its sensor, one that moves does.
+    least = max(scale.rounding * scale.rounding / 12.0, 1e-290)
+    return max(R * math.exp(gain * surprise), least), scale.samples + share
+
+
+def ordinary_mean(influence: Any) -> float:
+    """Return the mean of min(e^2, 4) for normal noise, or for a learnt mixture."""
+    if not isinstance(influence, Contaminated):
+        return _mean(1.0)
+    c = influence.contamination
+    return (1.0 - c) * _mean(1.0) + c * _mean(influence.scale_ratio)
+
+
+def _mean(scale: float) -> float:
+    """Return the mean of min(s^2, 4) of a normal s with this standard deviation."""
+    a = _REACH / scale
+    # s^2 below a^2 has three degrees of freedom; as a difference it would be lost in a wide mixture.
+    return scale * scale * float(gammainc(1.5, 0.5 * a * a)) + _REACH * _REACH * float(erfc(a / math.sqrt(2.0)))
+
+
+# Where a sample is highly informative, as after a spike in a signal that stands in phi.
+
+
+def tempering(square: float, trace: float, r: float) -> float:
+    """Return the factor, at most 1, by which to shrink a sample whose regressor has phi'phi = square."""
+    if square * trace <= _SHARPEST * r:
+        return 1.0
+    return math.sqrt(_SHARPEST / square) * math.sqrt(r / trace)
+
+
+def repaired(P: Array) -> Array:
+    """Return P, or if it has lost its symmetry or its sign the nearest covariance."""
+    symmetric = 0.5 * (P + P.T)
+    values, vectors = np.linalg.eigh(symmetric)
+    floor = np.finfo(float).eps * values[-1]
+    if values[0] >= -floor:
+        return P if np.array_equal(P, symmetric) else symmetric
+    return np.asarray((vectors * np.maximum(values, floor)).dot(vectors.T))

@@ -14,24 +14,38 @@ from robust_filterpy.identification.models.regressor import Guard, Layout, Memor
 from robust_filterpy.identification.models.responses import Responses
 from robust_filterpy.identification.models.results import EstimatedPolynomials, Summary, summarized
 from robust_filterpy.identification.models.signals import one_input, recorded_input
-from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.identification.recursive import setup, track
-from robust_filterpy.identification.recursive.recursion import Gradient, Regressor
-from robust_filterpy.identification.recursive.state import Form, State
+from robust_filterpy.identification.recursive.recursion import Gradient
 
 __all__ = ["Standing"]
 
 
-class Standing(EstimatedPolynomials, Responses):
+def _matrix(name: str, doc: str) -> Any:
+    """Return a property that reads and writes the part of one of the filter's matrices that is theta's."""
+
+    def read(self: Standing) -> Array:
+        return np.array(getattr(self._filter, name), dtype=float)[np.ix_(self.form.own, self.form.own)]
+
+    def write(self: Standing, value: ArrayLike) -> None:
+        own, kf = self.form.own, self._shown()
+        whole = setup.embedded(getattr(kf, name), own, setup.checked_values(len(own), **{name: value})[name])
+        setattr(kf, name, whole)
+        self._used = None
+
+    return property(read, write, doc=doc)
+
+
+class Standing(track.Following, EstimatedPolynomials, Responses):
     """What a filter with the parameters as its state, and a state of the recursion, say of the model."""
 
-    structure: Structure
     _filter: Any
-    form: Form
+    _asked: bool
+    _used: Any
     dt: float | None
-    _now: State
-    _regressor: Regressor
+
+    Q = _matrix("Q", "Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I.")
+    F = _matrix("F", "Transition matrix C of (9), shape (n, n); may be set.")
 
     @property
     def gradient(self) -> Gradient:
@@ -46,13 +60,7 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def theta(self) -> Array:
         """Parameters, shape (n,)."""
-        return np.array(self._filter.x, dtype=float).ravel()[self.form.own]
-
-    @property
-    def now(self) -> State:
-        """Everything that the recursion goes on from, as `TrackerBank` has it for many; theta, P and R the filter's."""
-        now = self._from_filter()
-        return track.settled(self.form, now._replace(theta=now.theta.copy(), P=now.P.copy()))[0]
+        return self._standing().theta[0][self.form.own]
 
     @property
     def offset(self) -> float:
@@ -69,7 +77,7 @@ class Standing(EstimatedPolynomials, Responses):
     @property
     def _constant(self) -> float:
         """Constant in phi' theta, for outputs from the centre."""
-        return float(np.ravel(self._filter.x)[self.structure.constant_place]) if self.form.has_offset else 0.0
+        return float(self._standing().theta[0, self.structure.constant_place]) if self.form.has_offset else 0.0
 
     @property
     def _rest_gains(self) -> tuple[float, float]:
@@ -78,49 +86,26 @@ class Standing(EstimatedPolynomials, Responses):
         return 1.0 + float(theta[places.a].sum()), 1.0 + float(theta[places.f].sum())
 
     @property
-    def regressor(self) -> Regressor:
-        """Which outputs phi holds: "measured" or "cleaned"."""
-        return self._regressor
-
-    @property
     def P(self) -> Array:
         """Covariance of the parameters, shape (n, n)."""
-        return np.array(self._filter.P, dtype=float)[np.ix_(self.form.own, self.form.own)]
-
-    @property
-    def Q(self) -> Array:
-        """Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I."""
-        return np.array(self._filter.Q, dtype=float)[np.ix_(self.form.own, self.form.own)]
-
-    @Q.setter
-    def Q(self, value: ArrayLike) -> None:
-        own = self.form.own
-        self._filter.Q = setup.embedded(self._filter.Q, own, setup.checked_values(len(own), Q=value)["Q"])
+        return self._standing().P[0][np.ix_(self.form.own, self.form.own)]
 
     @property
     def R(self) -> float:
         """Variance of the ordinary noise, as it is followed; may be set, and is then no longer followed."""
-        return setup.noise_variance(self._filter)
+        return setup.noise_variance(self._filter) if self._asked else float(self._now.scale[0, 0])
 
     @R.setter
     def R(self, value: float) -> None:
         self._filter.R = setup.checked_values(self.form.layout.n, R=value)["R"]
-        self._now = self._now._replace(scale=self._now.scale * [1.0, 1.0, 1.0, 0.0, 1.0])
+        scale = self._now.scale.copy()
+        scale[0, [0, 3]] = self._filter.R.item(), 0.0
+        self._now = self._now._replace(scale=scale)
 
     @property
     def _noise_samples(self) -> float:
         """How many samples R stands on; one that is told is known."""
         return float(self._now.scale[0, 3]) or np.inf
-
-    @property
-    def F(self) -> Array:
-        """Transition matrix C of (9), shape (n, n); may be set."""
-        return np.array(self._filter.F, dtype=float)[np.ix_(self.form.own, self.form.own)]
-
-    @F.setter
-    def F(self, value: ArrayLike) -> None:
-        own = self.form.own
-        self._filter.F = setup.embedded(self._filter.F, own, setup.checked_values(len(own), F=value)["F"])
 
     @property
     def forgetting(self) -> float:
@@ -129,7 +114,8 @@ class Standing(EstimatedPolynomials, Responses):
 
     @forgetting.setter
     def forgetting(self, value: float) -> None:
-        setup.forget(self._filter, value)
+        setup.forget(self._shown(), value)
+        self._used = None
 
     @property
     def std(self) -> Array:
@@ -191,7 +177,8 @@ class Standing(EstimatedPolynomials, Responses):
         signal = recorded_input(self.structure, u, None)
         if continued:
             layout, signal = self.form.layout, self.form.with_constant(signal)
-            x, memory, level = np.ravel(self._filter.x), Memory(*(a[0] for a in self._now.past)), self._now.centre[0]
+            now = self._standing()
+            x, memory, level = now.theta[0], Memory(*(a[0] for a in now.past)), now.centre[0]
         else:
             layout = Layout(self.structure)
             x, memory, level = self.theta, Memory.at_rest(layout), self.level
@@ -225,6 +212,6 @@ class Standing(EstimatedPolynomials, Responses):
         """Return what may have been changed since the last call."""
         raise NotImplementedError
 
-    def _from_filter(self) -> State:
-        """Return the state with theta, P and R as the filter has them now."""
+    def _shown(self) -> Any:
+        """Return the filter, which shows its last correction."""
         raise NotImplementedError

@@ -6,7 +6,7 @@ No array in it is ever written into: a call that is refused leaves it as it was 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,11 @@ from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
 from robust_filterpy.identification.models import dependence as gain
-from robust_filterpy.identification.models.regressor import GUARDS, Layout, Memory
+from robust_filterpy.identification.models.regressor import GUARDS, Layout, Memory, are_stable
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.start import ColdStart
 from robust_filterpy.identification.recursive.watch import Followed, Windows
 
-__all__ = ["READINGS", "WINDUP", "Form", "State", "Unjudged", "at_rest", "require_plausible"]
+__all__ = ["READINGS", "WINDUP", "ColdStart", "Form", "State", "Unjudged", "at_rest", "checked"]
 
 #: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
 WINDUP = 1e8
@@ -28,6 +27,8 @@ READINGS = repeats.WIDTH + 1
 #: What decides about another start: whether and of how many samples, samples seen, what is usual, what is rounding, and
 #: the scores of the gain.
 WATCHED = 8 + 2 * gain.BLOCKS
+# A recording that tells nothing yet may become so many times as long before its oldest samples go.
+_LONGEST: Final = 4
 
 
 class Form(NamedTuple):
@@ -76,6 +77,81 @@ class Form(NamedTuple):
     def with_constant(self, u: Array) -> Array:
         """Return inputs (.., n_inputs) with the constant, where phi has one."""
         return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self.has_offset else u
+
+
+class ColdStart(NamedTuple):
+    """A recording that grows; a model is made of an eighth, a quarter, half and all of the samples asked for."""
+
+    samples: int
+    """How many samples it may look at."""
+    y: Array
+    u: Array
+    waits: int
+    """Samples until the next look."""
+
+    @classmethod
+    def of(cls, n_theta: int, n_inputs: int, samples: int) -> ColdStart:
+        """Keep nothing yet.
+
+        Parameters
+        ----------
+        n_theta : int
+            Number of parameters.
+        n_inputs : int
+            Number of inputs.
+        samples : int
+            How many samples it may look at.
+
+        Returns
+        -------
+        ColdStart
+        """
+        return cls(samples, np.zeros(0), np.zeros((0, n_inputs)), _until_next(samples, 0, n_theta))
+
+    def added(self, y: Array, u: Array) -> ColdStart:
+        """Return it with more samples, at most as many as it waits for.
+
+        Parameters
+        ----------
+        y : ndarray, shape (N,)
+            Outputs.
+        u : ndarray, shape (N, n_inputs)
+            Inputs.
+
+        Returns
+        -------
+        ColdStart
+        """
+        # A frozen tracker does not look: it stays due, and a count below 0 would say in a state that there is no start.
+        waits, keep = max(self.waits - len(y), 0), max(0, _LONGEST * self.samples - len(y))
+        return ColdStart(self.samples, np.append(self.y[-keep:], y), np.concatenate((self.u[-keep:], u)), waits)
+
+    @property
+    def is_last_look(self) -> bool:
+        """Whether there are as many samples as were asked for."""
+        return self.y.size >= self.samples
+
+    def waiting(self, n_theta: int) -> ColdStart:
+        """Return it waiting for the next look."""
+        return self._replace(waits=_until_next(self.samples, self.y.size, n_theta))
+
+    def levels(self, more: Array) -> Array:
+        """Return the median of the outputs before each of some more, and after the last, 0 while there are none."""
+        y = np.append(self.y, more)
+        found = np.zeros(more.size + 1)
+        for k in range(more.size + 1):
+            known = y[: self.y.size + k]
+            known = known[known == known]
+            found[k] = np.median(known) if known.size else 0.0
+        return found
+
+
+def _until_next(samples: int, size: int, n_theta: int) -> int:
+    """Return after how many samples the next look is."""
+    least = max(20, 5 * (n_theta + 1))
+    lengths = [max(samples >> k, 1) for k in (3, 2, 1, 0)]
+    later = [length for length in lengths if length > size and (length >= least or length == samples)]
+    return later[0] - size if later else max(samples // 4, 1)
 
 
 class Unjudged(NamedTuple):
@@ -127,27 +203,26 @@ class State(NamedTuple):
         past = Memory(*[a.copy() for a in self.past])
         return State(self.theta.copy(), self.P.copy(), past, self.scale.copy(), self.readings.copy(), *self[5:])
 
-    def viewed(self, rows: slice) -> State:
-        """Return some actuators in the same arrays, for what moves with a sample."""
-        past = Memory(*(a[rows] for a in self.past))
-        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
-        return self._replace(**arrays, past=past)
-
-    def rows(self, which: np.ndarray) -> State:
-        """Return the state of some actuators, in arrays of its own.
+    def rows(self, which: np.ndarray | slice) -> State:
+        """Return the state of some actuators: of a slice in the same arrays, of a list of them in arrays of its own.
 
         Parameters
         ----------
-        which : ndarray of int, shape (k,)
+        which : ndarray of int, shape (k,), or slice
             Which of them.
 
         Returns
         -------
         State
         """
-        parts = {name: type(part)(*(a[which] for a in part)) for name, part in self._parts().items()}
-        starts = {j: self.starts[i] for j, i in enumerate(which.tolist()) if i in self.starts}
-        return State(**{name: getattr(self, name)[which] for name in _ARRAYS}, **parts, starts=starts)
+
+        def taken(part: Any) -> Any:
+            return type(part)(*map(taken, part)) if isinstance(part, tuple) else part[which]
+
+        those = enumerate(np.arange(len(self.theta))[which].tolist())
+        starts = {j: self.starts[i] for j, i in those if i in self.starts}
+        arrays = {name: taken(getattr(self, name)) for name in (*State._fields[:_STARTS], "followed", "windows")}
+        return State(**arrays, starts=starts)
 
     def with_rows(self, which: np.ndarray, rows: State) -> State:
         """Return this with some actuators as another state has them; starts, what is followed and windows stay.
@@ -164,17 +239,15 @@ class State(NamedTuple):
         State
         """
 
-        def replaced(whole: Array, part: Array) -> Array:
+        def replaced(whole: Any, part: Any) -> Any:
+            if isinstance(whole, tuple):
+                return type(whole)(*map(replaced, whole, part))
             found = whole.copy()
             found[which] = part
             return found
 
-        arrays: Any = {name: replaced(getattr(self, name), getattr(rows, name)) for name in _ARRAYS}
-        return self._replace(**arrays, past=Memory(*map(replaced, self.past, rows.past)))
-
-    def _parts(self) -> dict[str, Any]:
-        """Return what is made of several arrays."""
-        return {"past": self.past, "followed": self.followed, "windows": self.windows}
+        fields = State._fields[:_STARTS]
+        return self._replace(**{name: replaced(getattr(self, name), getattr(rows, name)) for name in fields})
 
     def arrays(self) -> dict[str, Array]:
         """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
@@ -232,7 +305,8 @@ class State(NamedTuple):
         )  # fmt: skip
 
 
-_ARRAYS = ("theta", "P", "scale", "readings", "centre", "windup", "begun", "restarts", "samples")
+# All fields before these are arrays of the actuators, or tuples of such.
+_STARTS = State._fields.index("starts")
 
 
 def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
@@ -248,7 +322,33 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told
     )  # fmt: skip
 
 
-def require_plausible(found: Mapping[str, Array]) -> None:
+def checked(
+    state: Any, form: Form, axes: tuple[int, ...], needed: Mapping[str, Any], optional: Mapping[str, Any]
+) -> dict[str, Array]:
+    """Return the arrays of a state, copied, or raise."""
+    d, signals = form.layout.n, form.n_signals
+    shapes: dict[str, Any] = {"theta": (d,), "P": (d, d), **form.layout.shapes(), "enabled": (), "recursion": (7,)}
+    shapes |= {"start": (None, signals)} if "start" in state else {}
+    if "watch" in state or "followed" in state:
+        shapes |= {"watch": (None,), "followed": (None, 1 + signals)}
+    shapes |= {"readings": (READINGS,)} if "readings" in state else {}
+    whole = {name: (*axes, *shape) for name, shape in shapes.items()}
+    found = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
+    for name, least in (("R", "> 0"), ("alpha_sq", ">= 1")):
+        if name in found and not (found[name] > 0.0 if name == "R" else found[name] >= 1.0).all():
+            raise _state.StateError(f"state: expected {name} {least}, got {_checks.shown(found[name])}")
+    _require_plausible(found)
+    kept = form.guard != "none"
+    if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(found["theta"])[kept]):
+        raise _state.StateError(
+            "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
+            "circle"
+        )
+    found.setdefault("start", np.zeros((*axes, 0, signals)))
+    return {**found, "enabled": found["enabled"].astype(bool)}
+
+
+def _require_plausible(found: Mapping[str, Array]) -> None:
     """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., WATCHED), may be of `arrays`."""
     _, limit, samples, mean, memory, begun, waits = np.moveaxis(found["recursion"], -1, 0)
     conditions = [

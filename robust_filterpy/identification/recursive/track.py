@@ -6,33 +6,138 @@ by the definition where the kernel declines.
 
 from __future__ import annotations
 
+import math
 import warnings
+from collections import Counter
 from collections.abc import Callable
 from itertools import repeat
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import kernel
+from robust_filterpy import _checks, kernel
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.regressor import LARGEST
+from robust_filterpy.identification.models.regressor import LARGEST, Memory
 from robust_filterpy.identification.models.results import Columns
+from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.handover import gone_on, with_gain
-from robust_filterpy.identification.recursive.recursion import Recursion, note
-from robust_filterpy.identification.recursive.start import ColdStart
-from robust_filterpy.identification.recursive.state import READINGS, Form, State, Unjudged
+from robust_filterpy.identification.recursive.recursion import Recursion, Regressor, note, ordinary_mean
+from robust_filterpy.identification.recursive.state import READINGS, WINDUP, ColdStart, Form, State, Unjudged
 from robust_filterpy.identification.recursive.watch import News, Trouble, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
 
 _LEARNT = float(SCALINGS.index("learnt"))
 # Findings in the samples of which the first model is made that are said: what these break, the samples to come may too.
 _SAID = ("step", "ramp", "input outliers")
+
+
+# What a user sets, by its name in a state, and as the user gave it.
+_BY_HAND = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
+
+
+class Following:
+    """n actuators whose parameters are followed, a tracker's with n = 1; they can go back to a state or the start."""
+
+    structure: Structure
+    form: Form
+    _name: ClassVar[str]
+    _now: State
+    _regressor: Regressor
+    _initial: dict[str, Array]
+
+    def _standing(self) -> State:
+        """Return where they stand, samples that wait for a look among it."""
+        return self._now
+
+    def _go_back(self, state: Any) -> None:
+        """Take over a state, or raise; nothing has changed then."""
+        raise NotImplementedError
+
+    def _set_by_hand(self) -> dict[str, Any]:
+        """Return what the user may have set of Q, F and forgetting."""
+        raise NotImplementedError
+
+    def _named(self, which: list[int]) -> str:
+        """Return some actuators as a message begins with them."""
+        return ""
+
+    @property
+    def now(self) -> State:
+        """Everything that the recursion goes on from, with an axis of actuators in front."""
+        return settled(self.form, self._standing())[0]
+
+    @property
+    def regressor(self) -> Regressor:
+        """Which outputs phi holds: "measured" or "cleaned"."""
+        return self._regressor
+
+    @property
+    def kind(self) -> str:
+        """What a state belongs to."""
+        return f"{self._name} of {self.structure}"
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state of this one, or of another with the same structure, number and kind of filter.
+
+        Parameters
+        ----------
+        state : mapping of str to ndarray
+            From `state`, or what ``numpy.load`` makes of a file that holds it.
+
+        Raises
+        ------
+        ValueError
+            If it is of another structure or a newer format, an array is missing, does not fit or is not finite, a
+            variance is not positive, P not positive semidefinite, or a model unstable that the guard keeps stable;
+            nothing has changed then.
+        TypeError
+            If state is no mapping.
+
+        Notes
+        -----
+        The continuation is the same to the last bit. What it has warned of is not in a state; a tracker's from before
+        there was a watch in it is watched from here on. Q, F and forgetting are the state's; a warning says which
+        values they replace where it was made with others.
+        """
+        before = self._set_by_hand()
+        self._go_back(state)
+        after = self._set_by_hand()
+        other = [
+            f"{word} of the state, {_given(key, after[key])}, took the place of what was set, "
+            f"{_given(key, before[key])}"
+            for key, word in _BY_HAND.items()
+            if key in before and not np.array_equal(before[key], after[key])
+        ]
+        if other:
+            warn(f"{self._name}.restore: {'; '.join(other)}; set it again after restore if yours is to hold")
+
+    def reset(self) -> None:
+        """Go back to the start: theta, P, Q, R, F and the memory as they were when it was made."""
+        self._go_back(self._initial)
+
+    def _say(self, news: News) -> None:
+        """Warn of what is wrong, once for all actuators of which it is the same, of each in the order of its news."""
+        said: Counter[int] = Counter()
+        alike: dict[tuple[int, str, type[UserWarning]], list[int]] = {}
+        for one in news:
+            alike.setdefault((said[one.actuator], one.said, one.category), []).append(one.actuator)
+            said[one.actuator] += 1
+        for (_, text, category), which in sorted(alike.items(), key=lambda item: item[0][0]):
+            warn(f"{self._name}: {self._named(sorted(which))}{text}", category)
+
+
+def _given(key: str, value: Any) -> str:
+    """Return a setting on a line as a user gives it: a number, which may multiply the unit matrix, or an array."""
+    number = 1.0 / np.asarray(value) if key == "alpha_sq" else np.asarray(value)
+    if number.ndim == 2 and np.array_equal(number, number[0, 0] * np.eye(len(number))):
+        number = number[0, 0]
+    return f"{number:.6g}" if number.ndim == 0 else " ".join(_checks.shown(number).split())
 
 
 class Settings(NamedTuple):
@@ -105,7 +210,7 @@ def step(
     return now, out, news, by_kernel
 
 
-def shown(form: Form, using: Settings, now: State, signals: tuple[Array, Array, Array | None]) -> None:
+def shown(form: Form, using: Settings, now: State, signals: Any) -> None:
     """Take one sample by the definition, so that the filter shows it."""
     _Stretch(form, using, now, signals, Columns.empty(1, 1, form.layout.n)).through(slice(0, 1))
 
@@ -296,6 +401,62 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     return now._replace(windows=windows), news + more
 
 
+# From a model to a recursion that goes on at its end, or with another gain.
+
+
+def gone_on(form: Form, now: State, i: int, model: Model) -> State:
+    """Return what becomes of actuator i by a model: it goes on at the end of the model's recording."""
+    structure, layout, which = form.structure, form.layout, np.array([i])
+    row = now.rows(which)
+    n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
+    x, P, memory, centre = model.theta, model.P, model.memory, float(row.centre[0])
+    if form.has_offset:
+        # The constant is one more input of B/F, and drives the output from its centre.
+        centre = model.level
+        a, f = (1.0 + float(model.theta[part].sum()) for part in (places.a, places.f))
+        constant, J = (model.offset - centre * a) * f, np.eye(n + 1)
+        J[n, places.a], J[n, n] = -centre * f, f
+        cross, square = model.offset_covariance[:, None], np.array([[np.nan_to_num(model.offset_std, posinf=0.0) ** 2]])
+        joint = np.block([[P, cross], [cross.T, square]])
+        order = np.insert(np.arange(n), place, n)
+        x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
+    P, scale = 0.5 * (P + P.T), row.scale[0].copy()
+    # Of past outputs in the regressor, too.
+    scale[4] = math.sqrt(12.0 * model.noise.least * (1.0 + float(np.square(x[layout.a]).sum())))
+    if scale[3]:
+        # A recording without noise says nothing of how large it is.
+        stands_on = 0.0 if model.noise.is_rounding else float(model.weights.size)
+        scale[:3] = model.R, stands_on, ordinary_mean(model.noise.influence)
+    if form.has_offset:
+        f, c, d = (1.0 + float(x[part].sum()) for part in (layout.f, layout.c, layout.d))
+        prefiltered = 1.0 / max(abs(f), 1e-6)
+        response = prefiltered * d / max(abs(c), 1e-6)
+        memory = memory._replace(
+            inputs=np.append(memory.inputs, 1.0),
+            gradients=np.insert(memory.gradients, place, response, axis=1),
+            prefiltered=np.insert(memory.prefiltered, place, prefiltered, axis=1),
+        )
+    windup = WINDUP * max(float(np.trace(P)), 1e-300)
+    begun = row._replace(
+        theta=x[None], P=P[None], past=Memory(*(a[None] for a in memory)), scale=scale[None],
+        centre=np.array([centre]), windup=np.array([windup]), begun=np.array([True]), restarts=np.array([True]),
+    )  # fmt: skip
+    return now.with_rows(which, begun)
+
+
+def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
+    """Return what becomes of actuator i by a gain that has changed: theta moves by it, and P says how surely."""
+    theta, P = now.theta.copy(), now.P.copy()
+    along, places = np.zeros(theta.shape[1]), form.structure.polynomials
+    for j, b in enumerate(places.b):
+        along[form.own[b]] = theta[i, form.own[b]]
+        if form.has_offset:
+            along[form.structure.constant_place] -= theta[i, form.own[b]].sum() * u[j]
+    theta[i] += g * along
+    P[i] += g**2 * np.outer(along, along)
+    return now._replace(theta=theta, P=P)
+
+
 # Through the samples.
 
 
@@ -350,7 +511,7 @@ class _Stretch:
             alpha_sq=self.using.alpha_sq[own], enabled=self.using.enabled[own],
             **{name: a if len(a) == 1 else a[own] for name, a in shared},
         )  # fmt: skip
-        now = self.now if len(here) == len(self.which) else self.now.viewed(rows)
+        now = self.now if len(here) == len(self.which) else self.now.rows(rows)
         written = Columns(*(np.ascontiguousarray(column[own, part]) for column in self.out))
         signals = y[own, part], u[own, part], None if R is None else R[own, part]
         done = _by_kernel(self.form._replace(flags=self.form.flags[own]), using, now, signals, written)

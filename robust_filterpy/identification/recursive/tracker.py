@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import copy
-import operator
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,14 +31,10 @@ from robust_filterpy.identification.models.signals import (
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.recursive import setup, track
-from robust_filterpy.identification.recursive.handover import gone_on
-from robust_filterpy.identification.recursive.noise_scale import ordinary_mean
-from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor
-from robust_filterpy.identification.recursive.returning import Returning, checked
+from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor, ordinary_mean
 from robust_filterpy.identification.recursive.standing import Standing
-from robust_filterpy.identification.recursive.state import Form, State, at_rest
+from robust_filterpy.identification.recursive.state import Form, State, at_rest, checked
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
-from robust_filterpy.identification.recursive.watch import News
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.series import plain
 
@@ -48,14 +43,12 @@ __all__ = ["ParameterTracker"]
 #: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
 START = 400
 
-# What of a filter the replay of a sample must leave as it was.
-_SET = ("x", "P", "R", "F", "Q", "_alpha_sq")
-_NONE = np.empty(0)
+_NONE: Final = np.empty(0)
 # So many parameters are printed with a line for each.
-_SHOWN = 12
+_SHOWN: Final = 12
 
 
-class ParameterTracker(Returning, Standing):
+class ParameterTracker(Standing):
     """Follow the parameters of a linear model, sample by sample, through outliers.
 
     A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
@@ -272,22 +265,23 @@ class ParameterTracker(Returning, Standing):
         x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
         self.dt: float | None = None
+        # A program that has the filter, its own or because it asked for it, may read and write in it without asking.
+        self._asked = kf is filter
+        # Samples that the kernel has taken and the filter does not show yet.
+        self._unshown: list[tuple[Any, ...]] = []
+        self._used: tuple[Any, track.Settings] | None = None
         if model is not None:
-            self._take_over(gone_on(self.form, self._now, 0, model))
+            self._now = track.gone_on(self.form, self._now, 0, model)
+            self._load()
             # What is given goes before what was found.
             setup.configure(kf, structure, own, {"theta": theta, "P": P})
-            self.dt = model.dt
-        # A program may look at its own filter without asking the tracker.
-        self._shows_at_once = kf is filter
-        self._unshown: list[tuple[Any, ...]] = []
-        self._used: tuple[tuple[Any, ...], track.Settings] | None = None
+            self._now, self.dt = self._pulled(), model.dt
         self._initial = self.state()
         # The last time that a recording told, and how many samples came after it.
         self._time: tuple[Any, int] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is made anew, which holds functions."""
-        self._shown()
         return {**vars(self), "_used": None}
 
     def __repr__(self) -> str:
@@ -350,7 +344,7 @@ class ParameterTracker(Returning, Standing):
         output, values = np.array([[one_output(y)]]), one_input(self.structure, u)[None, None]
         before = self._held()
         try:
-            out, time = self._stepped(self._using(), output, values, variance), self._time
+            out, time = self._taken(None, output, values, variance), self._time
             self._time = None if time is None else (time[0], time[1] + 1)
             return Sample(*map(np.ndarray.item, out[2:]))  # type: ignore[arg-type]
         except BaseException:
@@ -496,20 +490,16 @@ class ParameterTracker(Returning, Standing):
 
     def _using(self, first: int | None = None) -> track.Settings:
         """Return what may have been changed since the last call; first: number of a recording's first sample."""
-        kf, n = self._filter, self.form.layout.n
-        rules, alpha_sq = None, getattr(kf, "_alpha_sq", 1.0)
-        if setup.is_plain(kf, n):
-            settings = kf.F, kf.Q, alpha_sq, kf.policy, bool(self.enabled), first
-            # What a sample depends on is made anew where something else has been set.
-            if self._used is not None and all(map(operator.is_, self._used[0], settings)):
-                return self._used[1]
-            rules = track.rules_of((kf.choices,))
-        F, Q = (_NONE, _NONE) if rules is None else (plain(kf.F)[None, None], plain(kf.Q)[None, None])
+        kf, enabled = self._filter, bool(self.enabled)
+        if self._used is not None and self._used[0] == (first, enabled) and not self._asked:
+            return self._used[1]
+        rules = track.rules_of((kf.choices,)) if setup.is_plain(kf, self.form.layout.n) else None
+        F, Q = (_NONE if rules is None else plain(getattr(kf, name))[None, None] for name in "FQ")
         using = track.Settings(
-            rules, F, Q, np.array([float(alpha_sq)]), np.array([bool(self.enabled)]), lambda i: self._shown(),
+            rules, F, Q, np.array([float(kf._alpha_sq)]), np.array([enabled]), lambda i: kf,
             lambda k, i: "" if first is None else f"sample {first + k}: ",
         )  # fmt: skip
-        self._used = None if rules is None or F.base is not kf.F or Q.base is not kf.Q else (settings, using)
+        self._used = (first, enabled), using
         return using
 
     def advance(self, y: Array, u: Array, R: Array | None) -> Columns:
@@ -528,38 +518,28 @@ class ParameterTracker(Returning, Standing):
         -------
         Columns
         """
-        y, u, R = y[None], u[None], None if R is None else R[None]
         # The filter shows the last measured sample, and the last.
-        known = np.flatnonzero(y[0] == y[0])[-1:].tolist()
-        stops = sorted({0, *known, *(k + 1 for k in known), y.shape[1] - 1, y.shape[1]})
-        parts = []
-        for k, stop in pairwise(stops):
-            signals = y[:, k:stop], u[:, k:stop], None if R is None else R[:, k:stop]
-            if k + 1 == stop and k in (*known, y.shape[1] - 1):
-                parts.append(self._stepped(self._using(k), *signals))
-                continue
-            now, out, news = track.advance(self.form, self._using(k), self._from_filter(), *signals)
-            self._take_over(now)
-            self._say(news)
-            parts.append(out)
+        known = np.flatnonzero(y == y)[-1:].tolist()
+        stops = sorted({0, *known, *(k + 1 for k in known), y.size - 1, y.size})
+        parts = [
+            self._taken(k, y[None, k:stop], u[None, k:stop], None if R is None else R[None, k:stop])
+            for k, stop in pairwise(stops)
+        ]
         return Columns(*(np.concatenate(column, axis=1)[0] for column in zip(*parts, strict=True)))
 
-    def _stepped(self, using: track.Settings, y: Array, u: Array, R: Array | None) -> Columns:
-        """Take one checked sample; the caller undoes what is refused or interrupted."""
-        kf, before = self._filter, self._from_filter()
-        now, out, news, by_kernel = track.step(self.form, using, before, y, u, R)
-        if by_kernel:
-            kf.x, kf.P = now.theta[0].reshape(kf.x.shape).copy(), now.P[0].copy()
-            if now.scale[0, 0] != before.scale[0, 0]:
-                kf.R = now.scale[:1, :1].copy()
-            self._now = now
-            # S and K stay what the last measured sample made them.
-            kept = self._unshown[:1] if y[0, 0] != y[0, 0] else []
-            self._unshown = [*kept, (before, using, y, u, R)]
-            if self._shows_at_once:
-                self._show()
+    def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Columns:
+        """Take checked samples; the caller undoes what is refused or interrupted."""
+        before, using, by_kernel = self._standing(), self._using(first), False
+        if y.size == 1:
+            self._now, out, news, by_kernel = track.step(self.form, using, before, y, u, R)
         else:
-            self._take_over(now)
+            self._now, out, news = track.advance(self.form, using, before, y, u, R)
+        # S and K stay what the last measured sample made them.
+        measured = y[0, 0] == y[0, 0] if y.size == 1 else not np.isnan(y).all()
+        kept = [] if measured else self._unshown[:1]
+        self._unshown = [*kept, (before, using.enabled, y, u, R)] if by_kernel else kept
+        if self._asked:
+            self._show()
         if news:
             self._say(news)
         return out
@@ -567,52 +547,49 @@ class ParameterTracker(Returning, Standing):
     @property
     def filter(self) -> Any:
         """The filter. From the first time that it is asked for it shows each correction (y, S, K, weights, ..)."""
-        self._shows_at_once = True
-        return self._shown()
+        kf = self._shown()
+        self._asked = True
+        return kf
 
     def _shown(self) -> Any:
         """Return the filter, which shows its last correction."""
-        if self._unshown:
+        if not self._asked:
             self._show()
         return self._filter
 
     def _show(self) -> None:
-        """Let the filter show its last correction, which the kernel has made: take it again by the definition."""
+        """Let the filter hold what the tracker knows and show its last correction, taken again by the definition."""
         kf, pending, self._unshown = self._filter, self._unshown, []
-        now = {name: getattr(kf, name) for name in _SET}
-        for before, using, y, u, R in pending:
-            # The size of its R is that of before, too.
-            was = using.F[0, 0], using.Q[0, 0], using.alpha_sq.item(), before.scale[:1, :1].copy()
-            for name, value in zip(("F", "Q", "_alpha_sq", "R"), was, strict=True):
-                setattr(kf, name, value)
+        using = self._using()._replace(rules=None)
+        for before, enabled, *signals in pending:
             try:
-                using = using._replace(rules=None, filter_of=lambda i: kf, place=lambda k, i: "")
-                track.shown(self.form, using, before, (y, u, R))
+                track.shown(self.form, using._replace(enabled=enabled), before, signals)
             except (ValueError, np.linalg.LinAlgError):
                 kf.update(None)
-        for name, value in now.items():
-            setattr(kf, name, value)
-        kf.x_post, kf.P_post = kf.x.copy(), kf.P.copy()
+        self._load()
+        if pending:
+            kf.x_post, kf.P_post = kf.x.copy(), kf.P.copy()
 
-    def _from_filter(self) -> State:
-        """Return the state with theta, P and R as the filter has them now."""
-        kf, now = self._filter, self._now
-        r, x, P = setup.told_variance(kf), kf.x, kf.P
-        if r != now.scale[0, 0]:
-            scale = now.scale.copy()
-            scale[0, 0] = r
-            now = now._replace(scale=scale)
-        return now._replace(theta=np.asarray(x, dtype=float).reshape(1, -1), P=np.asarray(P, dtype=float)[None])
+    def _load(self) -> None:
+        """Let the filter hold theta, P and R."""
+        setup.load(self._filter, self._now.theta[0], self._now.P[0], float(self._now.scale[0, 0]))
 
-    def _say(self, news: News) -> None:
-        """Warn of what is wrong."""
-        for one in news:
-            warn(f"ParameterTracker: {one.said}", one.category)
+    def _loaded(self) -> Any:
+        """Return the filter, which holds them."""
+        if not self._asked:
+            self._load()
+        return self._filter
 
-    def _take_over(self, now: State) -> None:
-        """Go on from another state."""
-        setup.load(self._filter, now.theta[0], now.P[0], float(now.scale[0, 0]))
-        self._now = now
+    def _standing(self) -> State:
+        """Return where it stands: who has the filter may have written into it."""
+        return self._pulled() if self._asked else self._now
+
+    def _pulled(self) -> State:
+        """Return the state with theta, P and R as the filter has them."""
+        kf, scale = self._filter, self._now.scale.copy()
+        scale[0, 0] = setup.told_variance(kf)
+        x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
+        return self._now._replace(theta=x, P=P, scale=scale)
 
     def _held(self) -> tuple[Any, ...]:
         """Return what a call changes."""
@@ -644,24 +621,33 @@ class ParameterTracker(Returning, Standing):
             ``numpy.savez(file, **state)`` stores it.
         """
         arrays = {name: value[0] for name, value in self.now.arrays().items() if name != "kept"}
-        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(self._filter), **kept_beside(self._filter)}
+        kf = self._loaded()
+        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(kf), **kept_beside(kf)}
         return _state.labelled(self.kind, arrays)
 
     def _set_by_hand(self) -> dict[str, Any]:
         """Return what the user may have set of the filter."""
-        return setup.settings(self._filter)
+        return setup.settings(self._loaded())
 
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
-        settings = {name: value.shape for name, value in setup.settings(self._filter).items()}
+        settings = {name: value.shape for name, value in setup.settings(self._loaded()).items()}
         found = checked(state, self.form, (), {}, settings)
-        kf = self._shown()
+        kf = self._loaded()
         go_on_beside(kf, found["theta"], found["P"], state)
         setup.apply_settings(kf, found)
         arrays = {name: value[None] for name, value in found.items()}
-        self._take_over(self._now.restored(arrays, np.array([setup.told_variance(self._filter)])))
-        self.enabled, self._time = bool(found["enabled"]), None
+        self._now = self._now.restored(arrays, np.array([setup.told_variance(kf)]))
+        self._load()
+        self.enabled, self._time, self._used, self._unshown = bool(found["enabled"]), None, None, []
+
+    def go_on(self, settings: Mapping[str, Array], initial: State, now: State, enabled: bool) -> None:
+        """Go on from now, and back to initial when it is reset, both with these settings of the filter."""
+        setup.apply_settings(self._loaded(), settings)
+        self._now, self._used, self._unshown = initial, None, []
+        self._initial = self.state()
+        self._now, self.enabled = now, enabled
 
     def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
         """Return a copy with another Q or forgetting, which it has after a reset, too.
@@ -682,7 +668,7 @@ class ParameterTracker(Returning, Standing):
         values = {name: value for name, value in {"Q": Q, "forgetting": forgetting}.items() if value is not None}
         for name, value in values.items():
             setattr(found, name, value)
-        settings = setup.settings(found._filter)
+        settings = setup.settings(found._loaded())
         kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
         found._initial, found._given = found._initial | kept, found._given | values
         return found
@@ -691,12 +677,3 @@ class ParameterTracker(Returning, Standing):
 def keeps_spread(tracker: ParameterTracker) -> bool:
     """Return whether a tracker's filter learns how large its innovations usually are."""
     return "spread" in moved_shapes(tracker._filter)
-
-
-def continued(tracker: ParameterTracker, settings: dict[str, Array], initial: State, now: State, enabled: bool) -> None:
-    """Let a tracker go on from now, and go back to initial when it is reset, both with these settings of its filter."""
-    setup.apply_settings(tracker._filter, settings)
-    for state in (initial, now):
-        tracker._take_over(state)
-        tracker._initial = tracker._initial if state is now else tracker.state()
-    tracker.enabled = enabled
