@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.identification import Model, ParameterTracker
-from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.state_space import StateSpaceModel
+from robust_filterpy.identification.models.uncertainty import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, line_of, one_axes, several_axes
 
 if TYPE_CHECKING:

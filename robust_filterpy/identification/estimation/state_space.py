@@ -22,7 +22,7 @@ from robust_filterpy.identification.estimation.recordings import Recordings, rec
 from robust_filterpy.identification.estimation.starts import impulse_start, predictor_start
 from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
 from robust_filterpy.identification.models.polynomial_model import ends_of
-from robust_filterpy.identification.models.reduction import balancing
+from robust_filterpy.identification.models.responses import balancing
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import Signals, StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array, count
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models import regressor as coefficients
-from robust_filterpy.identification.models.continuous import ContinuousModel, continuous, realized
 from robust_filterpy.identification.models.noise import Noise, fit_percent
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import (
@@ -25,11 +23,9 @@ from robust_filterpy.identification.models.prediction import (
     predicted,
     resting_level,
 )
-from robust_filterpy.identification.models.reduction import balancing, observer_form, truncated
 from robust_filterpy.identification.models.regressor import Layout, Memory
-from robust_filterpy.identification.models.responses import Responses
+from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import (
-    EstimatedPolynomials,
     Finding,
     Summary,
     coloured,
@@ -44,7 +40,7 @@ from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 
 if TYPE_CHECKING:
-    import control
+    pass
 
 # So many samples tell where noise that is summed up began.
 _FIRST_LEVEL: Final = 5
@@ -69,7 +65,7 @@ class Ending(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Model(EstimatedPolynomials, Responses):
+class Model(PolynomialSystem):
     """A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v, as `identify` found it.
 
     Attributes
@@ -214,62 +210,6 @@ class Model(EstimatedPolynomials, Responses):
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
-
-    def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
-        """Return the system in continuous time whose samples this model gives, with inputs held between them.
-
-        Parameters
-        ----------
-        dt : float, optional
-            Sampling period in s. Default: as the index told it.
-        level : float, default 0.95
-            Probability of the region of each pole.
-
-        Returns
-        -------
-        ContinuousModel
-
-        Raises
-        ------
-        ValueError
-            If there is no input or no dt, or a pole is at 0 or on the negative real axis, where nothing in continuous
-            time has its samples.
-        """
-        matrices, delays = realized(self.structure, self.theta)
-        roots = partial(coefficients.poles, self.structure)
-        return continuous(matrices, delays, self.dt if dt is None else dt, self.theta, self.P, roots, level)
-
-    def reduced(self, n: int) -> control.StateSpace:
-        """Return a system with fewer states: balanced, and those that do least are left out.
-
-        Parameters
-        ----------
-        n : int
-            How many states are left, 1 to those that there are; each sample of dead time is one.
-
-        Returns
-        -------
-        control.StateSpace
-
-        Raises
-        ------
-        ValueError
-            If there are not so many, there is no input, or the model is unstable.
-        """
-        structure = self.structure
-        if structure.takes_phi or not structure.inputs:
-            raise ValueError(f"{structure}: expected a model with an input, this one has no states to be left out")
-        if not self._stable(self.theta):
-            raise ValueError("theta: expected a stable model, whose states can be balanced")
-        a = coefficients.denominator(structure, self.theta)[1:]
-        order = max(a.size, *(nk + nb - 1 for nb, nk in structure.inputs))
-        numerators = np.zeros((structure.n_inputs, order + 1))
-        for row, place, (nb, nk) in zip(numerators, structure.polynomials.b, structure.inputs, strict=True):
-            row[nk : nk + nb] = self.theta[place]
-        A, B, C, D = observer_form(np.pad(a, (0, order - a.size)), numerators)
-        T = balancing(A, B, C)
-        balanced = np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D
-        return truncated(balanced, n, coefficients.period("recorded", self.dt))
 
     # Its outputs.
 

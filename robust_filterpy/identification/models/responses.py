@@ -1,49 +1,107 @@
-"""How sure a model is of its responses and of its poles and zeros, from the covariance of its parameters."""
+"""How sure a model is of its responses, poles and zeros: functions of a system, its parameters and their covariance.
+
+A system says what a row of parameters does (`_ways`, `_steps`, `_density`), where its roots are and whether it is
+stable: polynomials here, states in `state_space`. Bands and regions of all are made alike, by `uncertainty`.
+"""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import cholesky, logm, solve_discrete_lyapunov, svd
 from scipy.signal import lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models import regressor as coefficients
-from robust_filterpy.identification.models.banded import Banded
-from robust_filterpy.identification.models.regressor import is_stable
-from robust_filterpy.identification.models.response_records import FrequencyResponse, NoiseSpectrum, StepResponse
+from robust_filterpy.identification.models import regressor
+from robust_filterpy.identification.models.regressor import are_stable
+from robust_filterpy.identification.models.results import Estimated
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.uncertainty import Regions, regions
+from robust_filterpy.identification.models.uncertainty import (
+    ContinuousModel,
+    FrequencyResponse,
+    NoiseSpectrum,
+    Regions,
+    StepResponse,
+    bands,
+    regions,
+)
+
+if TYPE_CHECKING:
+    import control
+
+# A pole this near to the negative real axis, or to 0, is on it.
+_ON: Final = 1e-9
+# The matrices A, B, C, D of a system.
+Matrices = tuple[Array, Array, Array, Array]
 
 
-class Responses(Banded):
-    """What anything with a structure, theta and P tells of its responses: a `Model`, a `ParameterTracker`."""
+class System(Estimated):
+    """A linear system with parameters theta of covariance P, sampled every dt seconds: a model, a tracker."""
 
-    structure: Structure
+    dt: float | None
     R: Any
 
-    @property
-    def _noise_samples(self) -> float:
-        """How many samples R stands on."""
-        return np.inf
+    def _ways(self, thetas: Array, delays: Any, output: int) -> Any:
+        """Return what goes from each input to an output at each q^-1, for rows of parameters: (rows, n_inputs, n)."""
+        raise NotImplementedError
+
+    def _steps(self, thetas: Array, length: int, output: int) -> Array:
+        """Return an output after a unit step of each input, for rows of parameters, shape (rows, n_inputs, length)."""
+        raise NotImplementedError
+
+    def _density(self, thetas: Array, delays: Any, output: int) -> Array:
+        """Return the logarithm of the noise's density, for rows [theta, logarithm of a factor of each R]."""
+        raise NotImplementedError
+
+    def _poles(self, theta: Array) -> Any:
+        """Return the poles of parameters."""
+        raise NotImplementedError
+
+    def _zeros(self, theta: Array, input: int | None, output: int | None) -> Any:
+        """Return the zeros of parameters."""
+        raise NotImplementedError
 
     def _stable(self, theta: Array) -> bool:
         """Tell whether the way from the inputs to y is stable for other parameters."""
-        places = self.structure.polynomials
-        return all(is_stable(theta[part].tolist()) for part in (places.a, places.f))
+        raise NotImplementedError
+
+    def _realized(self, what: str, dead: bool = True) -> tuple[Matrices, Any]:
+        """Return the matrices, with dead times as states or these apart in samples, or raise where there are none."""
+        raise NotImplementedError
+
+    def _require(self, what: str) -> None:
+        """Raise unless there is an input to what is asked for."""
+
+    @property
+    def _sizes(self) -> tuple[int, int]:
+        """How many outputs and inputs there are."""
+        raise NotImplementedError
+
+    @property
+    def _noise_samples(self) -> Any:
+        """How many samples R stands on."""
+        return np.inf
+
+    @property
+    def _of_poles(self) -> slice:
+        """The parameters that the poles depend on."""
+        return slice(None)
 
     def frequency_response(
-        self, omega: ArrayLike, level: float = 0.95, dt: float | None = None, rng: Any = None
+        self, omega: ArrayLike, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
     ) -> FrequencyResponse:
-        """Return the frequency response from the inputs to y, with bands.
+        """Return the frequency response from the inputs to an output, with bands.
 
         Parameters
         ----------
         omega : array_like, shape (n,)
             Frequencies in rad/s, in [0, pi/dt].
+        output : int, default 0
+            Which output, of a model that has several.
         level : float, default 0.95
             Probability of the band at each frequency.
         dt : float, optional
@@ -58,7 +116,7 @@ class Responses(Banded):
         Raises
         ------
         ValueError
-            If there is no input, or a frequency, level or dt does not fit.
+            If there is no input, or a frequency, output, level or dt does not fit.
 
         Examples
         --------
@@ -70,20 +128,34 @@ class Responses(Banded):
         >>> bool(found.magnitude_lower[0] < 2.0 < found.magnitude_upper[0])
         True
         """
-        _require_input(self.structure, "frequency response; noise_spectrum(omega) has that of the noise")
-        w, period, delays = self._frequencies(omega, dt)
-        return self._banded_frequencies(lambda rows: _transfer(self.structure, rows, delays), w, period, level, rng)
+        self._require("frequency response; noise_spectrum(omega) has that of the noise")
+        (w, period, delays), which = self._frequencies(omega, dt), self._numbered("output", output)
+        center = self._ways(np.asarray(self.theta)[None], delays, which)[0]
+        divisor = np.where(center == 0.0, 1.0, center)
+
+        def logarithm(thetas: Array) -> Array:
+            # An input without coefficients does nothing for any theta.
+            ratio = np.where(center == 0.0, 1.0, self._ways(thetas, delays, which) / divisor)
+            return np.stack((np.log(np.abs(ratio)), np.angle(ratio)), axis=1)
+
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low, high, sampled = bands(self._stable, self.theta, self.P, logarithm, level, rng)
+        size, phase = np.abs(center), np.unwrap(np.angle(center), axis=-1)
+        rows = (size, size * np.exp(low[0]), size * np.exp(high[0]), phase, phase + low[1], phase + high[1])
+        return FrequencyResponse(
+            w, *map(_squeezed, (center, *rows)), float(level), period, _squeezed(sampled.any(axis=0))
+        )
 
     def step_response(
-        self, steps: int = 50, level: float = 0.95, dt: float | None = None, rng: Any = None
+        self, steps: int = 50, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
     ) -> StepResponse:
-        """Return what y does after a unit step of each input, with bands.
+        """Return what an output does after a unit step of each input, with bands.
 
         Parameters
         ----------
         steps : int, default 50
             How many samples.
-        level, dt, rng
+        output, level, dt, rng
             As in `frequency_response`.
 
         Returns
@@ -93,20 +165,24 @@ class Responses(Banded):
         Raises
         ------
         ValueError
-            If there is no input, or steps, level or dt does not fit.
+            If there is no input, or steps, output, level or dt does not fit.
         """
-        _require_input(self.structure, "step response")
+        self._require("step response")
         length, period = _checks.count("steps", steps, 1), self._period(dt)
-        return self._banded_steps(lambda rows: _steps(self.structure, rows, length), length, period, level, rng)
+        of = partial(self._steps, length=length, output=self._numbered("output", output))
+        center = of(np.asarray(self.theta)[None])[0]
+        low, high, sampled = bands(self._stable, self.theta, self.P, of, level, rng)
+        rows = map(_squeezed, (center, center + low, center + high))
+        return StepResponse(period * np.arange(length, dtype=float), *rows, float(level), _squeezed(sampled))
 
     def noise_spectrum(
-        self, omega: ArrayLike, level: float = 0.95, dt: float | None = None, rng: Any = None
+        self, omega: ArrayLike, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
     ) -> NoiseSpectrum:
-        """Return the power spectral density of what the ordinary noise does to y, with bands.
+        """Return the power spectral density of what the ordinary noise does to an output, with bands.
 
         Parameters
         ----------
-        omega, level, dt, rng
+        omega, output, level, dt, rng
             As in `frequency_response`.
 
         Returns
@@ -116,19 +192,21 @@ class Responses(Banded):
         Raises
         ------
         ValueError
-            If a frequency, level or dt does not fit.
+            If a frequency, output, level or dt does not fit.
         """
-        (w, period, delays), places = self._frequencies(omega, dt), self.structure.polynomials
-        n = len(self.theta)
-
-        def logarithm(thetas: Array) -> Array:
-            c, a, d = (_at(thetas, part, delays) for part in (places.c, places.a, places.d))
-            return 2.0 * (np.log(np.abs(c)) - np.log(np.abs(a)) - np.log(np.abs(d))) + thetas[:, n:]
-
-        return self._banded_density(logarithm, self.R, self._noise_samples, w, period, level, rng)
+        w, period, delays = self._frequencies(omega, dt)
+        of = partial(self._density, delays=delays, output=self._numbered("output", output))
+        # R is known as well as a variance from so many samples.
+        spread = 2.0 / np.atleast_1d(self._noise_samples)
+        n, whole = len(self.theta), np.concatenate((self.theta, np.zeros(spread.size)))
+        joint = np.diag(np.concatenate((np.zeros(n), spread)))
+        joint[:n, :n] = self.P
+        center = period * np.exp(of(whole[None])[0])
+        low, high, sampled = bands(self._stable, whole, joint, of, level, rng)
+        return NoiseSpectrum(w, center, center * np.exp(low), center * np.exp(high), float(level), period, sampled)
 
     def poles(self, level: float = 0.95, rng: Any = None) -> Regions:
-        """Return the poles, the roots of A or F, with regions.
+        """Return the poles, the roots of A or F or the eigenvalues of A, with regions.
 
         Parameters
         ----------
@@ -146,12 +224,13 @@ class Responses(Banded):
         ValueError
             If the regressor is the caller's, or level is no probability.
         """
-        _require_polynomials(self.structure)
-        roots = partial(coefficients.poles, self.structure)
-        return regions(np.asarray(self.theta), np.asarray(self.P), roots, level, rng)
+        part = self._of_poles
+        return regions(np.asarray(self.theta)[part], np.asarray(self.P)[part, part], self._poles, level, rng)
 
-    def zeros(self, level: float = 0.95, rng: Any = None, input: int = 0) -> Regions:
-        """Return the zeros of the way from one input to y, the roots of its B, with regions.
+    def zeros(
+        self, level: float = 0.95, rng: Any = None, input: int | None = None, output: int | None = None
+    ) -> Regions:
+        """Return the zeros, the roots of B, or of states the transmission zeros, with regions.
 
         Parameters
         ----------
@@ -159,8 +238,9 @@ class Responses(Banded):
             Probability of each region.
         rng : numpy.random.Generator or int, optional
             For regions by sampling, where the delta method fails.
-        input : int, default 0
-            Which input.
+        input, output : int, optional
+            The way from one input to one output. Default: from the first input, of states of all together, as
+            python-control computes them.
 
         Returns
         -------
@@ -169,16 +249,234 @@ class Responses(Banded):
         Raises
         ------
         ValueError
-            If there is no such input, the regressor is the caller's, or level is no probability.
+            If there is no such input or output, the regressor is the caller's, level is no probability, or states have
+            not as many outputs as inputs and slycot, by which python-control finds their zeros, is not installed.
         """
-        _require_input(self.structure, "zeros")
-        if _checks.count("input", input, 0) >= self.structure.n_inputs:
-            raise ValueError(f"input: expected 0 to {self.structure.n_inputs - 1} for {self.structure}, got {input}")
-        part = self.structure.polynomials.b[input]
-        return regions(np.asarray(self.theta), np.asarray(self.P), lambda t: np.roots(t[part]), level, rng)
+        self._require("zeros")
+        one, other = (value if value is None else self._numbered(name, value)
+                      for name, value in (("input", input), ("output", output)))  # fmt: skip
+        of = partial(self._zeros, input=one, output=other)
+        return regions(np.asarray(self.theta), np.asarray(self.P), of, level, rng)
+
+    def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
+        """Return the system in continuous time whose samples this model gives, with inputs held between them.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Sampling period in s. Default: as the index told it.
+        level : float, default 0.95
+            Probability of the region of each pole.
+
+        Returns
+        -------
+        ContinuousModel
+
+        Raises
+        ------
+        ValueError
+            If there is no input or no dt, or a pole is at 0 or on the negative real axis, where nothing in continuous
+            time has its samples.
+        """
+        ((A, B, C, D), delays), dt = self._realized("way from u to y", dead=False), self.dt if dt is None else dt
+        if dt is None:
+            raise ValueError("dt: expected the sampling period in s, since the index of the recording did not tell it")
+        period = _checks.positive("dt", dt)
+        for pole in np.linalg.eigvals(A):
+            if abs(pole.imag) <= _ON and pole.real <= _ON:
+                raise ValueError(
+                    f"poles: expected none at 0 or on the negative real axis, where nothing in continuous time has its "
+                    f"samples, got {pole.real:.4g}; take a smaller order, or sample faster"
+                )
+        n, m = B.shape
+        whole = np.real(logm(np.block([[A, B], [np.zeros((m, n)), np.eye(m)]]))) / period
+        part = self._of_poles
+        found = regions(
+            self.theta[part], self.P[part, part], lambda row: np.log(self._poles(row).astype(complex)) / period, level,
+            None,
+        )  # fmt: skip
+        return ContinuousModel(whole[:n, :n], whole[:n, n:], C, D, period * np.asarray(delays, float), found, period)
+
+    def reduced(self, n: int) -> control.StateSpace:
+        """Return a system with fewer states: the basis is balanced, and those that do least are left out.
+
+        Parameters
+        ----------
+        n : int
+            How many states are left, 1 to those that there are; each sample of dead time is one.
+
+        Returns
+        -------
+        control.StateSpace
+
+        Raises
+        ------
+        ValueError
+            If there are not so many, there is no input, or polynomials are unstable.
+        """
+        import control
+
+        A, B, C, D = self._realized("states to be left out")[0]
+        if _checks.count("n", n, 1) > len(A):
+            raise ValueError(f"n: expected 1 to {len(A)} states, got {n}")
+        return control.ss(A[:n, :n], B[:n], C[:, :n], D, regressor.period("recorded", self.dt))
+
+    def _period(self, dt: Any) -> float:
+        """Return the sampling period that was asked for, else that of the recording, else 1."""
+        return (self.dt or 1.0) if dt is None else _checks.positive("dt", dt)
+
+    def _frequencies(self, omega: ArrayLike, dt: Any) -> tuple[Array, float, Any]:
+        """Return frequencies, shape (n,), the sampling period, and q^-1 at these frequencies; or raise."""
+        w, period = np.atleast_1d(_checks.numbers("omega", omega)), self._period(dt)
+        highest = np.pi / period
+        if w.ndim != 1 or not w.size or not ((w >= 0.0) & (w <= highest * (1.0 + 1e-9))).all():
+            raise ValueError(
+                f"omega: expected frequencies of shape (n,) from 0 to pi/dt = {highest:.4g} rad/s, "
+                f"got {_checks.described(w) if w.size != 1 else w.item()}"
+            )
+        return w, period, np.exp(-1j * period * w)
+
+    def _numbered(self, name: str, value: Any) -> int:
+        """Return the number of an input or output or raise."""
+        most = self._sizes[name == "input"]
+        if _checks.count(name, value) >= most:
+            raise ValueError(f"{name}: expected 0 to {most - 1}, got {value}")
+        return int(value)
 
 
-# Properties of theta.
+class PolynomialSystem(System):
+    """A system whose parameters are coefficients of polynomials."""
+
+    structure: Structure
+
+    @property
+    def coefficients(self) -> Any:
+        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
+        return regressor.coefficients(self.structure, self.theta)
+
+    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
+        """Return the way from u to y, B(q)/A(q) or B(q)/F(q), as it stands.
+
+        Parameters
+        ----------
+        dt : float, True or "recorded", default "recorded"
+            Sampling period in s; True leaves it open. "recorded": as an index told it, True if none did.
+
+        Returns
+        -------
+        control.TransferFunction
+            One output and as many inputs as the structure has.
+
+        Raises
+        ------
+        ValueError
+            If the structure has no input, or a regressor of the caller's.
+
+        Examples
+        --------
+        >>> from robust_filterpy import ARX, ParameterTracker
+        >>> tf = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0]).transfer_function(dt=0.1)
+        >>> tf.poles().real, float(tf.dcgain())
+        (array([0.5]), 4.0)
+        """
+        return regressor.transfer_function(self.structure, self.theta, regressor.period(dt, self.dt))
+
+    @property
+    def _sizes(self) -> tuple[int, int]:
+        """One output, and the inputs of the structure."""
+        return 1, self.structure.n_inputs
+
+    def _require(self, what: str) -> None:
+        """Raise unless there is an input, and polynomials."""
+        if self.structure.takes_phi:
+            raise ValueError(
+                f"{self.structure}: expected a model with polynomials, this one has a regressor of the caller's"
+            )
+        if what and not self.structure.inputs:
+            raise ValueError(f"{self.structure}: expected a model with an input, this one has no {what}")
+
+    def _stable(self, theta: Array) -> bool:
+        """Tell whether A and F are stable."""
+        return are_stable(theta, (self.structure.polynomials.a, self.structure.polynomials.f))
+
+    def _ways(self, thetas: Array, delays: Any, output: int) -> Any:
+        """Return B/(A F)."""
+        places = self.structure.polynomials
+        denominator = _at(thetas, places.a, delays) * _at(thetas, places.f, delays)
+        ways = [
+            thetas[:, place] @ delays[None] ** (nk + np.arange(nb))[:, None] / denominator
+            for place, (nb, nk) in zip(places.b, self.structure.inputs, strict=True)
+        ]
+        return np.stack(ways, axis=1)
+
+    def _steps(self, thetas: Array, length: int, output: int) -> Array:
+        """Return the response of B/(A F)."""
+        found = np.empty((len(thetas), self.structure.n_inputs, length))
+        for row, theta in zip(found, thetas, strict=True):
+            denominator = regressor.denominator(self.structure, theta)
+            for one, numerator in zip(row, _numerators(self.structure, theta), strict=True):
+                one[:] = lfilter(numerator, denominator, np.ones(length))
+        return found
+
+    def _density(self, thetas: Array, delays: Any, output: int) -> Array:
+        """Return that of R |C/(A D)|^2."""
+        places = self.structure.polynomials
+        c, a, d = (np.log(np.abs(_at(thetas, part, delays))) for part in (places.c, places.a, places.d))
+        return 2.0 * (c - a - d) + thetas[:, len(self.theta) :] + np.log(self.R)
+
+    def _poles(self, theta: Array) -> Any:
+        """Return the roots of A and F."""
+        self._require("")
+        return regressor.poles(self.structure, theta)
+
+    def _zeros(self, theta: Array, input: int | None, output: int | None) -> Any:
+        """Return the roots of the B of an input."""
+        return np.roots(theta[self.structure.polynomials.b[input or 0]])
+
+    def _realized(self, what: str, dead: bool = True) -> tuple[Matrices, Any]:
+        """Return the matrices in observer form; with dead times as states these are balanced, or raise."""
+        self._require(what)
+        a, structure = regressor.denominator(self.structure, self.theta)[1:], self.structure
+        if dead and not self._stable(self.theta):
+            raise ValueError("theta: expected a stable model, whose states can be balanced")
+        delays = [0 if dead else max(nk - 1, 0) for _, nk in structure.inputs]
+        numerators = [b[delay:] for b, delay in zip(_numerators(structure, self.theta), delays, strict=True)]
+        n = max(a.size, *(b.size - 1 for b in numerators)) if dead else a.size
+        for i, (b, (nb, nk)) in enumerate(zip(numerators, structure.inputs, strict=True)):
+            if b.size > n + 1:
+                raise ValueError(
+                    f"nb: expected at most {n + 1 - min(nk, 1)} b's with {n} poles, got {nb} for input {i}: more have "
+                    "poles at 0, which nothing in continuous time has; identify one with more poles or fewer b's"
+                )
+        a, rows = np.pad(a, (0, n - a.size)), np.array([np.pad(b, (0, n + 1 - b.size)) for b in numerators])
+        A, C = np.zeros((n, n)), np.zeros((1, n))
+        if n:
+            A[:, 0], A[: n - 1, 1:], C[0, 0] = -a, np.eye(n - 1), 1.0
+        B, D = (rows[:, 1:] - rows[:, :1] * a).T, rows[:, :1].T
+        if dead:
+            T = balancing(A, B, C)
+            A, B, C = np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T
+        return (A, B, C, D), delays
+
+
+def balancing(A: Array, B: Array, C: Array) -> Array:
+    """Return the basis in which each state is as easy to reach as to see, those that do most first."""
+    try:
+        reached = solve_discrete_lyapunov(A, B @ B.T)
+        seen = solve_discrete_lyapunov(A.T, C.T @ C)
+        jitter = 1e-13 * np.eye(len(A))
+        L = cholesky(reached + jitter * np.trace(reached), lower=True)
+        M = cholesky(seen + jitter * np.trace(seen), lower=True)
+        _, values, right = svd(M.T @ L)
+        return np.asarray(L @ right.T / np.sqrt(values))
+    except (np.linalg.LinAlgError, ValueError):
+        return np.eye(len(A))
+
+
+def _numerators(structure: Structure, theta: Array) -> list[Array]:
+    """Return b_0 + b_1 q^-1 + .. of each input, the delay as leading zeros."""
+    orders = zip(structure.polynomials.b, structure.inputs, strict=True)
+    return [np.concatenate((np.zeros(nk), theta[place])) if nb else np.zeros(1) for place, (nb, nk) in orders]
 
 
 def _at(thetas: Array, part: slice, delays: Any) -> Any:
@@ -187,39 +485,6 @@ def _at(thetas: Array, part: slice, delays: Any) -> Any:
     return 1.0 + thetas[:, part] @ delays[None] ** np.arange(1, n + 1)[:, None]
 
 
-def _transfer(structure: Structure, thetas: Array, delays: Any) -> Any:
-    """Return B/A or B/F of each row of theta, shape (m, n_inputs, n)."""
-    places = structure.polynomials
-    denominator = _at(thetas, places.a, delays) * _at(thetas, places.f, delays)
-    ways = [
-        thetas[:, place] @ delays[None] ** (nk + np.arange(nb))[:, None] / denominator
-        for place, (nb, nk) in zip(places.b, structure.inputs, strict=True)
-    ]
-    return np.stack(ways, axis=1)
-
-
-def _steps(structure: Structure, thetas: Array, length: int) -> Array:
-    """Return the step responses of each row of theta, shape (m, n_inputs, length)."""
-    found, orders = np.empty((len(thetas), structure.n_inputs, length)), structure.inputs
-    for row, theta in zip(found, thetas, strict=True):
-        denominator = coefficients.denominator(structure, theta)
-        for i, (place, (nb, nk)) in enumerate(zip(structure.polynomials.b, orders, strict=True)):
-            numerator = np.concatenate((np.zeros(nk), theta[place], np.zeros(int(not nb))))
-            row[i] = lfilter(numerator, denominator, np.ones(length))
-    return found
-
-
-# Checks.
-
-
-def _require_input(structure: Structure, what: str) -> None:
-    """Raise unless there is an input."""
-    _require_polynomials(structure)
-    if not structure.inputs:
-        raise ValueError(f"{structure}: expected a model with an input, this one has no {what}")
-
-
-def _require_polynomials(structure: Structure) -> None:
-    """Raise unless the parameters are those of polynomials."""
-    if structure.takes_phi:
-        raise ValueError(f"{structure}: expected a model with polynomials, this one has a regressor of the caller's")
+def _squeezed(rows: Any) -> Any:
+    """Return the only row, where there is one input."""
+    return rows[0] if len(rows) == 1 else rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -12,13 +12,11 @@ from robust_filterpy._brief import brief, lines_of, wrapped
 from robust_filterpy._checks import Array, real
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy._pictures import Pictured
-from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.noise import Noise
-from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.time_axis import table
 
 if TYPE_CHECKING:
-    import control
+    pass
 
 _WIDTH: Final = 78
 
@@ -458,42 +456,3 @@ class Estimated:
     def _summarized(self, level: float) -> Summary:
         """Return the table, with the facts that there are."""
         raise NotImplementedError
-
-
-class EstimatedPolynomials(Estimated):
-    """The same with a structure: the parameters are coefficients of polynomials."""
-
-    structure: Structure
-    dt: float | None
-
-    @property
-    def coefficients(self) -> Any:
-        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
-        return coefficients.coefficients(self.structure, self.theta)
-
-    def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:
-        """Return the way from u to y, B(q)/A(q) or B(q)/F(q), as it stands.
-
-        Parameters
-        ----------
-        dt : float, True or "recorded", default "recorded"
-            Sampling period in s; True leaves it open. "recorded": as an index told it, True if none did.
-
-        Returns
-        -------
-        control.TransferFunction
-            One output and as many inputs as the structure has.
-
-        Raises
-        ------
-        ValueError
-            If the structure has no input, or a regressor of the caller's.
-
-        Examples
-        --------
-        >>> from robust_filterpy import ARX, ParameterTracker
-        >>> tf = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0]).transfer_function(dt=0.1)
-        >>> tf.poles().real, float(tf.dcgain())
-        (array([0.5]), 4.0)
-        """
-        return coefficients.transfer_function(self.structure, self.theta, coefficients.period(dt, self.dt))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +12,9 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.noise import Noise, Noises, fit_percent
 from robust_filterpy.identification.models.prediction import held_input
+from robust_filterpy.identification.models.regressor import period
+from robust_filterpy.identification.models.responses import Matrices, System
 from robust_filterpy.identification.models.results import (
-    Estimated,
     Finding,
     Summary,
     facts_of_outputs,
@@ -22,12 +23,16 @@ from robust_filterpy.identification.models.results import (
 )
 from robust_filterpy.identification.models.signals import are_several, measured_outputs, recorded_input, trend_of
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
-from robust_filterpy.identification.models.state_space_system import StateSpaceSystem
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
 
+if TYPE_CHECKING:
+    import control
+
 _AUTO = range(1, 9)
+# A zero as far out is rounding of one at infinity.
+_INFINITE: Final = 1e6
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ class Signals(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StateSpaceModel(StateSpaceSystem, Estimated):
+class StateSpaceModel(System):
     """x(k+1) = A x + B u + K e, y = C x + D u + level + e, in a balanced basis, as `identify` found it.
 
     Attributes
@@ -208,6 +213,117 @@ class StateSpaceModel(StateSpaceSystem, Estimated):
     def R(self) -> Array:
         """Variance of the ordinary noise of each output, shape (p,)."""
         return np.array([one.R for one in self.noise])
+
+    # The system.
+
+    @property
+    def theta(self) -> Array:
+        """All entries of A, B, C, and D and K if there are any, shape (s,)."""
+        return np.concatenate([part.ravel() for part in self._parts.values()])
+
+    @property
+    def _parts(self) -> dict[str, Array]:
+        """The matrices that are estimated, by name, in the order of theta."""
+        parts = {"A": self.A, "B": self.B, "C": self.C}
+        parts |= {"D": self.D} if self.structure.feedthrough else {}
+        return parts | ({"K": self.K} if self.structure.disturbance else {})
+
+    def to_control(self, dt: Any = "recorded") -> control.StateSpace:
+        """Return the way from u to y.
+
+        Parameters
+        ----------
+        dt : float, True or "recorded", default "recorded"
+            Sampling period in s; True leaves it open.
+
+        Returns
+        -------
+        control.StateSpace
+        """
+        import control
+
+        return control.ss(self.A, self.B, self.C, self.D, period(dt, self.dt))
+
+    @property
+    def _sizes(self) -> tuple[int, int]:
+        """How many outputs and inputs there are."""
+        return self.D.shape[0], self.D.shape[1]
+
+    @property
+    def _noise_samples(self) -> Any:
+        """How many samples R of each output stands on."""
+        return np.maximum(np.nansum(self.weights, axis=0), 1.0)
+
+    @property
+    def _of_poles(self) -> slice:
+        """The entries of A."""
+        return slice(0, self.A.size)
+
+    def _matrices(self, theta: Array) -> dict[str, Array]:
+        """Return all matrices of other parameters."""
+        found, start = {"D": self.D, "K": self.K}, 0
+        for name, part in self._parts.items():
+            found[name] = theta[start : start + part.size].reshape(part.shape)
+            start += part.size
+        return found
+
+    def _way(self, theta: Array, delays: Any, output: int, driven: str) -> Any:
+        """Return C (zI - A)^-1 B or K of an output at each q^-1, shape (n, m)."""
+        one = self._matrices(theta)
+        shifted = np.eye(len(self.A)) / delays[:, None, None] - one["A"]
+        B = np.broadcast_to(one[driven], (delays.size, *one[driven].shape))
+        return one["C"][output] @ np.linalg.solve(shifted, B)
+
+    def _ways(self, thetas: Array, delays: Any, output: int) -> Any:
+        """Return C (zI - A)^-1 B + D."""
+        each = [self._way(theta, delays, output, "B") + self._matrices(theta)["D"][output] for theta in thetas]
+        return np.array([one.T for one in each])
+
+    def _density(self, thetas: Array, delays: Any, output: int) -> Array:
+        """Return that of what e of all outputs does to one, flat without a disturbance."""
+        n, own = self.theta.size, np.eye(len(self.C))[output]
+        each = [np.square(np.abs(self._way(theta, delays, output, "K") + own)) for theta in thetas]
+        return np.log([one @ (self.R * np.exp(theta[n:])) for one, theta in zip(each, thetas, strict=True)])
+
+    def _steps(self, thetas: Array, length: int, output: int) -> Array:
+        """Return the response of the states."""
+        found = np.empty((len(thetas), self.B.shape[1], length))
+        for row, theta in zip(found, thetas, strict=True):
+            one, x = self._matrices(theta), np.zeros(self.B.shape)
+            for k in range(length):
+                row[:, k] = one["C"][output] @ x + one["D"][output]
+                x = one["A"] @ x + one["B"]
+        return found
+
+    def _poles(self, theta: Array) -> Any:
+        """Return the eigenvalues of A."""
+        return np.linalg.eigvals(theta.reshape(self.A.shape)).astype(complex)
+
+    def _zeros(self, theta: Array, input: int | None, output: int | None) -> Any:
+        """Return the transmission zeros, as python-control computes them."""
+        import control
+
+        A, B, C, D = (self._matrices(theta)[name] for name in "ABCD")
+        rows, columns = (slice(None) if which is None else [which] for which in (output, input))
+        try:
+            found = control.ss(A, B[:, columns], C[rows], D[rows][:, columns], True).zeros()
+        except NotImplementedError:
+            p, m = D.shape
+            raise ValueError(
+                f"zeros: expected as many outputs as inputs, got {p} and {m}, for which python-control needs slycot; "
+                "install it, or name input= and output="
+            ) from None
+        return found[np.abs(found) < _INFINITE]
+
+    def _stable(self, theta: Array) -> bool:
+        """Tell whether the model is stable for other parameters."""
+        return bool(np.abs(self._poles(theta[self._of_poles])).max() < 1.0)
+
+    def _realized(self, what: str, dead: bool = True) -> tuple[Matrices, Any]:
+        """Return the matrices, whose basis is balanced."""
+        return (self.A, self.B, self.C, self.D), np.zeros(self.B.shape[1])
+
+    # Its outputs.
 
     def simulate(self, u: ArrayLike, start: Any = "rest") -> Array:
         """Run the model on inputs alone.

@@ -1,4 +1,4 @@
-"""Bands and regions of what follows from parameters, from their covariance.
+"""Responses, poles and zeros with bands and regions, and how these follow from the covariance of parameters.
 
 A property h(theta) is looked at in theta and one standard deviation s_i to both sides along each principal axis of P.
 Half the differences are the delta method's standard deviation, sigma^2 = sum ((h(theta + s_i) - h(theta - s_i)) / 2)^2.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,8 +18,13 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2, norm
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import brief, wrapped
 from robust_filterpy._checks import Array
+from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.models.time_axis import table
+
+if TYPE_CHECKING:
+    import control
 
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
@@ -123,6 +128,257 @@ class Regions:
         for k, covariance in enumerate(self.covariance):
             inside[k] = _distance(difference[k], covariance, abs(self.values[k])) <= self.radius[k]
         return inside
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FrequencyResponse(Pictured):
+    """Frequency response from each input to y, with pointwise bands.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n,)
+        Frequencies in rad/s.
+    response : ndarray of complex, shape (n,) or (n_inputs, n)
+        B/A or B/F at exp(i omega dt).
+    magnitude, magnitude_lower, magnitude_upper : ndarray, shape of response
+        Its size and band.
+    phase, phase_lower, phase_upper : ndarray, shape of response
+        Its angle in rad, unwrapped, and band.
+    level : float
+        Probability of each band.
+    dt : float
+        Sampling period in s.
+    sampled : ndarray of bool, shape of response
+        Where the bands are those of sampled parameters, since the delta method fails.
+    """
+
+    picture = "responses.plot_bode"
+
+    omega: Array
+    response: Any
+    magnitude: Array
+    magnitude_lower: Array
+    magnitude_upper: Array
+    phase: Array
+    phase_lower: Array
+    phase_upper: Array
+    level: float
+    dt: float
+    sampled: Any
+
+    def __repr__(self) -> str:
+        """Show the ends of the response, each magnitude with its band."""
+        size, low, high = (np.atleast_2d(a) for a in (self.magnitude, self.magnitude_lower, self.magnitude_upper))
+        ends = [
+            f"|G| = {size[i, k]:.3g} ({low[i, k]:.3g} .. {high[i, k]:.3g}) at {self.omega[k]:.3g} rad/s"
+            for i in range(len(size))
+            for k in sorted({0, self.omega.size - 1})
+        ]
+        return f"FrequencyResponse({self.omega.size} frequencies, {_percent(self.level)} bands: {', '.join(ends)})"
+
+    def __str__(self) -> str:
+        """Return the same on lines that a screen holds."""
+        return wrapped(repr(self))
+
+    def to_frame(self) -> Any:
+        """Return the response and its bands as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each frequency: magnitude and phase with their bands; of several inputs each by its number.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        names = ("magnitude", "magnitude_lower", "magnitude_upper", "phase", "phase_lower", "phase_upper")
+        return _frame(self, names, self.omega, "omega")
+
+    def to_control(self) -> control.FrequencyResponseData:
+        """Return the response for python-control.
+
+        Returns
+        -------
+        control.FrequencyResponseData
+            One output and as many inputs as the model has.
+        """
+        import control
+
+        return control.FrequencyResponseData(np.atleast_2d(self.response)[None], self.omega, self.dt)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StepResponse(Pictured):
+    """What y does after a unit step of each input, with pointwise bands.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Time in s from the step on.
+    response, lower, upper : ndarray, shape (n,) or (n_inputs, n)
+        Output without its level, and band.
+    level : float
+        Probability of each band.
+    sampled : ndarray of bool, shape of response
+        Where the bands are those of sampled parameters.
+    """
+
+    picture = "responses.plot_step"
+
+    time: Array
+    response: Array
+    lower: Array
+    upper: Array
+    level: float
+    sampled: Any
+
+    def __repr__(self) -> str:
+        """Show where the response ends, with its band."""
+        ends = [np.atleast_2d(a)[:, -1] for a in (self.response, self.lower, self.upper)]
+        text = ", ".join(f"{value:.3g} ({low:.3g} .. {high:.3g})" for value, low, high in zip(*ends, strict=True))
+        return f"StepResponse({self.time.size} samples, {_percent(self.level)} bands: {text} at {self.time[-1]:.3g} s)"
+
+    def to_frame(self) -> Any:
+        """Return the response and its band as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each time: response, lower, upper; of several inputs each by its number.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return _frame(self, ("response", "lower", "upper"), self.time, "time")
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSpectrum(Pictured):
+    """Power spectral density of what the noise does to y, with pointwise bands.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n,)
+        Frequencies in rad/s.
+    density, lower, upper : ndarray, shape (n,)
+        R \\|C/(A D)\\|^2 dt, in units of y squared per Hz, two-sided, outliers left out; and band.
+    level : float
+        Probability of each band.
+    dt : float
+        Sampling period in s.
+    sampled : ndarray of bool, shape (n,)
+        Where the bands are those of sampled parameters.
+    """
+
+    picture = "responses.plot_noise_spectrum"
+
+    omega: Array
+    density: Array
+    lower: Array
+    upper: Array
+    level: float
+    dt: float
+    sampled: Any
+
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
+
+    def to_frame(self) -> Any:
+        """Return the density and its band as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each frequency: density, lower, upper.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return _frame(self, ("density", "lower", "upper"), self.omega, "omega")
+
+
+def _frame(response: Any, names: tuple[str, ...], index: Array, label: str) -> Any:
+    """Return fields of a response as a table; those of several inputs with the number of each."""
+    columns: dict[str, Array] = {}
+    for name in names:
+        rows = np.atleast_2d(getattr(response, name))
+        columns |= {name if len(rows) == 1 else f"{name}[{i}]": row for i, row in enumerate(rows)}
+    return table(columns, index, label)
+
+
+def _percent(level: float) -> str:
+    """Return a probability as a message shows it."""
+    return f"{100.0 * level:.4g} %"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ContinuousModel:
+    """x' = A x + B u(t - dead_time), y = C x + D u, which holds for inputs that are held between the samples.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray, shape (n, n), (n, m), (p, n), (p, m)
+        The matrices, in units of s.
+    dead_time : ndarray, shape (m,)
+        Of each input, in s, beside the delay of one sample that sampling itself makes.
+    poles : Regions
+        In 1/s, with regions.
+    dt : float
+        Sampling period that it was found at, in s.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    dead_time: Array
+    poles: Regions
+    dt: float
+
+    def __repr__(self) -> str:
+        """Show poles and dead times."""
+        dead = ", ".join(f"{value:.4g}" for value in self.dead_time)
+        return f"ContinuousModel(poles in 1/s: {self.poles!r}, dead time {dead} s)"
+
+    @property
+    def time_constants(self) -> Array:
+        """1 over the size of each pole, s, shape (n,): the time constant, of a pair one over its natural frequency."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / np.abs(self.poles.values))
+
+    def to_control(self) -> control.StateSpace:
+        """Return the system without its dead times, which no rational system has.
+
+        Returns
+        -------
+        control.StateSpace
+        """
+        import control
+
+        return control.ss(self.A, self.B, self.C, self.D)
+
+    def to_frame(self) -> Any:
+        """Return poles and time constants as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each pole: real, imag, std_real, std_imag, time_constant.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        columns = self.poles.columns() | {"time_constant": self.time_constants}
+        return table(columns, range(1, len(self.A) + 1), "pole")
 
 
 def bands(

@@ -11,8 +11,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import Guard, Layout, Memory
-from robust_filterpy.identification.models.responses import Responses
-from robust_filterpy.identification.models.results import EstimatedPolynomials, Summary, summarized
+from robust_filterpy.identification.models.responses import PolynomialSystem
+from robust_filterpy.identification.models.results import Summary, summarized
 from robust_filterpy.identification.models.signals import one_input, recorded_input
 from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.identification.recursive import setup, track
@@ -36,7 +36,7 @@ def _matrix(name: str, doc: str) -> Any:
     return property(read, write, doc=doc)
 
 
-class Standing(track.Following, EstimatedPolynomials, Responses):
+class Standing(track.Following, PolynomialSystem):
     """What a filter with the parameters as its state, and a state of the recursion, say of the model."""
 
     _filter: Any
