@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._pictures import Pictured
-from robust_filterpy.identification.judging.score import any_model, signals_for
+from robust_filterpy.identification.judging.score import any_model
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
+from robust_filterpy.identification.models.grey_box_residuals import ANY_TIMES
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.signals import recorded_output
 from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.identification.models.time_axis import table
+from robust_filterpy.identification.models.time_axis import recording, table
 
 if TYPE_CHECKING:
     import control
@@ -168,13 +169,12 @@ def compare(
             f"models: expected models of as many outputs as y has, {asked}, got {each}; compare the models of the same "
             "outputs, and of y those columns"
         )
-    index, residuals, outputs = None, {}, {}
+    index, residuals, outputs = recording(ANY_TIMES, y=y, u=u)[0].index, {}, {}
     for name, model in found.items():
-        axis, signals = signals_for(model, y, u, t)
-        index, residuals[name] = axis.index, _columns(model.residuals(*signals))
+        residuals[name] = _columns(model.residuals(y, u, t))
         measured = np.column_stack([recorded_output(column) for column in _columns(_checks.numbers("y", y)).T])
-        alone = isinstance(model, (StateSpaceModel, GreyBoxModel)) or model.structure.n_inputs
-        outputs[name] = _columns(model.free_run(*signals)) if alone else measured - residuals[name]
+        alone = not isinstance(model, Model) or model.structure.n_inputs
+        outputs[name] = _columns(model.free_run(y, u, t)) if alone else measured - residuals[name]
     shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
     if not shared.any(axis=0).all():
         raise ValueError("y: expected measured samples that all models predict, got none; record more")
@@ -199,7 +199,7 @@ def compare(
 
 def _n_outputs(model: Any) -> int:
     """Return how many outputs a model has."""
-    return len(model.noise) if isinstance(model, (StateSpaceModel, GreyBoxModel)) else 1
+    return 1 if isinstance(model, Model) else len(model.noise)
 
 
 def _columns(signal: Any) -> Array:

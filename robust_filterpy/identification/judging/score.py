@@ -26,16 +26,13 @@ from scipy.linalg import eigh
 from scipy.signal import fftconvolve, lfilter
 from scipy.stats import chi2, norm
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.cleaning import Cleaned, cleaned
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
-from robust_filterpy.identification.models.grey_box_residuals import ANY_TIMES
 from robust_filterpy.identification.models.model import Model, as_model
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.signals import recorded_output
 from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.influence.regression import mad_scale
 
 # A residual believed by less than this share left a prediction in its place, which touches those after it where its
@@ -44,8 +41,6 @@ _BELIEVED: Final = 0.5
 _TOUCH: Final = 0.1
 _LONGEST_REACH: Final = 50
 _LEAST_CLEAR: Final = 0.1
-# Times whose steps differ by less than this share are equally far apart.
-_EQUAL: Final = 0.05
 # A direction of which the fit leaves less than this share of the variance is one that it has made zero.
 _LEFT: Final = 0.1
 # Weights of the samples as alike as this belong to the same recording; those of two recordings have a correlation of 0.
@@ -65,23 +60,6 @@ def any_model(name: str, given: Any, y: Any, u: Any) -> Any:
     return given if isinstance(given, (StateSpaceModel, GreyBoxModel)) else as_model(name, given, y, u)
 
 
-def signals_for(model: Any, y: Any, u: Any, t: Any) -> tuple[TimeAxis, tuple[Any, ...]]:
-    """Return the time axis of a recording, and its signals as the methods of a model take them; or raise."""
-    if isinstance(model, GreyBoxModel):
-        return recording(ANY_TIMES, y=y, u=u)[0], (y, u, t)
-    if t is not None:
-        steps = np.diff(_checks.numbers("t", t))
-        if steps.shape != (len(y) - 1,):
-            raise ValueError(f"t: expected {len(y)} times like y, got shape {np.shape(t)}")
-        usual = float(np.median(steps)) if steps.size else 0.0
-        if not (usual > 0.0 and (np.abs(steps - usual) <= _EQUAL * usual).all()):
-            raise ValueError("t: expected equal steps for a model in discrete time, got others; identify a GreyBox")
-        TimeAxis(None, usual).require_period(model.dt)
-    axis, y, u = recording(None if isinstance(model, StateSpaceModel) else model.structure, y=y, u=u)
-    axis.require_period(model.dt)
-    return axis, (y, u)
-
-
 class Judged(NamedTuple):
     """A model on one recording of N samples with p outputs."""
 
@@ -96,11 +74,11 @@ class Judged(NamedTuple):
     levelled: bool  # Whether the model has a level, so that the mean of the residuals says nothing.
 
     @classmethod
-    def of(cls, model: Any, signals: tuple[Any, ...]) -> Judged:
-        """Return what is judged of a model, on signals that `signals_for` returned."""
-        if isinstance(model, GreyBoxModel):
-            return _of_physics(model, *signals)
-        return (_of_states if isinstance(model, StateSpaceModel) else _of_one)(model, *signals)
+    def of(cls, model: Any, y: Any, u: Any, t: Any) -> Judged:
+        """Return what is judged of a model on a recording."""
+        if not isinstance(model, Model):
+            return _of_outputs(model, *model.started(y, u, t))
+        return _of_one(model, *model._recording(y, u, t)[1:])
 
 
 def _of_one(model: Model, y: Any, u: Any) -> Judged:
@@ -126,32 +104,21 @@ def _of_one(model: Model, y: Any, u: Any) -> Judged:
     )  # fmt: skip
 
 
-def _of_states(model: StateSpaceModel, y: Any, u: Any) -> Judged:
-    """Return what is judged of a state-space model."""
-    measured, signal = model.checked(y, u)
-    told, q = model.started(measured, signal)
-    known = ~np.isnan(measured)
+def _of_outputs(model: Any, measured: Array, signal: Array, told: Any, q: Array) -> Judged:
+    """Return what is judged of states, or of physics, which predict from inputs alone however far ahead."""
+    known, k = ~np.isnan(measured), model.theta.size
     residual = np.where(known, told.residuals(q).reshape(measured.shape), np.nan)
     weights = np.column_stack([one.weights(e) for one, e in zip(model.noise, np.nan_to_num(residual).T, strict=True)])
     J = told.jacobian(q).reshape(*residual.shape, -1) * known[:, :, None]
     P = np.diag(np.full(q.size, np.inf))
-    P[: told.shared, : told.shared] = model.P
-    tested = np.where(_untouched(_memory_of_states(model), known, weights), residual, np.nan)
-    return Judged(measured, residual, tested, signal, model.noise, model.weights, J, P, True)
-
-
-def _of_physics(model: GreyBoxModel, y: Any, u: Any, t: Any) -> Judged:
-    """Return what is judged of a physical model, which predicts from inputs alone however far ahead."""
-    told, equations, z = model.started(y, u, t)
-    shape, k = told.known.shape, model.theta.size
-    measured = np.where(told.known, told.recording.y, np.nan)
-    residual = np.where(told.known, equations.residuals(z).reshape(shape), np.nan)
-    slope = equations.p.slope(z[:k])
-    J = equations.jacobian(z).reshape(*shape, -1) * told.known[:, :, None]
-    J[:, :, :k] *= np.divide(1.0, slope, out=np.zeros(k), where=slope != 0.0)
-    P = np.diag(np.full(z.size, np.inf))
     P[:k, :k] = model.P
-    return Judged(measured, residual, residual, told.recording.u, model.noise, model.weights, J, P, False)
+    levelled = isinstance(model, StateSpaceModel)
+    if not levelled:
+        slope = told.p.slope(q[:k])
+        J[:, :, :k] *= np.divide(1.0, slope, out=np.zeros(k), where=slope != 0.0)
+    memory = _memory_of_states(model) if levelled else np.zeros((0, 1, 1))
+    tested = np.where(_untouched(memory, known, weights), residual, np.nan)
+    return Judged(measured, residual, tested, signal, model.noise, model.weights, J, P, levelled)
 
 
 def _memory(model: Model) -> Array:

@@ -20,7 +20,6 @@ from robust_filterpy.identification.judging.score import (
     any_model,
     covariances,
     delayed,
-    signals_for,
 )
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
@@ -307,8 +306,7 @@ def validate(
     model = any_model("model", model, y, u)
     lags, steps = _checks.count("lags", lags, 1), _checks.count("steps", steps, 1)
     level = probability(level)
-    _, signals = signals_for(model, y, u, t)
-    judged = Judged.of(model, signals)
+    judged = Judged.of(model, y, u, t)
     known, n_outputs = (~np.isnan(judged.residual)).sum(axis=0), judged.residual.shape[1]
     if known.min() < _SAMPLES_EACH * (lags + 1):
         which = f" of output {known.argmin()}" if n_outputs > 1 else ""
@@ -316,11 +314,11 @@ def validate(
             f"y: expected at least {_SAMPLES_EACH * (lags + 1)} measured samples{which} for {lags} lags, got "
             f"{known.min()}; record more or take fewer lags"
         )
-    score, outputs = Score.of(judged), _outputs(model, judged, signals, steps)
+    score, outputs = Score.of(judged), _outputs(model, judged, (y, u), steps)
     inputs = delayed(judged.inputs - judged.inputs.mean(axis=0), range(lags + 1))
     level = level ** (1.0 / n_outputs)
     found = [_of_output(j, judged, score, inputs, outputs, lags, level) for j in range(n_outputs)]
-    return Validations(found) if isinstance(model, (StateSpaceModel, GreyBoxModel)) else found[0]
+    return found[0] if isinstance(model, Model) else Validations(found)
 
 
 def _of_output(
@@ -351,9 +349,9 @@ def _outputs(model: Any, judged: Judged, signals: tuple[Any, ...], steps: int) -
         return {"free run": judged.y - judged.residual}
     outputs = {"1 step": judged.y - judged.residual}
     if steps > 1:
-        outputs[f"{steps} steps"] = model.predict(*signals, steps).reshape(judged.y.shape)
+        outputs[f"{steps} steps"] = np.asarray(model.predict(*signals, steps)).reshape(judged.y.shape)
     if judged.inputs.shape[1]:
-        outputs["free run"] = model.free_run(*signals).reshape(judged.y.shape)
+        outputs["free run"] = np.asarray(model.free_run(*signals)).reshape(judged.y.shape)
     return outputs
 
 

@@ -6,15 +6,15 @@
 * `signals`, `time_axis`, `unmeasured`: recordings as arrays; pandas objects in, results on the same index; which
   samples are no measurements.
 * `polynomial_model`: residuals of all structures and their derivatives, of one recording and of several.
-* `state_space`, `state_space_residuals`, `state_space_system`: several outputs; their poles and responses.
+* `state_space`, `state_space_residuals`: several outputs.
 * `grey_box`, `grey_box_residuals`: equations in continuous time, and their model of a recording.
 * `model`: what `identify` returns; a transfer function of python-control in its place.
 * `prediction`: predictions through outliers, and how a simulation begins.
 * `noise`: the noise that residuals show, of one output and of several, and how well a model agrees with a recording.
 * `dependence`: whether the plant is still the model's: what is left that follows the inputs, and the gain.
-* `responses`: responses, poles and zeros of a model or tracker, as `response_records`; with bands by `banded` and
-  `uncertainty`; `continuous`: the system in continuous time whose samples a model gives; `reduction`: fewer states.
-* `results`: what trackers return, parameters as a table with intervals, what a recording has beside a model.
+* `responses`: what any system tells: responses, poles and zeros, the same in continuous time or with fewer states, with
+  bands and regions by `uncertainty`.
+* `results`: what trackers return, parameters as a table with intervals, predictions and fits of what was identified.
 
 Imports from below: `influence`, `correction`, `filters`.
 """

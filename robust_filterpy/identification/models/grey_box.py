@@ -12,23 +12,23 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.grey_box_residuals import (
-    Checked,
     GreyRecording,
     GreyResiduals,
     Scale,
     grey_recording,
     require_inputs,
 )
-from robust_filterpy.identification.models.noise import Noise, Noises, fit_percent
+from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.results import (
-    Estimated,
     Finding,
+    Identified,
     Summary,
     facts_of_outputs,
     said,
     summarized,
 )
 from robust_filterpy.identification.models.signals import trend_of
+from robust_filterpy.identification.models.time_axis import TimeAxis
 from robust_filterpy.influence.regression import robust_regression
 
 # Steps towards the states in which a recording begins, and how often one is halved; less in -log of the likelihood is
@@ -172,7 +172,7 @@ class GreyBox:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GreyBoxModel(Estimated):
+class GreyBoxModel(Identified):
     """A physical model as `identify` found it.
 
     Attributes
@@ -219,16 +219,9 @@ class GreyBoxModel(Estimated):
     trends: tuple[tuple[int, Array], ...] = ()
     colour: float = 1.0
 
-    @property
-    def R(self) -> Array:
-        """Variance of the ordinary noise of each output."""
-        return np.array([one.R for one in self.noise])
-
     def __repr__(self) -> str:
         """Show the estimated parameters with their standard deviations."""
-        beside = f"; found: {said(self.findings)}" if self.findings else ""
-        doubt = f"; doubtful: {self.warning}" if self.warning else ""
-        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + beside + doubt
+        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + self._beside
 
     def _summarized(self, level: float) -> Summary:
         """Return the table, with what was found beside the parameters."""
@@ -279,7 +272,9 @@ class GreyBoxModel(Estimated):
             )
         return -model.residuals(z).reshape(times.size, -1)
 
-    def predict(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None, steps: int = 1) -> Array:
+    def predict(  # type: ignore[override]
+        self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None, steps: int = 1
+    ) -> Any:
         """Predict each output of a recording: from inputs alone, however far ahead, since equations have no noise.
 
         Parameters
@@ -298,83 +293,14 @@ class GreyBoxModel(Estimated):
         ValueError, TypeError
             If they do not fit, the equations overflow, or steps is no positive integer.
         """
-        _checks.count("steps", steps, 1)
-        return self.free_run(y, u, t)
+        return super().predict(y, u, steps, t)
 
-    def free_run(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
-        """Compute the outputs from inputs alone, beginning with the states that y tells.
+    def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
+        """Return no time axis, measured outputs, and those from inputs alone, however far ahead."""
+        measured, _, model, z = self.started(y, u, t)
+        return TimeAxis(), measured, np.nan_to_num(measured) - model.residuals(z).reshape(measured.shape)
 
-        Parameters
-        ----------
-        y : array_like, shape (N,) or (N, n_outputs)
-            Outputs, which tell the states in the first sample unless ``structure.start`` is "fixed"; NaN where one is
-            missing.
-        u : array_like, shape (N,) or (N, m), or None
-            Inputs.
-        t : array_like, shape (N,), optional
-            Times in s. Default: those of the index.
-
-        Returns
-        -------
-        ndarray, shape (N, n_outputs)
-
-        Raises
-        ------
-        ValueError
-            If they do not fit, or the equations overflow.
-        """
-        told, residuals = self._left(y, u, t)
-        return told.recording.y - residuals
-
-    def residuals(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
-        """Return measured outputs less those from inputs alone.
-
-        Parameters
-        ----------
-        y, u, t
-            As in `free_run`.
-
-        Returns
-        -------
-        ndarray, shape (N, n_outputs)
-            NaN where y is missing.
-
-        Raises
-        ------
-        ValueError
-            If they do not fit, or the equations overflow.
-        """
-        told, residuals = self._left(y, u, t)
-        return np.where(told.known, residuals, np.nan)
-
-    def fit(self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None) -> Array:
-        """Compute how well the outputs from inputs alone agree with a recording.
-
-        Parameters
-        ----------
-        y, u, t
-            As in `free_run`.
-
-        Returns
-        -------
-        ndarray, shape (n_outputs,)
-            Percent, for each output; see `fit_percent`.
-
-        Raises
-        ------
-        ValueError
-            If they do not fit, an output is constant, or the equations overflow.
-        """
-        told, residuals = self._left(y, u, t)
-        measured = np.where(told.known, told.recording.y, np.nan)
-        return np.atleast_1d(fit_percent(measured, told.recording.y - residuals))
-
-    def _left(self, y: Any, u: Any, t: Any) -> tuple[Checked, Array]:
-        """Return a checked recording, and what the outputs from inputs alone leave of it, of its shape."""
-        told, model, z = self.started(y, u, t)
-        return told, model.residuals(z).reshape(told.known.shape)
-
-    def started(self, y: Any, u: Any, t: Any) -> tuple[Checked, GreyResiduals, Array]:
+    def started(self, y: Any, u: Any, t: Any = None) -> tuple[Array, Array, GreyResiduals, Array]:
         """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with.
 
         Parameters
@@ -388,7 +314,8 @@ class GreyBoxModel(Estimated):
 
         Returns
         -------
-        told : Checked
+        measured : ndarray, shape (N, n_outputs)
+        signal : ndarray, shape (N, m)
         equations : GreyResiduals
         z : ndarray
 
@@ -403,8 +330,8 @@ class GreyBoxModel(Estimated):
             raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
         require_inputs(self.structure, told.recording, p)
         rows, free = told.known.ravel(), self.structure.start == "free"
-        own = trend_of(self.trends, np.where(told.known, told.recording.y, np.nan))
-        recording = told.recording._replace(y=told.recording.y - own)
+        measured = np.where(told.known, told.recording.y, np.nan)
+        recording = told.recording._replace(y=told.recording.y - trend_of(self.trends, measured))
         noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
@@ -417,7 +344,7 @@ class GreyBoxModel(Estimated):
             raise ValueError(
                 "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
             )
-        return told, *min(ends)[2:]
+        return measured, recording.u, *min(ends)[2:]
 
 
 def _likeliest(model: GreyResiduals, z: Array, noise: Noises, rows: Any) -> Array:

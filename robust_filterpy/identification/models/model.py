@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from robust_filterpy import _checks
-from robust_filterpy._checks import Array, count
+from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models import regressor as coefficients
-from robust_filterpy.identification.models.noise import Noise, fit_percent
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import (
     cleaned_residuals,
@@ -27,6 +27,7 @@ from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import (
     Finding,
+    Identified,
     Summary,
     coloured,
     said,
@@ -65,7 +66,7 @@ class Ending(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Model(PolynomialSystem):
+class Model(PolynomialSystem, Identified):
     """A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v, as `identify` found it.
 
     Attributes
@@ -263,38 +264,12 @@ class Model(PolynomialSystem):
         rest = lfilter([self.offset], self.parts.a, np.ones(y.size)) if integrates else self.level
         return axis.series(y + rest, "simulated")
 
-    def predict(self, y: ArrayLike, u: ArrayLike | None = None, steps: int = 1) -> Array:
-        """Predict each output of a recording from the samples up to ``steps`` before it.
-
-        Parameters
-        ----------
-        y : array_like, shape (N,)
-            Measured output; NaN where it is missing.
-        u : array_like, shape (N,) or (N, n_inputs)
-            Input.
-        steps : int, default 1
-            How many samples ahead. Inputs are taken as known.
-
-        Returns
-        -------
-        ndarray, shape (N,)
-            NaN in the first samples, whose regressors lie before the recording.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If y or u does not fit, or steps is not a positive integer.
-
-        Notes
-        -----
-        An OutputError, FIR or LinearRegression predicts from inputs alone, whatever ``steps``; only what was in motion
-        when the recording began is estimated from all of y. For ARX and ARMAX an outlier in y is replaced, by the model
-        and the samples before it, in the regressor of the samples after it.
-        """
-        steps = count("steps", steps, 1)
-        axis, y, u = self._recording(y, u)
-        prediction = self._predicted(*self.prepared(y, u), steps)
-        return axis.series(prediction + self._own_trend(self._measured(y, u)[0]), "prediction")
+    def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
+        """Return the time axis, the measured output, and that so many steps ahead, or with 0 from inputs alone."""
+        axis, y, u = self._recording(y, u, t)
+        measured, (recorded, known) = self._measured(y, u)[0], self.prepared(y, u)
+        output = self._predicted(recorded, known, steps) if steps else self._from_inputs(recorded, known)
+        return axis, measured, output + self._own_trend(measured)
 
     def _predicted(self, model: PolynomialModel, known: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
@@ -305,72 +280,6 @@ class Model(PolynomialSystem):
         found = cleaned_residuals(parts, error, known[model.first :], self.noise)
         ahead = predicted(parts, model.y[model.first :], found, steps)
         return np.concatenate((np.full(model.first, np.nan), ahead))
-
-    def residuals(self, y: ArrayLike, u: ArrayLike | None = None) -> Array:
-        """Return measured less predicted output, one step ahead.
-
-        Parameters
-        ----------
-        y, u
-            As in `predict`.
-
-        Returns
-        -------
-        ndarray, shape (N,)
-            NaN where y is missing and where there is no prediction.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If y or u does not fit.
-        """
-        axis, y, u = self._recording(y, u)
-        return axis.series(self._measured(y, u)[0] - self.predict(y, u), "residual")
-
-    def fit(self, y: ArrayLike, u: ArrayLike) -> float:
-        """Compute how well the model's output, from inputs alone, agrees with a recording.
-
-        Parameters
-        ----------
-        y, u
-            As in `predict`; a missing output does not count.
-
-        Returns
-        -------
-        float
-            100 (1 - ||y - y_model||/||y - mean(y)||), in percent; see `fit_percent`. What was in motion when the
-            recording began is estimated.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If y or u does not fit, y is constant, or the model overflows.
-        """
-        _, y, u = self._recording(y, u)
-        measured, free = self._measured(y, u)[0], self.free_run(y, u)
-        return fit_percent(np.where(np.isnan(free), np.nan, measured), np.nan_to_num(free))
-
-    def free_run(self, y: ArrayLike, u: ArrayLike | None) -> Array:
-        """Compute the output from inputs alone, beginning with what was in motion when the recording began.
-
-        Parameters
-        ----------
-        y, u
-            As in `predict`.
-
-        Returns
-        -------
-        ndarray, shape (N,)
-            NaN in the first samples, whose regressors lie before the recording.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If y or u does not fit, or the model overflows.
-        """
-        axis, y, u = self._recording(y, u)
-        output = self._from_inputs(*self.prepared(y, u)) + self._own_trend(self._measured(y, u)[0])
-        return axis.series(output, "free run")
 
     def prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
         """Return a checked recording without its own trend, ready for what estimates or judges.
@@ -444,12 +353,6 @@ class Model(PolynomialSystem):
         if np.isnan(self.weights).all():
             raise ValueError('start: expected a model that has seen a recording for "continued", got one that has none')
         return self.memory
-
-    def _recording(self, y: Any, u: Any) -> tuple[TimeAxis, Any, Any]:
-        """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
-        axis, y, u = recording(self.structure, y=y, u=u)
-        axis.require_period(self.dt)
-        return axis, y, u
 
     @property
     def _noise_samples(self) -> float:

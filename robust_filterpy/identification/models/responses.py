@@ -142,9 +142,8 @@ class System(Estimated):
             low, high, sampled = bands(self._stable, self.theta, self.P, logarithm, level, rng)
         size, phase = np.abs(center), np.unwrap(np.angle(center), axis=-1)
         rows = (size, size * np.exp(low[0]), size * np.exp(high[0]), phase, phase + low[1], phase + high[1])
-        return FrequencyResponse(
-            w, *map(_squeezed, (center, *rows)), float(level), period, _squeezed(sampled.any(axis=0))
-        )
+        found = (*map(_squeezed, (center, *rows)), float(level), period, _squeezed(sampled.any(axis=0)))
+        return FrequencyResponse(w, *found)
 
     def step_response(
         self, steps: int = 50, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -172,8 +171,8 @@ class System(Estimated):
         of = partial(self._steps, length=length, output=self._numbered("output", output))
         center = of(np.asarray(self.theta)[None])[0]
         low, high, sampled = bands(self._stable, self.theta, self.P, of, level, rng)
-        rows = map(_squeezed, (center, center + low, center + high))
-        return StepResponse(period * np.arange(length, dtype=float), *rows, float(level), _squeezed(sampled))
+        found = (*map(_squeezed, (center, center + low, center + high)), float(level), _squeezed(sampled))
+        return StepResponse(period * np.arange(length, dtype=float), *found)
 
     def noise_spectrum(
         self, omega: ArrayLike, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -455,7 +454,7 @@ class PolynomialSystem(System):
         B, D = (rows[:, 1:] - rows[:, :1] * a).T, rows[:, :1].T
         if dead:
             T = balancing(A, B, C)
-            A, B, C = np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T
+            return (np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D), delays
         return (A, B, C, D), delays
 
 

@@ -6,19 +6,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from robust_filterpy._brief import brief, lines_of, wrapped
-from robust_filterpy._checks import Array, real
+from robust_filterpy._checks import Array, count, numbers, real
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy._pictures import Pictured
-from robust_filterpy.identification.models.noise import Noise
-from robust_filterpy.identification.models.time_axis import table
+from robust_filterpy.identification.models.noise import Noise, fit_percent
+from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 
 if TYPE_CHECKING:
     pass
 
 _WIDTH: Final = 78
+# Times whose steps differ by less than this share are equally far apart.
+_EQUAL: Final = 0.05
 
 
 class Finding(NamedTuple):
@@ -456,3 +459,139 @@ class Estimated:
     def _summarized(self, level: float) -> Summary:
         """Return the table, with the facts that there are."""
         raise NotImplementedError
+
+
+class Identified(Estimated):
+    """What `identify` found in a recording, whatever the kind of model: predictions, residuals, how well it fits."""
+
+    structure: Any
+    dt: float | None = None
+    noise: Any
+    findings: tuple[Finding, ...]
+    warning: str
+
+    @property
+    def R(self) -> Any:
+        """Variance of the ordinary noise of each output, shape (n_outputs,)."""
+        return np.array([one.R for one in self.noise])
+
+    def predict(self, y: ArrayLike, u: ArrayLike | None = None, steps: int = 1, t: ArrayLike | None = None) -> Any:
+        """Predict each output of a recording from the samples up to ``steps`` before it.
+
+        Parameters
+        ----------
+        y : array_like, shape (N,) or (N, n_outputs)
+            Measured outputs, which tell the start too; NaN where one is missing.
+        u : array_like, shape (N,) or (N, n_inputs)
+            Input.
+        steps : int, default 1
+            How many samples ahead. Inputs are taken as known.
+        t : array_like, shape (N,), optional
+            Times in s, in equal steps. Default: those of the index.
+
+        Returns
+        -------
+        ndarray, shape of y
+            NaN in the first samples of a `Model`, whose regressors lie before the recording.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y, u or t does not fit, or steps is not a positive integer.
+
+        Notes
+        -----
+        An OutputError, FIR or LinearRegression, and states without disturbance, predict from inputs alone, whatever
+        ``steps``; only what was in motion when the recording began is estimated from all of y. For ARX and ARMAX an
+        outlier in y is replaced, by the model and the samples before it, in the regressor of the samples after it.
+        """
+        axis, _, output = self._run(y, u, t, count("steps", steps, 1))
+        return axis.labelled(output, "prediction")
+
+    def free_run(self, y: ArrayLike, u: ArrayLike | None = None, t: ArrayLike | None = None) -> Any:
+        """Compute the outputs from inputs alone, beginning with what was in motion when the recording began.
+
+        Parameters
+        ----------
+        y, u, t
+            As in `predict`.
+
+        Returns
+        -------
+        ndarray, shape of y
+            NaN in the first samples of a `Model`, whose regressors lie before the recording.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y, u or t does not fit, or the model overflows.
+        """
+        axis, _, output = self._run(y, u, t, 0)
+        return axis.labelled(output, "free run")
+
+    def residuals(self, y: ArrayLike, u: ArrayLike | None = None, t: ArrayLike | None = None) -> Any:
+        """Return measured less predicted outputs, one step ahead.
+
+        Parameters
+        ----------
+        y, u, t
+            As in `predict`.
+
+        Returns
+        -------
+        ndarray, shape of y
+            NaN where y is missing and where there is no prediction.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y, u or t does not fit.
+        """
+        axis, measured, output = self._run(y, u, t, 1)
+        return axis.labelled(measured - output, "residual")
+
+    def fit(self, y: ArrayLike, u: ArrayLike | None = None, t: ArrayLike | None = None) -> Any:
+        """Compute how well the outputs, from inputs alone, agree with a recording.
+
+        Parameters
+        ----------
+        y, u, t
+            As in `predict`; a missing output does not count.
+
+        Returns
+        -------
+        float, or ndarray, shape (n_outputs,)
+            100 (1 - ||y - y_model||/||y - mean(y)||), in percent; see `fit_percent`. What was in motion when the
+            recording began is estimated.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y, u or t does not fit, y is constant, or the model overflows.
+        """
+        _, measured, output = self._run(y, u, t, 0)
+        return fit_percent(np.where(np.isnan(output), np.nan, measured), np.nan_to_num(output))
+
+    def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
+        """Return the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone."""
+        raise NotImplementedError
+
+    def _recording(self, y: Any, u: Any, t: Any = None) -> tuple[TimeAxis, Any, Any]:
+        """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
+        if t is not None:
+            steps = np.diff(numbers("t", t))
+            if steps.shape != (len(y) - 1,):
+                raise ValueError(f"t: expected {len(y)} times like y, got shape {np.shape(t)}")
+            usual = float(np.median(steps)) if steps.size else 0.0
+            if not (usual > 0.0 and (np.abs(steps - usual) <= _EQUAL * usual).all()):
+                raise ValueError("t: expected equal steps for a model in discrete time, got others; identify a GreyBox")
+            TimeAxis(None, usual).require_period(self.dt)
+        axis, y, u = recording(self.structure, y=y, u=u)
+        axis.require_period(self.dt)
+        return axis, y, u
+
+    @property
+    def _beside(self) -> str:
+        """What was found beside the model, and what makes it doubtful, for `repr`."""
+        told = {"found": said(self.findings), "doubtful": self.warning}
+        return "".join(f"; {name}: {text}" for name, text in told.items() if text)

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.noise import Noise, Noises, fit_percent
+from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.prediction import held_input
 from robust_filterpy.identification.models.regressor import period
 from robust_filterpy.identification.models.responses import Matrices, System
 from robust_filterpy.identification.models.results import (
     Finding,
+    Identified,
     Summary,
     facts_of_outputs,
     said,
@@ -23,7 +24,7 @@ from robust_filterpy.identification.models.results import (
 )
 from robust_filterpy.identification.models.signals import are_several, measured_outputs, recorded_input, trend_of
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
-from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
+from robust_filterpy.identification.models.time_axis import TimeAxis
 from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.influence.regression import robust_regression
 
@@ -74,6 +75,11 @@ class StateSpace:
                 raise TypeError(f"{name}: expected True or False, got {getattr(self, name)!r}")
 
     @property
+    def takes_phi(self) -> bool:
+        """No regressor comes from the caller."""
+        return False
+
+    @property
     def orders(self) -> Any:
         """Which orders are tried."""
         return _AUTO if isinstance(self.n, str) else (self.n,)
@@ -122,7 +128,7 @@ class Signals(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StateSpaceModel(System):
+class StateSpaceModel(System, Identified):
     """x(k+1) = A x + B u + K e, y = C x + D u + level + e, in a balanced basis, as `identify` found it.
 
     Attributes
@@ -189,14 +195,9 @@ class StateSpaceModel(System):
         """Show orders, poles and noise."""
         poles = ", ".join(f"{pole:.4g}" for pole in np.linalg.eigvals(self.A))
         std = ", ".join(f"{value:.3g}" for value in np.sqrt(self.R))
-        beside = f"; found: {said(self.findings)}" if self.findings else ""
-        doubt = f"; doubtful: {self.warning}" if self.warning else ""
         p, m = self.D.shape
-        return (
-            f"StateSpaceModel(n={len(self.A)}, {m} input(s), {p} output(s), poles {poles}, noise {std})"
-            + beside
-            + doubt
-        )
+        sizes = f"n={len(self.A)}, {m} input(s), {p} output(s)"
+        return f"StateSpaceModel({sizes}, poles {poles}, noise {std}){self._beside}"
 
     def _summarized(self, level: float) -> Summary:
         """Return the table of all entries and the levels, with what was found beside them."""
@@ -208,11 +209,6 @@ class StateSpaceModel(System):
         names += tuple(f"level[{j}]" for j in range(self.level.size))
         theta, std = np.append(self.theta, self.level), np.append(self.std, self.level_std)
         return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
-
-    @property
-    def R(self) -> Array:
-        """Variance of the ordinary noise of each output, shape (p,)."""
-        return np.array([one.R for one in self.noise])
 
     # The system.
 
@@ -348,8 +344,7 @@ class StateSpaceModel(System):
         signal = held_input(self._signals, u, self.operating_point) - self.operating_point
         x = np.zeros(len(self.A))
         if isinstance(start, tuple) and len(start) == 2:
-            _, before, acted = self._recording(*start)
-            began, q = self.started(*self.checked(before, acted))
+            _, _, began, q = self.started(*start)
             x = began.states(q, 0)[-1]
         elif _checks.option("start", start, ("rest", "continued")) == "continued":
             x = self.end
@@ -358,134 +353,38 @@ class StateSpaceModel(System):
         found = -model.residuals(self._packed(model, x)).reshape(len(signal), -1)
         if not np.isfinite(found).all():
             raise ValueError("A: the output overflows: the model as it stands is unstable")
-        return self._labelled(axis, found)
+        return axis.labelled(found, "simulated")
 
-    def predict(self, y: ArrayLike, u: ArrayLike, steps: int = 1) -> Array:
-        """Predict each output from the samples up to ``steps`` before it; without disturbance from the inputs alone.
-
-        Parameters
-        ----------
-        y : array_like, shape (N, p)
-            Outputs, which tell the start; NaN where one is missing.
-        u : array_like, shape (N, m)
-            Inputs.
-        steps : int, default 1
-            How many samples ahead. Inputs are taken as known.
-
-        Returns
-        -------
-        ndarray, shape (N, p)
-
-        Raises
-        ------
-        ValueError, TypeError
-            If they do not fit, or steps is no positive integer.
-        """
-        steps = _checks.count("steps", steps, 1)
-        axis, measured, found = self._from(y, u, steps)
-        return self._labelled(axis, found + trend_of(self.trends, measured))
-
-    def free_run(self, y: ArrayLike, u: ArrayLike) -> Array:
-        """Compute the outputs from inputs alone, beginning with the state that y tells.
+    def started(
+        self, y: Any, u: Any, t: Any = None, alone: bool = False
+    ) -> tuple[Array, Array, StateSpaceResiduals, Array]:
+        """Return a checked recording, its residuals and their free parameters, with the start that it tells.
 
         Parameters
         ----------
-        y, u
+        y, u, t
             As in `predict`.
-
-        Returns
-        -------
-        ndarray, shape (N, p)
-
-        Raises
-        ------
-        ValueError
-            If they do not fit.
-        """
-        axis, measured, found = self._from(y, u, alone=True)
-        return self._labelled(axis, found + trend_of(self.trends, measured))
-
-    def residuals(self, y: ArrayLike, u: ArrayLike) -> Array:
-        """Return measured less predicted outputs.
-
-        Parameters
-        ----------
-        y, u
-            As in `predict`.
-
-        Returns
-        -------
-        ndarray, shape (N, p)
-            NaN where y is missing.
-
-        Raises
-        ------
-        ValueError
-            If they do not fit.
-        """
-        axis, measured, found = self._from(y, u)
-        return self._labelled(axis, measured - found - trend_of(self.trends, measured))
-
-    def fit(self, y: ArrayLike, u: ArrayLike) -> Array:
-        """Compute how well the model's output, from inputs alone, agrees with a recording.
-
-        Parameters
-        ----------
-        y, u
-            As in `predict`; a missing output does not count.
-
-        Returns
-        -------
-        ndarray, shape (p,)
-            Percent, for each output; see `fit_percent`.
-
-        Raises
-        ------
-        ValueError
-            If they do not fit, or an output is constant.
-        """
-        _, measured, found = self._from(y, u, alone=True)
-        return np.atleast_1d(fit_percent(measured, found + trend_of(self.trends, measured)))
-
-    def checked(self, y: Any, u: Any) -> tuple[Array, Array]:
-        """Return outputs, NaN where they are missing, filled or stuck, and inputs from their operating point.
-
-        Parameters
-        ----------
-        y, u
-            As in `predict`.
-
-        Returns
-        -------
-        measured : ndarray, shape (N, p)
-        signal : ndarray, shape (N, m)
-
-        Raises
-        ------
-        ValueError
-            If they do not fit.
-        """
-        outputs = measured_outputs(y, len(self.C))
-        signal = recorded_input(self._signals, u, len(outputs))
-        return measurements(outputs, signal)[0], signal - self.operating_point
-
-    def started(self, y: Array, u: Array, alone: bool = False) -> tuple[StateSpaceResiduals, Array]:
-        """Return residuals and free parameters of a recording whose start it tells.
-
-        Parameters
-        ----------
-        y : ndarray, shape (N, p)
-            Outputs from `checked`.
-        u : ndarray, shape (N, m)
-            Inputs from there.
         alone : bool, default False
             Whether the states move by inputs alone, without innovations.
 
         Returns
         -------
+        measured : ndarray, shape (N, p)
+            NaN where an output is missing, filled or stuck.
+        signal : ndarray, shape (N, m)
+            Inputs from their operating point.
         model : StateSpaceResiduals
         q : ndarray
+
+        Raises
+        ------
+        ValueError
+            If y, u or t does not fit.
         """
+        _, y, u = self._recording(y, u, t)
+        outputs = measured_outputs(y, len(self.C))
+        u = recorded_input(self._signals, u, len(outputs))
+        y, u = measurements(outputs, u)[0], u - self.operating_point
         known = ~np.isnan(y)
         model = self._residuals(np.nan_to_num(y - trend_of(self.trends, y)), u)
         noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
@@ -499,7 +398,7 @@ class StateSpaceModel(System):
                 q[-n:] = robust_regression(J, model.residuals(q)[rows] / scale)
             if not alone and self.structure.disturbance:
                 model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * known]
-        return model, q
+        return y, u, model, q
 
     # Helpers.
 
@@ -507,16 +406,6 @@ class StateSpaceModel(System):
     def _signals(self) -> Signals:
         """How many inputs and outputs there are."""
         return Signals(self.B.shape[1], len(self.C))
-
-    def _recording(self, y: Any, u: Any) -> tuple[TimeAxis, Any, Any]:
-        """Return the time axis of a recording and its signals."""
-        axis, y, u = recording(None, y=y, u=u)
-        axis.require_period(self.dt)
-        return axis, y, u
-
-    def _labelled(self, axis: TimeAxis, values: Array) -> Any:
-        """Return outputs on the index of the recording."""
-        return values if axis.index is None else table(dict(enumerate(values.T)), axis.index)
 
     def _residuals(self, y: Array, u: Array) -> StateSpaceResiduals:
         """Return what gives the residuals of a recording."""
@@ -526,12 +415,12 @@ class StateSpaceModel(System):
         """Return the free parameters with a start."""
         return np.concatenate((self.theta, self.level, x))
 
-    def _from(self, y: Any, u: Any, steps: int = 1, alone: bool = False) -> tuple[TimeAxis, Array, Array]:
-        """Return the time axis of a recording, its outputs, and those predicted so many samples ahead."""
-        axis, y, u = self._recording(y, u)
-        measured, signal = self.checked(y, u)
-        model, q = self.started(measured, signal, alone)
+    def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
+        """Return the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone."""
+        axis, y, u = self._recording(y, u, t)
+        measured, signal, model, q = self.started(y, u, alone=not steps)
         x = model.states(q, 0)[:-1]
         for _ in range(min(steps, len(signal)) - 1):
             x = np.concatenate((x[:1], x[:-1] @ self.A.T + signal[:-1] @ self.B.T))
-        return axis, measured, np.asarray(x @ self.C.T + signal @ self.D.T + self.level)
+        output = x @ self.C.T + signal @ self.D.T + self.level
+        return axis, measured, output + trend_of(self.trends, measured)

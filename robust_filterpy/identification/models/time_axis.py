@@ -41,6 +41,11 @@ class TimeAxis(NamedTuple):
         """Return values as a pandas Series on this axis, or as they are if there is no index."""
         return values if self.index is None else sys.modules["pandas"].Series(values, index=self.index, name=name)
 
+    def labelled(self, values: Any, name: str) -> Any:
+        """Return values of one signal or of several, as columns by number, on this axis."""
+        several = np.ndim(values) == 2 and self.index is not None
+        return table(dict(enumerate(values.T)), self.index) if several else self.series(values, name)
+
     @property
     def last(self) -> Any:
         """Time of the last sample; None if the index is no time."""
