@@ -31,6 +31,7 @@ from robust_filterpy.identification.estimation.cleaning import Cleaned, cleaned
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model, as_model
 from robust_filterpy.identification.models.noise import Noise
+from robust_filterpy.identification.models.results import signals_of
 from robust_filterpy.identification.models.signals import recorded_output
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.influence.regression import mad_scale
@@ -78,7 +79,7 @@ class Judged(NamedTuple):
         """Return what is judged of a model on a recording."""
         if not isinstance(model, Model):
             return _of_outputs(model, *model.started(y, u, t))
-        return _of_one(model, *model._recording(y, u, t)[1:])
+        return _of_one(model, *signals_of(model, y, u, t)[1:])
 
 
 def _of_one(model: Model, y: Any, u: Any) -> Judged:

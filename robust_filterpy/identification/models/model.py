@@ -31,6 +31,7 @@ from robust_filterpy.identification.models.results import (
     Summary,
     coloured,
     said,
+    signals_of,
     summarized,
 )
 from robust_filterpy.identification.models.signals import measured_output, recorded_input, recorded_output, trend_of
@@ -251,7 +252,7 @@ class Model(PolynomialSystem, Identified):
         >>> bool(np.allclose(model.simulate(u[200:], start="continued"), y[200:]))
         True
         """
-        axis, _, u = self._recording(None, u)
+        axis, _, u = signals_of(self, None, u)
         signal = held_input(self.structure, u, self.operating_point)
         layout = Layout(self.structure)
         if self.operating_point.any() and isinstance(start, str) and start == "rest":
@@ -266,7 +267,7 @@ class Model(PolynomialSystem, Identified):
 
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return the time axis, the measured output, and that so many steps ahead, or with 0 from inputs alone."""
-        axis, y, u = self._recording(y, u, t)
+        axis, y, u = signals_of(self, y, u, t)
         measured, (recorded, known) = self._measured(y, u)[0], self.prepared(y, u)
         output = self._predicted(recorded, known, steps) if steps else self._from_inputs(recorded, known)
         return axis, measured, output + self._own_trend(measured)
@@ -346,7 +347,7 @@ class Model(PolynomialSystem, Identified):
     def _memory_at(self, start: Any, layout: Layout) -> Memory:
         """Return the past signals with which a simulation begins, or raise."""
         if isinstance(start, tuple) and len(start) == 2:
-            _, y, u = self._recording(*start)
+            _, y, u = signals_of(self, *start)
             return filled_memory(*motion_after(self, y, u))
         if _checks.option("start", start, ("rest", "continued")) == "rest":
             return Memory.at_rest(layout)

@@ -576,22 +576,23 @@ class Identified(Estimated):
         """Return the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone."""
         raise NotImplementedError
 
-    def _recording(self, y: Any, u: Any, t: Any = None) -> tuple[TimeAxis, Any, Any]:
-        """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
-        if t is not None:
-            steps = np.diff(numbers("t", t))
-            if steps.shape != (len(y) - 1,):
-                raise ValueError(f"t: expected {len(y)} times like y, got shape {np.shape(t)}")
-            usual = float(np.median(steps)) if steps.size else 0.0
-            if not (usual > 0.0 and (np.abs(steps - usual) <= _EQUAL * usual).all()):
-                raise ValueError("t: expected equal steps for a model in discrete time, got others; identify a GreyBox")
-            TimeAxis(None, usual).require_period(self.dt)
-        axis, y, u = recording(self.structure, y=y, u=u)
-        axis.require_period(self.dt)
-        return axis, y, u
-
     @property
     def _beside(self) -> str:
         """What was found beside the model, and what makes it doubtful, for `repr`."""
         told = {"found": said(self.findings), "doubtful": self.warning}
         return "".join(f"; {name}: {text}" for name, text in told.items() if text)
+
+
+def signals_of(model: Identified, y: Any, u: Any, t: Any = None) -> tuple[TimeAxis, Any, Any]:
+    """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
+    if t is not None:
+        steps = np.diff(numbers("t", t))
+        if steps.shape != (len(y) - 1,):
+            raise ValueError(f"t: expected {len(y)} times like y, got shape {np.shape(t)}")
+        usual = float(np.median(steps)) if steps.size else 0.0
+        if not (usual > 0.0 and (np.abs(steps - usual) <= _EQUAL * usual).all()):
+            raise ValueError("t: expected equal steps for a model in discrete time, got others; identify a GreyBox")
+        TimeAxis(None, usual).require_period(model.dt)
+    axis, y, u = recording(model.structure, y=y, u=u)
+    axis.require_period(model.dt)
+    return axis, y, u

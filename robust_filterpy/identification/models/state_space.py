@@ -20,6 +20,7 @@ from robust_filterpy.identification.models.results import (
     Summary,
     facts_of_outputs,
     said,
+    signals_of,
     summarized,
 )
 from robust_filterpy.identification.models.signals import are_several, measured_outputs, recorded_input, trend_of
@@ -340,7 +341,7 @@ class StateSpaceModel(System, Identified):
         ValueError
             If u or start does not fit.
         """
-        axis, _, u = self._recording(None, u)
+        axis, _, u = signals_of(self, None, u)
         signal = held_input(self._signals, u, self.operating_point) - self.operating_point
         x = np.zeros(len(self.A))
         if isinstance(start, tuple) and len(start) == 2:
@@ -381,7 +382,7 @@ class StateSpaceModel(System, Identified):
         ValueError
             If y, u or t does not fit.
         """
-        _, y, u = self._recording(y, u, t)
+        _, y, u = signals_of(self, y, u, t)
         outputs = measured_outputs(y, len(self.C))
         u = recorded_input(self._signals, u, len(outputs))
         y, u = measurements(outputs, u)[0], u - self.operating_point
@@ -417,7 +418,7 @@ class StateSpaceModel(System, Identified):
 
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone."""
-        axis, y, u = self._recording(y, u, t)
+        axis, y, u = signals_of(self, y, u, t)
         measured, signal, model, q = self.started(y, u, alone=not steps)
         x = model.states(q, 0)[:-1]
         for _ in range(min(steps, len(signal)) - 1):
