@@ -202,9 +202,9 @@ def predicted(known: Array, classes: int) -> Array:
 
 
 def usual(known: Array, classes: int) -> Array:
-    """Return the probabilities of the classes of the next sample, whatever the last one was."""
-    counts = _chain(known, classes)[1]
-    return np.asarray(counts.sum(axis=0) / counts.sum())
+    """Return the probabilities of the classes of the next sample, whatever the last one was; of one or many."""
+    counts = known[..., 2 + 2 * classes : -_TAIL].reshape(*known.shape[:-1], classes, classes)
+    return np.asarray(counts.sum(axis=-2) / counts.sum(axis=(-2, -1))[..., None])
 
 
 def learn(known: Array, posterior: Array, r: float, excess: float, part: float, noise: NoiseClasses) -> Array:

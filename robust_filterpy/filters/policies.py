@@ -14,6 +14,7 @@ affair; each that the kernel declines it takes by the definition.
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -420,13 +421,19 @@ class Mixture:
     def shares(self, memory: Array) -> tuple[Array, Array]:
         """Return the factors of ordinary noise's variance that outliers may have, and their shares."""
         scales = np.array(self.classes.scales)
-        return scales, np.array([usual(row, len(scales)) for row in memory])
+        return scales, usual(memory, len(scales))
+
+    @cached_property
+    def _logs(self) -> Array:
+        """Logarithms of the scales of Q."""
+        return np.log(self.scales.scales)
 
     def slack(self, kept: Kept | None) -> float:
         """Return the factor of Q that is thought likely."""
         if kept is None:
             return 1.0
-        return float(np.exp(np.mean(np.log(self.scales.scales) @ side_by_side.slow(kept.copies, self.scales))))
+        slow = kept.belief[: len(self.scales.scales)]
+        return math.exp(float((self._logs @ (slow / slow.sum(axis=0))).mean()))
 
     def process_scale(self, kept: Kept | None, n: int) -> Array:
         """Return the mean factor of each state's Q."""

@@ -20,21 +20,22 @@ sensor whose noise carries over to the next counts for less than one (`_watch.wo
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
+from robust_filterpy.fusion._hypotheses import corrected, moved
 
-__all__ = ["Found", "Stretch", "corrected", "judged"]
+__all__ = ["Found", "Stretch", "judged"]
 
 # Chance of a fault of one kind at a reading, shared among its sizes; of a manoeuvre that Q does not know at a stamp.
 _FAULT, _MANOEUVRE = 1e-5, 1e-4
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to at the end.
 _SIZE = 4.0
 _NOISIER, _WORSE, _SPIKES = (2.0, 3.0, 5.0, 9.0), (10.0, 100.0, 1000.0), 0.3
-# By how much Q may be smaller all along, and how likely that is.
-_CALMER = ((1.0, 0.8), (0.1, 0.1), (0.01, 0.1))
+# By how much Q may be smaller all along, and how likely that is over how likely it is as told.
+_CALMER = ((1.0, 1.0), (0.1, 0.125), (0.01, 0.125))
 _STILL = 0.01
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
 _FINE, _FIRST = 16, 5
@@ -95,12 +96,15 @@ class _Bank(NamedTuple):
     """Logarithm."""
 
 
-def judged(stretch: Stretch, left_out: np.ndarray) -> list[Found]:
-    """Return what may explain a stretch, each fault of each component once, the most probable first."""
-    calm = _Bank(*np.array([(-1.0, 0.0, 0.0, w, math.log(p)) for w, p in _CALMER]).T)
-    as_calm = calm.factor[np.argmax(_run(stretch, calm, left_out)[0] + calm.prior)]
-    stretch, bank = stretch._replace(Q=stretch.Q * as_calm), _hypotheses(stretch, left_out)
+def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> list[Found]:
+    """Return what may explain a stretch, each fault of each suspected component once, the most probable first."""
+    bank = _hypotheses(stretch, suspects)
     logs, b = _run(stretch, bank, left_out)
+    calm = np.flatnonzero((bank.fault == 0) & (bank.component < 0))
+    as_calm = bank.factor[calm[np.argmax((logs + bank.prior)[calm])]]
+    if as_calm != 1.0:
+        logs, b = _run(stretch._replace(Q=stretch.Q * as_calm), bank, left_out)
+    logs[calm[1:]] = -np.inf
     logs = logs + bank.prior
     p = np.exp(logs - logs.max())
     p /= p.sum()
@@ -113,13 +117,13 @@ def judged(stretch: Stretch, left_out: np.ndarray) -> list[Found]:
     return sorted(found, key=lambda one: -one.probability)
 
 
-def _hypotheses(stretch: Stretch, left_out: np.ndarray) -> _Bank:
-    """Return healthy, the model, and every fault of every component from every onset."""
-    rows = [(-1, 0, 0, 1.0, 0.0)]
+def _hypotheses(stretch: Stretch, suspects: np.ndarray) -> _Bank:
+    """Return healthy, a smaller Q, the model, and every fault of every suspected component from every onset."""
+    rows = [(-1, 0, 0, w, math.log(p)) for w, p in _CALMER]
     spoken = np.flatnonzero((~np.isnan(stretch.z)).any(axis=1))
     for k, width in _onsets(spoken):
         rows += [(-1, _MODEL, k, w, math.log(_MANOEUVRE * width / len(_WORSE))) for w in _WORSE]
-    for c in np.flatnonzero(~left_out).tolist():
+    for c in np.flatnonzero(suspects).tolist():
         kinds = {_BIASED: (1.0,), _DRIFTING: (1.0,), _STUCK: (1.0, _STILL), _SPIKY: tuple(stretch.scales[1:])}
         kinds[_NOISY] = tuple(f * f for f in _NOISIER)
         for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
@@ -148,7 +152,7 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
     (n,), N = stretch.x.shape, len(bank.fault)
     x, P, logs = np.zeros((N, n + 1)), np.zeros((N, n + 1, n + 1)), np.zeros(N)
     x[0, :n], P[0, :n, :n] = stretch.x, stretch.P
-    owner, onset, ahead = bank.component.astype(int), bank.onset.astype(int), np.eye(n + 1)
+    owner, onset = bank.component.astype(int), bank.onset.astype(int)
     root, began = np.sqrt(stretch.r)[np.maximum(owner, 0)], stretch.seconds[onset]
     carries, drifts, stuck = (
         np.isin(bank.fault, [_BIASED, _DRIFTING, _STUCK]),
@@ -166,12 +170,7 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
         low, high = int(starts[k]), int(starts[k + 1])
         x[low:high], P[low:high], logs[low:high] = x[0], P[0], logs[0]
         now = slice(0, high)
-        ahead[:n, :n] = stretch.F[k]
-        x[now] = x[now] @ ahead.T
-        x[now, :n] += stretch.drift[k]
-        for _ in range(2):
-            P[now] = np.swapaxes((P[now].reshape(-1, n + 1) @ ahead.T).reshape(-1, n + 1, n + 1), 1, 2)
-        P[now, :n, :n] += slack[now, None, None] * stretch.Q[k]
+        moved(x[now], P[now], stretch.F[k], slack[now, None, None] * stretch.Q[k], stretch.drift[k])
         new = np.arange(low, high)[carries[low:high]]
         P[new, n, n] = spread[new] ** 2
         new = new[stuck[new]]
@@ -196,21 +195,3 @@ def _shares(stretch: Stretch, c: int, factor: Array, spiky: np.ndarray) -> Array
         return np.broadcast_to(usual, (len(spiky), len(usual)))
     more = max(_SPIKES, min(2.0 * (1.0 - usual[0]), 0.9))
     return np.where(spiky[:, None], (1.0 - more) * usual + more * (stretch.scales == factor[:, None]), usual)
-
-
-def corrected(x: Array, P: Array, z: Any, h: Array, r: Array, scales: Array, shares: Array) -> Array:
-    """Correct N hypotheses by one number each, in place, under noise that is a mixture (`correction.learnt`'s step)."""
-    y = z - (h * x).sum(axis=1)
-    C = np.einsum("nij,nj->ni", P, h)
-    S = (h * C).sum(axis=1)[:, None] + scales * r[:, None]
-    pulls = y[:, None] / S
-    logs = np.log(shares) - 0.5 * (pulls * y[:, None] + np.log(2.0 * math.pi * S))
-    peak = logs.max(axis=1)
-    given = np.exp(logs - peak[:, None])
-    total = given.sum(axis=1)
-    given /= total[:, None]
-    a = (given * pulls).sum(axis=1)
-    b = (given * (1.0 / S - pulls**2)).sum(axis=1) + a * a
-    x += a[:, None] * C
-    P -= b[:, None, None] * C[:, :, None] * C[:, None, :]
-    return np.asarray(peak + np.log(total))

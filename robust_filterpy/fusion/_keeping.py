@@ -8,12 +8,13 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._policies import Policy, arrays, of_arrays
-from robust_filterpy.fusion._stepping import Moment, begun
+from robust_filterpy.fusion._policies import arrays, of_arrays
+from robust_filterpy.fusion._stepping import Moment, Setup, begun
 from robust_filterpy.fusion._table import Clock
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion._watch import Watch
 from robust_filterpy.fusion.reacquisition import Doubt
+from robust_filterpy.fusion.sensors import Layout
 
 __all__ = ["restored", "state"]
 
@@ -57,7 +58,7 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         "controls": (None, p), "controlled": (None,), "spoke": (None, len(names)), "earlier_known": (len(names),),
         "earlier": (len(names), 2), "counts": (len(names), len(outcomes)),
     }  # fmt: skip
-    length = _flat(policy, like.base, names).size if like.setup.watches else 0
+    length = _flat(like.setup, like.base).size if like.setup.watches else 0
     if like.setup.watches:
         needed["moments"] = (None, length)
     elif "moments" in found:
@@ -87,13 +88,12 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         set(start[:1]) | set(keys)
     ):
         raise _state.StateError("state: expected keys that ascend, after base")
-    none = np.full(M, np.nan)
     try:
         stood = of_arrays(policy, [got[name] for name in _ARRAYS])
     except ValueError as error:
         raise _state.StateError(str(error)) from None
     doubt = _doubt_of(got.get("doubt", np.zeros(0)), like, clock.kind)
-    line = Timeline(like.setup, Moment(stood, none, none, doubt=doubt), like.window, like.history)
+    line = Timeline(like.setup, Moment(stood, doubt=doubt), like.window, like.history)
     line.base_key = start[0] if start else None
     for i, key in enumerate(keys):
         entry = line.at(key)
@@ -117,25 +117,27 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
 def _watched(timeline: Timeline) -> dict[str, Any]:
     """Return what a fusion that watches has besides: all moments, since a verdict looks back further than is kept."""
     moments = [timeline.base, *(entry.moment for entry in timeline.entries[: timeline.clean])]
-    policy, names = timeline.setup.policy, timeline.setup.layout.names
-    return {"moments": np.array([_flat(policy, moment, names) for moment in moments])}
+    return {"moments": np.array([_flat(timeline.setup, moment) for moment in moments])}
 
 
-def _flat(policy: Policy, moment: Any, names: tuple[str, ...]) -> Array:
+def _flat(setup: Setup, moment: Any) -> Array:
     """Return a moment that is watched as one vector; what a function of a sensor said when it failed is not in it."""
-    watch, failed = moment.watch, {name for name, _ in moment.failed}
-    stamps = [*watch.since, watch.model_since, watch.mended]
+    watch, names, failed = moment.watch, setup.layout.names, {name for name, _ in moment.failed}
     numbers = [value for name, value in zip(Watch._fields, watch, strict=True) if name not in _STAMPS]
-    known = [[at is not None, *_split([0 if at is None else at])[0]] for at in stamps]
-    parts = [*arrays(policy, moment.state), moment.innovation, moment.deviation, *numbers, known]
-    parts.append([name in failed for name in names])
+    stamps = [[at is not None, *_split([at or 0])[0]] for at in (*watch.since, watch.model_since, watch.mended)]
+    flags = [*(name in failed for name in names), moment.far, moment.anew]
+    parts = [*arrays(setup.policy, moment.state), *numbers, stamps, flags]
+    if setup.reacquire is not None:
+        doubt = _of_doubt(moment.doubt)
+        parts += [len(doubt) > 0, doubt if len(doubt) else np.zeros(_length_of_doubt(setup.layout))]
     # A look that is never due again is at infinity, which no state holds.
     return np.nan_to_num(np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]), nan=np.nan)
 
 
 def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
     """Return the moment of a vector, shaped as those of the fusion that takes it over."""
-    at, base, names = 0, begun(like.setup, like.base.state.x, like.base.state.P), like.setup.layout.names
+    at, setup, base = 0, like.setup, begun(like.setup, like.base.state.x, like.base.state.P)
+    policy, names = setup.policy, setup.layout.names
 
     def taken(pattern: Any) -> Any:
         nonlocal at
@@ -144,23 +146,21 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
         at += part.size
         return part if shape else float(part)
 
-    policy = like.setup.policy
-    state_arrays = [taken(part) for part in arrays(policy, base.state)]
-    innovation, deviation = taken(base.innovation), taken(base.deviation)
+    state = [taken(part) for part in arrays(policy, base.state)]
     numbers = {name: taken(value) for name, value in zip(Watch._fields, base.watch, strict=True) if name not in _STAMPS}
-    known = taken(np.zeros((len(like.setup.layout.parties) + 2, 3)))
-    whole = [*state_arrays[:6], known]
-    whole += [value for name, value in numbers.items() if name != "tests"]
-    if not all(np.isfinite(part).all() for part in whole):
+    stamps, failed = taken(np.zeros((len(setup.layout.parties) + 2, 3))), taken(np.zeros(len(names)))
+    far, anew = taken(np.zeros(2)).tolist()
+    rest = row[at:]
+    if not all(np.isfinite(part).all() for name, part in numbers.items() if name != "known") or not all(
+        np.isfinite(part).all() for part in (*state[:6], stamps, rest)
+    ):
         raise _state.StateError("state: expected finite numbers in moments, got NaN")
     numbers["due"][numbers["due"] == np.finfo(float).max] = np.inf
-    stamps = [
-        _joined(pair[None], kind)[0] if there else None for there, pair in zip(known[:, 0], known[:, 1:], strict=True)
-    ]
-    failed = taken(np.zeros(len(names)))
+    since = [_joined(pair[1:][None], kind)[0] if pair[0] else None for pair in stamps]
     why = tuple((name, "as it was when the state was kept") for name, bad in zip(names, failed, strict=True) if bad)
-    watch = Watch(**numbers, since=tuple(stamps[:-2]), model_since=stamps[-2], mended=stamps[-1])
-    return Moment(of_arrays(policy, state_arrays), innovation, deviation, watch, why)
+    watch = Watch(**numbers, since=tuple(since[:-2]), model_since=since[-2], mended=since[-1])
+    doubt = _doubt_of(rest[1:], like, kind) if len(rest) and rest[0] else None
+    return Moment(of_arrays(policy, state), watch, why, doubt, int(far), bool(anew))
 
 
 def _of_doubt(doubt: Doubt | None) -> Array:
@@ -171,14 +171,21 @@ def _of_doubt(doubt: Doubt | None) -> Array:
     return np.nan_to_num(np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]))
 
 
+def _length_of_doubt(layout: Layout) -> int:
+    """Return how many numbers say what is in doubt."""
+    S, D = len(layout.names), layout.n + layout.size
+    return 6 + (S + 3) * (D + D * D + 1) + S
+
+
 def _doubt_of(row: Array, like: Timeline, kind: str) -> Doubt | None:
     """Return what is in doubt, or raise."""
     if not len(row):
         return None
-    (n, M), S = (like.setup.layout.n, like.setup.layout.size), len(like.setup.layout.names)
-    N, D = S + 3, n + M
+    layout = like.setup.layout
+    S, D = len(layout.names), layout.n + layout.size
+    N = S + 3
     parts = np.split(row, np.cumsum([1, 2, 1, 1, 1, N * D, N * D * D, N]))
-    if len(row) != 6 + N * (D + D * D + 1) + S:
+    if len(row) != _length_of_doubt(layout):
         raise _state.StateError("state: expected one of a fusion with as many sensors and states, and reacquire alike")
     sensor, since, agreed, served, sure, x, P, logs, quiet = parts
     if not (0 <= sensor[0] < S and -1 <= served[0] < N):

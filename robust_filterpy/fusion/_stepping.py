@@ -7,15 +7,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._policies import Policy, State, compared, predicted, start, weighed
-from robust_filterpy.fusion._watch import fresh, looked_at
+from robust_filterpy.fusion._policies import Policy, State, compared, predicted, series, start, weighed
+from robust_filterpy.fusion._watch import Looked, coasted, fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.sensors import Layout
 
-__all__ = ["Moment", "Setup", "advanced", "aged", "begun", "covariance", "moved"]
+__all__ = ["FAR", "Moment", "Setup", "advanced", "aged", "begun", "covariance", "moved"]
 
 # What the first readings tell of a noise that nobody told is worth so many samples.
 _UNTOLD = 2.0
+#: A reading is far beyond so many standard deviations.
+FAR = 6.0
 
 
 class Setup(NamedTuple):
@@ -34,24 +36,25 @@ class Moment(NamedTuple):
     """What there is after everything of one stamp has been judged; nothing in here is ever written to."""
 
     state: State
-    innovation: Array
-    """z - h(x) before the correction, NaN where missing, (M,)."""
-    deviation: Array
-    """Its standard deviation if the noise is ordinary, as learnt before, (M,)."""
     watch: Any = None
     """What is known of the sensors' health (`_watch.Watch`); None if nobody looks."""
     failed: tuple[tuple[str, str], ...] = ()
     """Sensors whose reading could not be used, since a function of theirs has no answer for this state, and why."""
     doubt: Any = None
     """Hypotheses about a sensor or the state (`reacquisition.Doubt`); None if there is no doubt."""
+    far: int = -1
+    """Sensor with the farthest reading, if it is far beyond what is expected and that is looked for; else -1."""
+    anew: bool = False
+    """Whether the state is not the one to which the step led: a doubt has been decided, or is served."""
 
 
 def begun(setup: Setup, x: Array, P: Array) -> Moment:
     """Return the moment before the first stamp."""
-    layout = setup.layout
-    sizes, none = np.where(layout.untold, np.nan, 1.0), np.full(layout.size, np.nan)
-    watch = fresh(layout.size, len(layout.parties)) if setup.watches else None
-    return Moment(start(setup.policy, x, P, sizes, np.zeros(setup.motion.dim_u)), none, none, watch)
+    layout, policy = setup.layout, setup.policy
+    sizes = np.where(layout.untold, np.nan, 1.0)
+    state = start(policy, x, P, sizes, np.zeros(setup.motion.dim_u))
+    classes = len(policy.shares(state.memory)[0])
+    return Moment(state, fresh(layout.n, layout.size, len(layout.parties), classes) if setup.watches else None)
 
 
 def moved(setup: Setup, state: State, seconds: float) -> State:
@@ -63,36 +66,45 @@ def moved(setup: Setup, state: State, seconds: float) -> State:
 
 def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Array | None) -> Moment:
     """Return the moment some seconds later, when something was read or a control input changed."""
-    layout, policy = setup.layout, setup.policy
-    state = predicted(policy, before.state, *setup.motion.over(seconds, before.state.x, before.state.u))
-    none = np.full(layout.size, np.nan)
+    layout, policy, state, watch = setup.layout, setup.policy, before.state, before.watch
+    step = setup.motion.over(seconds, state.x, state.u)
     if control is not None:
         state = state._replace(u=control)
+    looks = watch is not None or setup.reacquire is not None
+    if not (looks or layout.curved or layout.any_untold):
+        # Nobody looks in between.
+        return Moment(series(policy, state, z[None], *(part[None] for part in (*step, layout.H, layout.R)))[3])
+    state = predicted(policy, state, *step)
+    watch = None if watch is None else coasted(watch, step.F, seconds)
     if np.isnan(z).all():
-        return Moment(aged(state, seconds, none), none, none, before.watch)
+        return Moment(aged(state, seconds, z), watch)
     seen = layout.seen_from(state.x, z)
     y = seen.z - seen.H @ state.x
-    # What goes round in circles is compared as the difference to what was expected.
     if layout.any_untold:
+        # What goes round in circles is compared as the difference to what was expected.
         state = aged(state, seconds, np.where(layout.is_curved, y, seen.z))
-    if layout.any_untold:
         y = np.where(np.isnan(state.sizes), np.nan, y)
     if np.isnan(y).all():
-        return Moment(state, none, none, before.watch, seen.failed)
-    spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
-    R = covariance(layout, state.sizes)
-    deviation = np.sqrt(spread + policy.factors(state.memory) * R.diagonal())
-    here, watch, learns = ~np.isnan(y), before.watch, True
-    used = np.where(here, seen.z, np.nan)
-    if watch is not None:
-        known = policy.factors(state.memory), policy.contamination(state.memory)
-        watch = looked_at(watch, z, y, spread, R.diagonal(), known, layout.party)
+        return Moment(state, watch, seen.failed)
+    R, used, learns = covariance(layout, state.sizes), seen.z, True
+    if layout.any_untold:
+        used = np.where(np.isnan(y), np.nan, used)
+    if watch is not None and watch.fault.any():
         # Nothing is learnt of a sensor on alarm, and nothing taken from one that lies.
         learns = (watch.fault != 1.0)[layout.party]
         used = np.where(watch.out[layout.party], np.nan, used)
-    if watch is None or not np.isnan(used).all():
-        state = weighed(policy, state, used, seen.H, R, learns)[0]
-    return Moment(state, y, np.where(here, deviation, np.nan), watch, seen.failed)
+    after, weights = weighed(policy, state, used, seen.H, R, learns)
+    if not looks:
+        return Moment(after, watch, seen.failed)
+    factors = policy.factors(state.memory)
+    if watch is not None:
+        noise = factors, *policy.shares(state.memory), policy.slack(state.kept)
+        watch = looked_at(watch, Looked(z, y, seen.H, state.P, R.diagonal(), weights, *noise), layout.party)
+    if setup.reacquire is None:
+        return Moment(after, watch, seen.failed)
+    spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
+    e = np.abs(np.where(np.isnan(used), 0.0, y)) / np.sqrt(spread + factors * R.diagonal())
+    return Moment(after, watch, seen.failed, None, int(layout.owner[np.argmax(e)]) if e.max() > FAR else -1)
 
 
 def aged(state: State, seconds: float, values: Array) -> State:

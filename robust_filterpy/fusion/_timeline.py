@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._stepping import Moment, Setup, advanced
+from robust_filterpy.fusion._stepping import Moment, Setup
 from robust_filterpy.fusion._table import Clock
 from robust_filterpy.fusion.reacquisition import doubted
 from robust_filterpy.fusion.verdicts import watched
@@ -113,10 +113,7 @@ class Timeline:
         entry = self.entries[i]
         before, key = self.stands(i)
         seconds = 0.0 if key is None else Clock.between(key, entry.key)
-        if self.setup.reacquire is None:
-            moment = advanced(self.setup, before, seconds, entry.z, entry.control)
-        else:
-            moment = doubted(self.setup, before, seconds, entry.key, entry.z, entry.control)
+        moment = doubted(self.setup, before, seconds, entry.key, entry.z, entry.control)
         entry.moment = moment if moment.watch is None else watched(self, i, moment)
         for name, why in moment.failed:
             self.reasons.setdefault(name, (entry.key, why))

@@ -1,19 +1,25 @@
-"""Cheap tests of every reading: they raise an alarm, on which `_faults` looks at the recent past.
+"""Cheap tests of every reading, a few numbers for each hypothesis: they raise an alarm, on which `_faults` looks back.
 
-e is an innovation over its standard deviation with ordinary noise as it usually is: what was learnt, averaged over 300
-readings, but not while something is suspected. It is clipped to 3 for the first two::
+What a sensor that is off by b since some reading does to all later innovations is linear in b. The response s of the
+estimate to b = 1 goes with the filter's own gain, and so do the score A and the information I about b::
 
-    level   up, down = max(0, . +- e - k)                      a mean that has moved (Page 1954)
-    width   max(0, . + e^2 3/8 - log 2)                        twice as wide against as wide as learnt
-    far     max(0, . + log of the odds of |e| > 3)             a share of spikes larger by .2 than the one learnt
-    repeats readings in a row that say exactly the same, where the sensor does not usually do that
+    s <- F s,  d = J - H s,  s <- s + K d,  A <- A + d' S^-1 y,  I <- I + d' S^-1 d
+
+J is 1 for a sensor that is biased, and the time since the onset for one that drifts. With b normal of variance q the
+logarithm of the odds is A^2 / (2 (I + 1/q)) - log(1 + q I) / 2, and that of the prior besides. Onsets are a few for
+each component: each begins anew after 8, 16, .. 256 readings, so that one is about as long ago as any fault.
+
+For noise that has grown, and for outliers of each class that are more than usual, there is a sum of logarithms of odds
+under noise as it usually is, never below 0 (Page 1954), and for a sensor that seldom repeats itself the chance of the
+run of readings that say exactly the same. What is usual is what was learnt, averaged over 300 readings, but not while
+something is suspected.
 
 Where a sensor's noise carries over from one reading to the next, with a correlation phi, its sums wander as if each
 reading counted (1 + phi) / (1 - phi) times. phi is learnt from how often e keeps its sign while nothing is suspected;
-every step of the first two sums is multiplied by the inverse (`worth`), of the others by that of phi^2.
+the score and the information are multiplied by the inverse (`worth`), what is asked of squares by that of phi^2.
 
-No test speaks in the first 60 readings of a sensor, from which its noise is learnt. Limits are low: an alarm costs a
-look, and what is said is up to that. After a look that found nothing half of a sum is left.
+No test speaks in the first 60 readings of a sensor, from which its noise is learnt. After a look that found nothing the
+odds must have grown by more than they had come to, until that is forgotten.
 """
 
 from __future__ import annotations
@@ -25,32 +31,57 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["FAULTS", "SLOW", "Watch", "alarmed", "calm", "colour", "fresh", "looked_at", "recovered", "worth"]
+__all__ = [
+    "FAULTS", "SLOW", "Looked", "Watch", "alarmed", "begun_anew", "cleared", "coasted", "fresh", "looked_at",
+    "recovered", "suspected", "worths",
+]  # fmt: skip
 
 #: What can be the matter with a sensor, by number: 0 is nothing, 1 something that is not known yet.
 FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
 
-# Columns of the tests, and their limits.
-_UP, _DOWN, _WIDE, _FAR, _REPEATS, _USUAL, _LAST, SLOW, _COUNT, _SIGN, _KEEPS = range(11)
-_SLACK = 0.35
-_LIMITS = np.array([7.5, 7.5, 8.0, 7.0])
-_AGAIN = 0.5
-_CLIP, _MORE = 3.0, 0.2
-# A run of exact repetitions that has so small a chance, by the share of repetitions learnt, is no accident.
-_ACCIDENT = math.log(1e5)
+# Columns of what is known of a component.
+SLOW, _COUNT, _SIGN, _KEEPS, _REPEATS, _USUAL, _LAST, _NOISE, _CLASSES = range(9)
+# Logarithm of the odds of a fault at which there is an alarm, below which nothing is suspected, and of its prior at a
+# reading.
+_ALARM, _QUIET, _PRIOR = -1.0, -6.0, math.log(1e-5)
+# Onsets: how many, and readings after which the first of them begins anew; each next one after twice as many.
+_ONSETS, _SHORTEST = 6, 8
+# Standard deviation of b in the sensor's own; of a drift: of what it has come to.
+_SIZE = 4.0
+# How many onsets each of them stands for, as logarithms.
+_WIDTHS = np.log(0.5 * _SHORTEST * 2.0 ** np.arange(_ONSETS))
+# Factors of the variance of noise that has grown, the share of outliers that are more, and the most that one reading
+# may say.
+_FACTORS, _MORE, _MOST = (1.0, 4.0, 25.0), 0.25, 3.0
+# A factor of Q that is likely, at which there is an alarm for the model. The least weight of a reading, and what the
+# odds must have grown by after a look that found nothing.
+_SLACK, _LEAST, _AGAIN = 5.0, 1e-6, 3.0
+# How sure it is that the model is wrong before that stands, and the share of its limit that a stamp forgets until then.
+_SURE, _SOON = 0.95, 0.05
+# Components whose logarithm of the odds is so far below the best are not looked at.
+_FAR_BELOW = 12.0
 # Readings from which noise is learnt before a test speaks, and over which what was learnt is averaged.
 _FIRST, _AVERAGED = 60.0, 300.0
 # A correlation of n readings is no colour up to this over sqrt(n): 1.5 standard deviations of pi/2 times the mean sign.
 _BY_CHANCE = 2.4
-# Readings over which recovery is judged.
-_RECENT, _ENOUGH = 20.0, 30.0
+# Readings over which recovery is judged, and where innovations are clipped for that.
+_RECENT, _ENOUGH, _CLIP = 20.0, 30.0, 3.0
 
 
 class Watch(NamedTuple):
     """What is known of the health of each component and sensor; nothing in here is ever written to."""
 
-    tests: Array
-    """(M, 11)"""
+    known: Array
+    """(M, 8 + C + C + 1): the columns above, the shares of the classes of noise, and the sums: of two sizes of grown
+    noise, and of outliers of each class but the first."""
+    response: Array
+    """Of the estimate to 1 in each component, biased or drifting, from each onset; (n, M * 2 * onsets)."""
+    evidence: Array
+    """Score and information about its size, (2, M * 2 * onsets)."""
+    age: Array
+    """1, and seconds since each onset, (M, 2, onsets)."""
+    score: Array
+    """Logarithm of the odds of a fault, (M,)."""
     recent: Array
     """Of clipped e as noise was before the fault: mean, mean square, share beyond 3, how many; (M, 4)."""
     before: Array
@@ -65,6 +96,10 @@ class Watch(NamedTuple):
     """Key of its onset, None where there is none."""
     due: Array
     """Readings of the sensor until the next look, (S,)."""
+    limit: Array
+    """Logarithm of the odds at which there is an alarm, the last one for the model, (S + 1,)."""
+    slack: float
+    """Factor of Q that is thought likely."""
     model: float
     """Probability that the model of the motion was wrong at the last look."""
     model_since: Any
@@ -75,99 +110,199 @@ class Watch(NamedTuple):
     @property
     def out(self) -> np.ndarray:
         """Which sensors are left out of x: whose lie is no noise."""
-        return np.isin(self.fault, [2.0, 3.0, 4.0])
+        return (self.fault >= 2.0) & (self.fault <= 4.0)
 
 
-def fresh(components: int, sensors: int) -> Watch:
+def fresh(states: int, components: int, sensors: int, classes: int) -> Watch:
     """Return that nothing is the matter."""
-    tests = np.zeros((components, 11))
-    tests[:, _LAST], tests[:, SLOW] = np.nan, 1.0
+    known, age = np.zeros((components, _CLASSES + 2 * classes + 1)), np.zeros((components, 2, _ONSETS))
+    known[:, _LAST], known[:, SLOW], known[:, _CLASSES], age[:, 0] = np.nan, 1.0, 1.0, 1.0
     return Watch(
-        tests, np.zeros((components, 4)), np.ones(components), np.zeros(sensors), np.ones(sensors),
-        np.zeros(sensors), (None,) * sensors, np.zeros(sensors), 0.0, None, None,
+        known, np.zeros((states, age.size)), np.zeros((2, age.size)), age, np.full(components, _PRIOR),
+        np.zeros((components, 4)), np.ones(components), np.zeros(sensors), np.ones(sensors), np.zeros(sensors),
+        (None,) * sensors, np.zeros(sensors), np.full(sensors + 1, _ALARM), 1.0, 0.0, None, None,
     )  # fmt: skip
 
 
-def looked_at(
-    watch: Watch, z: Array, y: Array, spread: Array, R: Array, known: tuple[Array, Array], owner: np.ndarray
-) -> Watch:
+class Looked(NamedTuple):
+    """What was read at a moment, and what the filter made of it."""
+
+    z: Array
+    """(M,), NaN where missing."""
+    y: Array
+    """Innovations, (M,)."""
+    H: Array
+    """(M, n)"""
+    P: Array
+    """Of the state before it, (n, n)."""
+    R: Array
+    """Variance of noise as told, (M,)."""
+    weights: Array
+    """How much each was believed, NaN where it was not used, (M,)."""
+    factors: Array
+    """Of the variance of noise, as learnt, (M,)."""
+    scales: Array
+    """Of the classes of noise, (C,)."""
+    shares: Array
+    """(M, C)"""
+    slack: float
+    """Factor of Q that is thought likely."""
+
+
+def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
+    """Return what is known some seconds later."""
+    age = watch.age.copy()
+    age[:, 1] += seconds
+    return watch._replace(response=F @ watch.response, age=age)
+
+
+def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     """Return what is known after the readings of one moment."""
-    here = ~np.isnan(y)
-    tests = watch.tests.copy()
-    factors, shares = known
-    young, ill = tests[:, _COUNT] < _FIRST, here & (watch.fault[owner] > 0.0)
-    quiet = here & ~ill & (tests[:, :4] < 0.5 * _LIMITS).all(axis=1)
-    pace = np.where(young, 1.0, 1.0 / _AVERAGED)
-    tests[quiet, SLOW] += (pace * (factors - tests[:, SLOW]))[quiet]
-    tests[here, _COUNT] += 1.0
-    e = np.where(here, y / np.sqrt(spread + tests[:, SLOW] * R), 0.0)
-    clipped, sign = np.clip(e, -_CLIP, _CLIP), np.sign(e)
-    pace = 1.0 / np.minimum(np.maximum(tests[:, _COUNT], 1.0), _AVERAGED)
-    tests[quiet, _KEEPS] += (pace * (sign * tests[:, _SIGN] - tests[:, _KEEPS]))[quiet]
-    tests[here, _SIGN] = sign[here]
-    usual = np.clip(shares, 0.01, 0.5)
-    far = np.where(np.abs(e) > _CLIP, np.log((usual + _MORE) / usual), np.log((1.0 - usual - _MORE) / (1.0 - usual)))
-    steps = np.column_stack([clipped - _SLACK, -clipped - _SLACK, 0.375 * clipped**2 - math.log(2.0), far])
-    old = here & ~young
-    phi = colour(watch)
-    # Squares of two such numbers have correlation phi^2.
-    steps *= np.column_stack([worth(phi), worth(phi), worth(phi**2), worth(phi**2)])
-    tests[old, :4] = np.maximum(0.0, tests[old, :4] + steps[old])
-    same = here & (z == tests[:, _LAST])
-    tests[here, _REPEATS] = np.where(same, tests[:, _REPEATS] + 1.0, 0.0)[here]
+    here = np.flatnonzero(now.y == now.y)
+    H, y, known, recent, due = now.H[here], now.y[here], watch.known.copy(), watch.recent, watch.due.copy()
+    PH, rows, scales, quiet = now.P @ H.T, known[here], now.scales.tolist(), watch.score < _QUIET
+    S = H @ PH
+    said = zip(here.tolist(), rows.tolist(), now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
+    kept, counts = [], []
+    for c, row, z, innovation, spread in said:
+        s, R = owner[c], float(now.R[c])
+        due[s] -= 1.0
+        ill = watch.fault[s] > 0.0
+        if ill:
+            recent = recent.copy() if recent is watch.recent else recent
+            was = min(max(innovation / math.sqrt(spread + float(watch.before[c]) * R), -_CLIP), _CLIP)
+            recent[c, 3] += 1.0
+            recent[c, :3] += ([was, was * was, abs(was) >= _CLIP] - recent[c, :3]) / min(recent[c, 3], _RECENT)
+        counts.append(_worth(_colour(row)) if row[_COUNT] >= _FIRST else 0.0)
+        usual = [float(now.factors[c]), *now.shares[c].tolist()] if quiet[c] and not ill else []
+        kept.append(_after(row, z, innovation, spread, R, scales, usual))
+    known[here] = kept
+    limit = watch.limit + (_ALARM - watch.limit) / _AVERAGED
+    if now.slack > _SLACK:
+        # A model that is known to be wrong is not looked at again before Q is thought right, one in doubt is soon.
+        pace = _SOON if watch.model < _SURE else 0.0
+        limit[-1] = watch.limit[-1] + pace * (_ALARM - watch.limit[-1])
+    watch = watch._replace(known=known, recent=recent, due=due, limit=limit, slack=now.slack)
+    S.flat[:: len(y) + 1] += rows[:, SLOW] * now.R[here] / np.fmax(now.weights[here], _LEAST)
+    return _scored(watch, here.tolist(), y, H, PH, np.linalg.inv(S), counts, now.R)
+
+
+def _after(
+    row: list[float], z: float, y: float, spread: float, R: float, scales: list[float], usual: list[float]
+) -> list[float]:
+    """Return what is known of a component after a reading; usual: what is learnt of its noise, if it may be usual."""
+    C, old, e2, sign = len(scales), row[_COUNT] >= _FIRST, -0.5 * y * y, math.copysign(1.0, y)
+    shares, sums = row[_CLASSES : _CLASSES + C], row[_CLASSES + C :]
+    if old:
+        f = [
+            [math.exp(e2 / v) / math.sqrt(v) + 1e-300 for v in [spread + factor * row[SLOW] * R * s for s in scales]]
+            for factor in _FACTORS
+        ]
+        as_ever, *grown = (sum(p * one for p, one in zip(shares, of, strict=True)) for of in f)
+        more = ((1.0 - _MORE) * as_ever + _MORE * one for one in f[0][1:])
+        phi = _colour(row)
+        counts = _worth(phi * phi)
+        steps = (min(math.log(one / as_ever), _MOST) for one in (*grown, *more))
+        sums = [max(was + counts * step, 0.0) for was, step in zip(sums, steps, strict=True)]
+    same, count = float(z == row[_LAST]), row[_COUNT] + 1.0
+    repeats = row[_REPEATS] + 1.0 if same else 0.0
     # How often it repeats itself when nothing is the matter; a long run counts little.
-    rate = np.where(tests[:, _REPEATS] <= 2.0, 0.01, 0.0)
-    tests[here, _USUAL] += (rate * (same - tests[:, _USUAL]))[here]
-    tests[here, _LAST] = z[here]
-    recent = watch.recent
-    if ill.any():
-        recent = recent.copy()
-        was = np.clip(np.where(ill, y / np.sqrt(spread + watch.before * R), 0.0), -_CLIP, _CLIP)
-        recent[ill, 3] += 1.0
-        share = 1.0 / np.minimum(np.maximum(recent[:, 3], 1.0), _RECENT)
-        now = np.column_stack([was, was**2, np.abs(was) >= _CLIP])
-        recent[ill, :3] += (share[:, None] * (now - recent[:, :3]))[ill]
-    due = watch.due.copy()
-    due[np.unique(owner[here])] -= 1.0
-    return watch._replace(tests=tests, recent=recent, due=due)
+    often = row[_USUAL] + (0.01 * (same - row[_USUAL]) if repeats <= 2.0 else 0.0)
+    run = -repeats * math.log(min(max(often, 0.02), 0.98)) if repeats >= 4.0 else 0.0
+    slow, keeps = row[SLOW], row[_KEEPS]
+    if usual:
+        pace = 1.0 / _AVERAGED if old else 1.0
+        slow, *shares = (a + pace * (b - a) for a, b in zip([slow, *shares], usual, strict=True))
+        keeps += (sign * row[_SIGN] - keeps) / min(count, _AVERAGED)
+    return [slow, count, sign, keeps, repeats, often, z, max(*sums, run), *shares, *sums]
+
+
+def _scored(
+    watch: Watch, here: list[int], y: Array, H: Array, PH: Array, inverse: Array, counts: list[float], R: Array
+) -> Watch:
+    """Return what is known of biases and drifts after the readings of one moment, each of which counts for less."""
+    M, d = len(watch.known), -(H @ watch.response)
+    own = d.reshape(len(y), *watch.age.shape)
+    for i, c in enumerate(here):
+        if counts[i]:
+            own[i, c] += watch.age[c]
+    weighed = inverse
+    if min(counts) < 1.0:
+        root = np.sqrt(counts)
+        weighed = root[:, None] * inverse * root
+    said = weighed @ d
+    response, evidence, age = watch.response + PH @ inverse @ d, watch.evidence.copy(), watch.age
+    evidence[0] += y @ said
+    evidence[1] += (d * said).sum(axis=0)
+    for c in here:
+        count = int(watch.known[c, _COUNT])
+        j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1
+        if 0 <= j < _ONSETS or count == _FIRST:
+            # At the first reading that counts all begin.
+            which, age = slice(None) if count == _FIRST else j, age.copy()
+            age[c, 1, which] = 0.0
+            for part in (response, evidence):
+                part.reshape(-1, *age.shape)[:, c, :, which] = 0.0
+    A, information = evidence.reshape(2, *age.shape)
+    precision = (age * age + 1e-300) / (_SIZE**2 * watch.known[:, SLOW] * R)[:, None, None]
+    whole = information + precision
+    lasting = 0.5 * (A * A / whole + np.log(precision / whole)) + _WIDTHS
+    score = np.maximum(lasting.reshape(M, -1).max(axis=1), watch.known[:, _NOISE]) + _PRIOR
+    return watch._replace(response=response, evidence=evidence, age=age, score=score)
 
 
 def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:
-    """Return which sensors a test speaks against, (S,)."""
-    over = (watch.tests[:, :4] > _LIMITS).any(axis=1) | repeating(watch)
-    return np.isin(np.arange(len(watch.fault)), owner[over])
+    """Return which sensors a test speaks against, and, last, whether Q is too small by a factor, (S + 1,)."""
+    found = np.zeros(len(watch.limit), dtype=bool)
+    found[owner[watch.score > watch.limit[owner]]] = True
+    found[-1] = watch.slack > _SLACK and math.log(watch.slack) > watch.limit[-1]
+    return found
 
 
-def colour(watch: Watch) -> Array:
-    """Return the correlation of each component's readings with those before, (M,), in [0, .95]."""
-    # What may be chance is 0. Signs of two normal numbers of correlation phi agree with probability 1/2 +
-    # arcsin(phi)/pi.
-    counts = np.minimum(watch.tests[:, _COUNT], 2.0 * _AVERAGED)
-    phi = np.sin(0.5 * math.pi * watch.tests[:, _KEEPS])
-    return np.where(phi > _BY_CHANCE / np.sqrt(np.maximum(counts, 1.0)), np.minimum(phi, 0.95), 0.0)
+def cleared(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
+    """Return that what the tests have against some sensors, or the model, has been looked at, (S + 1,)."""
+    worst = np.array([*(watch.score[owner == s].max() for s in range(len(sensors) - 1)), math.log(watch.slack)])
+    more = np.maximum(worst + _AGAIN + 0.5 * np.maximum(worst - _ALARM, 0.0), watch.limit)
+    return watch._replace(limit=np.where(sensors, more, watch.limit))
 
 
-def worth(phi: Array) -> Array:
-    """Return how much a reading counts if its correlation with the one before is phi, in (0, 1]."""
-    return np.asarray((1.0 - phi) / (1.0 + phi))
+def suspected(watch: Watch, followed: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Return which components may be at fault: whose odds are not far below the best, and of those sensors, (M,)."""
+    return np.asarray((watch.score > max(_QUIET, watch.score.max() - _FAR_BELOW)) | followed[owner])
 
 
-def repeating(watch: Watch) -> np.ndarray:
-    """Return which components say the same again and again, though that is not their way, (M,)."""
-    usual = np.clip(watch.tests[:, _USUAL], 0.02, 0.98)
-    return np.asarray((watch.tests[:, _REPEATS] >= 4.0) & (-watch.tests[:, _REPEATS] * np.log(usual) > _ACCIDENT))
+def begun_anew(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
+    """Return that nothing has been seen of lasting faults, since the state is another one, nor of some sensors' noise.
+    """
+    known, age = watch.known.copy(), watch.age * [[1.0], [0.0]]
+    sums = slice(_CLASSES + (known.shape[1] - _CLASSES) // 2, None)
+    known[sensors[owner], _NOISE], known[sensors[owner], sums] = 0.0, 0.0
+    return watch._replace(known=known, response=0.0 * watch.response, evidence=0.0 * watch.evidence, age=age)
+
+
+def worths(watch: Watch) -> Array:
+    """Return how much a reading of each component counts, by its correlation with the one before, in (0, 1], (M,)."""
+    return np.array([_worth(_colour(row)) for row in watch.known.tolist()])
+
+
+def _colour(row: list[float]) -> float:
+    """Return the correlation of a component's readings with those before, in [0, .95]; what may be chance is 0."""
+    # Signs of two normal numbers of correlation phi agree with probability 1/2 + arcsin(phi)/pi.
+    phi = math.sin(0.5 * math.pi * row[_KEEPS])
+    count = min(max(row[_COUNT], 1.0), 2.0 * _AVERAGED)
+    return min(phi, 0.95) if phi > _BY_CHANCE / math.sqrt(count) else 0.0
+
+
+def _worth(phi: float) -> float:
+    """Return how much a reading counts if its correlation with the one before is phi."""
+    return (1.0 - phi) / (1.0 + phi)
 
 
 def recovered(watch: Watch, owner: np.ndarray) -> np.ndarray:
     """Return which sensors are again as they were before their fault, (S,)."""
-    mean, square, far, count = watch.recent.T
-    well = (count >= _ENOUGH) & (np.abs(mean) < 0.5) & (square < 1.5) & (far < 0.08) & (watch.tests[:, _REPEATS] < 2.0)
     ill = watch.fault > 0.0
+    if not ill.any():
+        return ill
+    mean, square, far, count = watch.recent.T
+    well = (count >= _ENOUGH) & (np.abs(mean) < 0.5) & (square < 1.5) & (far < 0.08) & (watch.known[:, _REPEATS] < 2.0)
     return np.array([bool(ill[s] and well[owner == s].all()) for s in range(len(watch.fault))])
-
-
-def calm(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
-    """Return that what the tests have against some sensors has been looked at."""
-    tests = watch.tests.copy()
-    tests[sensors[owner], :4] *= _AGAIN
-    return watch._replace(tests=tests)

@@ -89,6 +89,12 @@ class Fusion:
     changes nothing; the first of each sensor is a `FusionWarning` with the reason. A motion that raises has no way
     on: that error appears when somebody asks for an estimate after it.
 
+    With both ``watch`` and ``reacquire`` a sensor that is left out is "false" or "biased". "false": its readings were
+    suddenly more than six standard deviations from what the others say, and it is let in again as soon as they are not;
+    for such a fault ``length`` says how long it lasts. "biased": it is off by about the same in very many readings, by
+    six standard deviations at most, which no single one of them shows; it is let in when thirty of them say that it
+    has recovered. What is "undecided" is not judged as a fault until it is decided.
+
     Examples
     --------
     >>> from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
@@ -132,8 +138,6 @@ class Fusion:
             raise TypeError(f"reacquire: expected Reacquisition(..) or None, got {_checks.shown(reacquire)}")
         if not isinstance(watch, (bool, np.bool_)):
             raise TypeError(f"watch: expected True or False, got {_checks.shown(watch)}")
-        if reacquire is not None and watch:
-            raise ValueError("reacquire: expected it or watch=True, got both; each leaves sensors out of the state")
         self._clock = Clock()
         self._setup = Setup(motion, layout, policy_of(layout, noise, process, influence), bool(watch), reacquire)
         self._begin = begun(self._setup, x, P)
@@ -523,8 +527,7 @@ class Fusion:
 
         Notes
         -----
-        With ``reacquire`` nobody watches: a sensor is "healthy" as long as nothing is in doubt, then "undecided", and
-        "false" if it is left out; the motion "jumped" if it was the state that was wrong.
+        Of ``reacquire`` are "undecided", "false" (left out) and the motion's "jumped", of ``watch`` all others.
         """
         if not self._setup.watches and self._setup.reacquire is None:
             raise ValueError("verdicts: expected a fusion that watches its sensors; make it with watch=True")

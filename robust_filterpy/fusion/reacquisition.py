@@ -37,14 +37,13 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._faults import corrected
+from robust_filterpy.fusion._hypotheses import corrected, moved
 from robust_filterpy.fusion._policies import State
-from robust_filterpy.fusion._stepping import Moment, Setup, advanced, covariance
+from robust_filterpy.fusion._stepping import FAR, Moment, Setup, advanced, covariance
+from robust_filterpy.fusion._watch import begun_anew
 
-__all__ = ["FAR", "JUMPED", "OVER", "Doubt", "Reacquisition", "doubted", "opened", "stepped"]
+__all__ = ["JUMPED", "OVER", "Doubt", "Reacquisition", "doubted", "opened", "stepped"]
 
-#: A reading is far beyond so many standard deviations.
-FAR = 6.0
 # Places of hypotheses: those with another sensor off follow.
 _STILL, OVER, JUMPED = 1, 2, 3
 # A hypothesis less probable than this is forgotten.
@@ -142,13 +141,12 @@ def stepped(setup: Setup, state: State, doubt: Doubt, seconds: float, z: Array) 
     n, owner, first = setup.layout.n, setup.layout.owner, not doubt.agreed
     x, P, quiet = doubt.x.copy(), doubt.P.copy(), doubt.quiet + seconds
     slack = setup.policy.slack(state.kept)
-    step = setup.motion.over(seconds, x[0, :n], state.u)
-    for i in range(len(x)):
-        F, Q, drift = step if setup.motion.is_linear or not i else setup.motion.over(seconds, x[i, :n], state.u)
-        x[i, :n] = F @ x[i, :n] + drift
-        P[i, :n] = F @ P[i, :n]
-        P[i, :, :n] = P[i, :, :n] @ F.T
-        P[i, :n, :n] += slack * Q
+    if setup.motion.is_linear:
+        F, Q, drift = setup.motion.over(seconds, x[0, :n], state.u)
+    else:
+        steps = [setup.motion.over(seconds, row, state.u) for row in x[:, :n]]
+        F, Q, drift = (np.array(part) for part in zip(*steps, strict=True))
+    moved(x, P, F, slack * Q, drift)
     spoke = np.unique(owner[~np.isnan(z)])
     offs, logs = _offs(doubt), doubt.logs.copy()
     # Who is off may be right again, when he speaks: another row for each, without an offset.
@@ -239,26 +237,22 @@ class Reacquisition:
 
 
 def doubted(setup: Setup, before: Moment, seconds: float, key: Any, z: Array, control: Array | None) -> Moment:
-    """Return the moment some seconds later, with what is in doubt."""
-    doubt, owner = before.doubt, setup.layout.owner
+    """Return the moment some seconds later, with what is in doubt, if that is asked for."""
+    if setup.reacquire is None:
+        return advanced(setup, before, seconds, z, control)
+    doubt, watch, owner = before.doubt, before.watch, setup.layout.owner
     used = z if doubt is None or doubt.off < 0 else np.where(owner == doubt.off, np.nan, z)
     moment = advanced(setup, before, seconds, used, control)
+    if watch is not None and watch.fault.any():
+        # What lies tells no hypothesis from another.
+        z = np.where(watch.out[setup.layout.party], np.nan, z)
     if doubt is not None:
         after = _judged(stepped(setup, before.state, doubt, seconds, z), setup.layout.n)
         same = after.served == doubt.served and after.sure == doubt.sure
-        if same and after.sure and doubt.off < 0 and _farthest(setup, moment) >= 0:
-            # Nothing that is carried explains it: another event. While a sensor is left out it stays so.
-            return moment._replace(doubt=opened(setup, before, seconds, key, z, _farthest(setup, moment)))
-        return _as_served(setup, before, moment, after, same)
-    sensor = _farthest(setup, moment)
-    return moment if sensor < 0 else moment._replace(doubt=opened(setup, before, seconds, key, z, sensor))
-
-
-def _farthest(setup: Setup, moment: Moment) -> int:
-    """Return the sensor with the farthest reading, -1 if none is far."""
-    with np.errstate(invalid="ignore"):
-        e = np.nan_to_num(np.abs(moment.innovation / moment.deviation))
-    return int(setup.layout.owner[np.argmax(e)]) if e.max() > FAR else -1
+        if not (same and after.sure and doubt.off < 0 and moment.far >= 0):
+            return _as_served(setup, before, moment, after, same)
+        # Nothing that is carried explains it: another event. While a sensor is left out it stays so.
+    return moment if moment.far < 0 else moment._replace(doubt=opened(setup, before, seconds, key, z, moment.far))
 
 
 def _agreeing(doubt: Doubt, n: int) -> np.ndarray:
@@ -293,4 +287,6 @@ def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, same:
         P = np.einsum("i,ijk->jk", p, doubt.P[:, :n, :n] + apart[:, :, None] * apart[:, None, :])
     was, now = before.state, moment.state
     state = now._replace(x=x, P=P, memory=was.memory, kept=setup.policy.start(x, P, len(now.sizes)))
-    return moment._replace(state=state, doubt=kept)
+    # The tests of sensors were of another state.
+    watch = moment.watch and begun_anew(before.watch, np.zeros(len(before.watch.fault), dtype=bool), setup.layout.party)
+    return moment._replace(state=state, watch=watch, doubt=kept, anew=True)

@@ -18,9 +18,20 @@ from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion import _faults
 from robust_filterpy.fusion._faults import Found, Stretch
-from robust_filterpy.fusion._stepping import Moment, advanced, covariance
+from robust_filterpy.fusion._stepping import Moment, covariance
 from robust_filterpy.fusion._table import Clock, written
-from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch, alarmed, calm, colour, recovered, worth
+from robust_filterpy.fusion._watch import (
+    FAULTS,
+    SLOW,
+    Watch,
+    alarmed,
+    begun_anew,
+    cleared,
+    recovered,
+    suspected,
+    worths,
+)
+from robust_filterpy.fusion.reacquisition import doubted
 from robust_filterpy.fusion.sensors import Layout
 
 __all__ = ["LONGEST", "Verdict", "described", "of_all", "watched", "words"]
@@ -91,23 +102,25 @@ def silent(since: Any, refused: int) -> Verdict:
 def watched(line: Any, i: int, moment: Moment) -> Moment:
     """Return the moment of an entry with what its readings say about the sensors."""
     owner, before = line.setup.layout.party, moment.watch
-    watch = _readmitted(before, owner)
+    if moment.doubt is not None and moment.doubt.served >= 0 and not moment.doubt.sure:
+        # First it is decided whether a sensor or the state was wrong.
+        return moment
+    well = recovered(before, owner)
+    watch = begun_anew(_set_free(before, well, owner), well, owner) if well.any() else before
     alarm = alarmed(watch, owner)
+    alarm[:-1] &= watch.fault == _HEALTHY
     followed = ((watch.fault > _HEALTHY) | (watch.odds < 1.0 - _DOUBTED)) & (watch.due <= 0.0)
-    fresh = alarm & (watch.fault == _HEALTHY)
-    if fresh.any() or followed.any():
-        watch = _after_a_look(line, i, calm(watch, alarm, owner), fresh, followed)
+    if alarm.any() or followed.any():
+        seen = alarm | np.append(followed, False)
+        watch = _after_a_look(line, i, cleared(watch, seen, owner), alarm, followed)
+    if watch is before:
+        return moment
     left, was = watch.out, before.out
     if (left & ~was).any() or (left & was & _moved(watch, before)).any():
-        state = _mended(line, i, watch)
-        return moment._replace(watch=watch._replace(mended=line.keys[i]), state=state)
+        watch = begun_anew(watch, left, owner)._replace(mended=line.keys[i])
+        as_if = _mended(line, i, watch)
+        return moment._replace(watch=watch, state=as_if.state, doubt=as_if.doubt)
     return moment._replace(watch=watch)
-
-
-def _readmitted(watch: Watch, owner: np.ndarray) -> Watch:
-    """Return that sensors that are again as they were are healthy."""
-    well = recovered(watch, owner)
-    return _set_free(watch, well, owner) if well.any() else watch
 
 
 def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
@@ -115,22 +128,22 @@ def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
     recent = np.where(sensors[owner][:, None], 0.0, watch.recent)
     since = tuple(None if free else at for free, at in zip(sensors, watch.since, strict=True))
     fault, odds = np.where(sensors, 0.0, watch.fault), np.where(sensors, 1.0, watch.odds)
-    return calm(watch._replace(fault=fault, odds=odds, since=since, recent=recent), sensors, owner)
+    return watch._replace(fault=fault, odds=odds, since=since, recent=recent)
 
 
-def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: np.ndarray) -> Watch:
+def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: np.ndarray) -> Watch:
     """Return what is known when the last stamps have been judged anew."""
     party, departs = line.setup.layout.party, watch.fault == _DEPARTS
     # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the
     # stretch begins. How fast one drifts is seen the better the longer.
     told = watch.fault > _DEPARTS
-    alone = told.sum() < 2 and not (fresh | departs | (followed & ~told)).any()
+    alone = told.sum() < 2 and not (alarm.any() or departs.any() or (followed & ~told).any())
     gone = np.array([
         one and not (alone and at >= _early(line, i, LONGEST if fault in _SLOW else STRETCH))
         for one, fault, at in zip(told, watch.fault, watch.since, strict=True)
     ])  # fmt: skip
     watch = watch._replace(due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
-    if not (fresh | (followed & ~gone)).any():
+    if not (alarm.any() or (followed & ~gone).any()):
         return watch
     # A drift whose beginning is no longer seen looks like a bias: before one is named both are looked at from long ago.
     began = min((bisect_left(line.keys, at) for at in compress(watch.since, departs)), default=i + 1)
@@ -139,9 +152,12 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
         # It begins with a state that took nothing of those.
         if any(at < line.keys[first] for at in compress(watch.since, gone & watch.out)):
             first = max(first, bisect_right(line.keys, watch.mended))
+        # A stretch has one state, in which no doubt was decided.
+        first = next((k + 1 for k in range(i - 1, first - 1, -1) if line.entries[k].moment.anew), first)
         if first >= i:
             return watch
-        found = _faults.judged(_stretch(line, first, i, worth(colour(watch))), gone[party])
+        suspects = suspected(watch, (alarm[:-1] | followed | departs) & ~gone, party) & ~gone[party]
+        found = _faults.judged(_stretch(line, first, i, worths(watch)), gone[party], suspects)
         best = _by_sensor(found, party)
         (who, fault), probability = max(best.items(), key=lambda one: one[1])
         doubts = [sum(p for (s, _), p in best.items() if s == one) for one in range(len(departs))]
@@ -165,7 +181,7 @@ def _after_a_look(line: Any, i: int, watch: Watch, fresh: np.ndarray, followed: 
         return watch
     shown = (fault, probability) if sure else (_DEPARTS, doubts[who])
     return _with(watch, who, *shown, top, line.keys[first + top.onset],
-                 line.stands(first)[0].watch.tests[:, SLOW], party)  # fmt: skip
+                 line.stands(first)[0].watch.known[:, SLOW], party)  # fmt: skip
 
 
 def _early(line: Any, i: int, length: int) -> Any:
@@ -216,7 +232,8 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     for entry in line.entries[first : last + 1]:
         seconds = 0.0 if key is None else Clock.between(key, entry.key)
         moved = setup.motion.over(seconds, before.state.x, before.state.u)
-        seen = setup.layout.seen_from(moved.F @ before.state.x + moved.drift, entry.z)
+        z = entry.z if before.doubt is None else np.where(setup.layout.owner == before.doubt.off, np.nan, entry.z)
+        seen = setup.layout.seen_from(moved.F @ before.state.x + moved.drift, z)
         rows.append((*moved, Clock.between(start, entry.key), seen.z, seen.H))
         before, key = entry.moment or before, entry.key
     F, Q, drift, seconds_, z, H = (np.array(column) for column in zip(*rows, strict=True))
@@ -225,7 +242,7 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     scales, shares = setup.policy.shares(state.memory)
     return Stretch(
         state.x, state.P, F, Q * setup.policy.slack(state.kept), drift, seconds_,
-        np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.tests[:, SLOW] * R, scales, shares,
+        np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.known[:, SLOW] * R, scales, shares,
         worth,
     )  # fmt: skip
 
@@ -235,8 +252,8 @@ def _moved(watch: Watch, before: Watch) -> np.ndarray:
     return np.array([a != b for a, b in zip(watch.since, before.since, strict=True)])
 
 
-def _mended(line: Any, i: int, watch: Watch) -> Any:
-    """Return the state that never took what sensors have said since they lie."""
+def _mended(line: Any, i: int, watch: Watch) -> Moment:
+    """Return the moment whose state never took what sensors have said since they lie."""
     owner, out = line.setup.layout.party, watch.out
     onsets = [at for at, left in zip(watch.since, out, strict=True) if left]
     first = next((k for k in range(i + 1) if line.keys[k] >= min(onsets)), i)
@@ -246,8 +263,9 @@ def _mended(line: Any, i: int, watch: Watch) -> Any:
         lies = np.array([left and at <= entry.key for at, left in zip(watch.since, out, strict=True)])
         seconds = 0.0 if key is None else Clock.between(key, entry.key)
         z = np.where(lies[owner], np.nan, entry.z)
-        moment, key = advanced(line.setup, moment._replace(watch=None), seconds, z, entry.control), entry.key
-    return moment.state
+        moment = doubted(line.setup, moment._replace(watch=None), seconds, entry.key, z, entry.control)
+        key = entry.key
+    return moment
 
 
 def words(name: str, verdict: Verdict) -> str:
@@ -268,17 +286,12 @@ def words(name: str, verdict: Verdict) -> str:
 
 def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
     """Return the verdict about each sensor, and about the "motion"."""
-    if moment.watch is None:
-        return {
-            **dict.fromkeys((*layout.names, "motion"), described("healthy")),
-            **_of_doubt(layout.names, moment.doubt),
-        }
-    found = {
-        name: _shared(verdict, name, party)
-        for verdict, party in zip(_of_sensors(moment.watch), layout.parties, strict=True)
-        for name in party
-    }
-    return {**{name: found[name] for name in layout.names}, "motion": _of_motion(moment.watch)}
+    found = dict.fromkeys((*layout.names, "motion"), described("healthy"))
+    if moment.watch is not None:
+        for verdict, party in zip(_of_sensors(moment.watch), layout.parties, strict=True):
+            found.update({name: _shared(verdict, name, party) for name in party})
+        found["motion"] = _of_motion(moment.watch)
+    return {**found, **_of_doubt(layout.names, moment.doubt)}
 
 
 def _shared(verdict: Verdict, name: str, party: tuple[str, ...]) -> Verdict:

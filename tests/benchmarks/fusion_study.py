@@ -171,14 +171,9 @@ GATE, SLACK, LIMIT = 4.417, 0.5, 10.35
 
 def baselines(motion, readings):
     """When a gate and a CUSUM of each sensor's innovations, of a Kalman filter, first speak after 30 s, and of whom."""
-    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in SEEN}
-    fusion = Fusion(motion, sensors, 0.0, P0=100.0 * np.eye(2), influence=Linear())
     sums, first = {name: np.zeros(2) for name in SEEN}, {}
-    for name, t, z in readings:
-        fusion.observe(name, t, z)
-        fusion.estimate()
-        moment = fusion._timeline.entries[-1].moment
-        e = (moment.innovation / moment.deviation)[list(SEEN).index(name)]
+    for (name, t, _), y, spread in zip(readings, *innovations(motion, readings), strict=True):
+        e = y / math.sqrt(spread + 1.0)
         sums[name] = np.maximum(0.0, sums[name] + np.array([e, -e]) - SLACK)
         over = {"gate": abs(e) > GATE, "CUSUM": sums[name].max() > LIMIT}
         if sums[name].max() > LIMIT:

@@ -25,6 +25,7 @@ import robust_filterpy as rf
 import robust_filterpy.kalman as ours
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
+from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.influence.functions import StudentT, TukeyBiweight
 
 LEARNT, TOLD, JOINT = {"noise": "learnt"}, {"noise": Contaminated(0.1, 10.0)}, {"grouping": "joint"}
@@ -231,6 +232,38 @@ def table():
     yield "fixed lag", lambda: lagged(ours.FixedLagSmoother), smoothed, lambda: lagged(FixedLagSmoother), smoothed, 2
 
 
+def fused(turning, **options):
+    """Return the processor time of each of 1000 steps of a fusion of two sensors: observe, and estimate."""
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(1000)
+    places = np.stack([5.0 * np.cos(t), 5.0 * np.sin(t)] if turning else [0.5 * t, 0.2 * t], axis=1)
+    sensors = {name: Sensor([[1.0, 0, 0, 0], [0, 0, 1.0, 0]], R=0.09) for name in ("gps", "lidar")}
+    fusion, times = Fusion(constant_velocity(2, 0.02), sensors, 2.0, P0=100.0 * np.eye(4), **options), []
+    for k, place in enumerate(places):
+        z = place + 0.3 * rng.normal(size=2) + 10.0 * (rng.random() < 0.1)
+        begin = time.process_time()
+        fusion.observe("gps" if k % 2 else "lidar", float(t[k]), z)
+        fusion.estimate()
+        times.append(time.process_time() - begin)
+    return np.array(times)
+
+
+def fusions(part):
+    """Print the rows of fusions: mean over filterpy's step, and the longest step."""
+    for name, turning, options, target in (
+        ("fusion", False, {}, 4), ("fusion, watch straight", False, {"watch": True}, 10),
+        ("fusion, watch turning", True, {"watch": True}, 20),
+    ):  # fmt: skip
+        if part in name:
+            theirs, times = least(lambda: linear(KalmanFilter), plain), fused(turning, **options)
+            ratio, longest = times.mean() / theirs, times.max() / theirs
+            missed = "" if ratio <= target else "  NOT MET"
+            print(
+                f"{name:28}{1e6 * theirs:12.1f}{1e6 * times.mean():10.1f}{ratio:8.2f}{target:8.1f}{missed}"
+                f"  longest step {longest:.0f}",
+                flush=True,
+            )
+
+
 def column(kf):
     """Take the steps of filterpy's cubature filter, which wants columns."""
     for z in POLAR:
@@ -268,6 +301,7 @@ def main():
         ratio = own / theirs[key]
         missed = "" if ratio <= target else "  NOT MET"
         print(f"{name:28}{1e6 * theirs[key]:12.1f}{1e6 * own:10.1f}{ratio:8.2f}{target:8.1f}{missed}", flush=True)
+    fusions(part)
 
 
 if __name__ == "__main__":

@@ -199,5 +199,3 @@ def test_what_is_no_prior_is_refused():
             Reacquisition(**wrong)
     with pytest.raises(TypeError, match="reacquire"):
         Fusion(constant_velocity(1, 1.0), {"gps": Sensor([1.0, 0.0])}, 1.0, reacquire=True)
-    with pytest.raises(ValueError, match="watch=True"):
-        Fusion(constant_velocity(1, 1.0), {"gps": Sensor([1.0, 0.0])}, 1.0, reacquire=Reacquisition(), watch=True)

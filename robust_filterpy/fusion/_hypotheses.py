@@ -1,0 +1,47 @@
+"""Models of the state and of some constants beside each other: moved, and corrected under noise that is a mixture.
+
+`_faults` has one for each fault from each onset, `reacquisition` one for each way in which readings and state can have
+come apart. All are advanced together, in place.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+
+__all__ = ["corrected", "moved"]
+
+
+def moved(x: Array, P: Array, F: Array, Q: Array, drift: Array) -> None:
+    """Move N models of D numbers, the first n of them the state, in place; F of one shape for all, or one for each."""
+    n, D = F.shape[-1], x.shape[1]
+    x[:, :n] = (F @ x[:, :n, None])[:, :, 0] + drift if F.ndim > 2 else x[:, :n] @ F.T + drift
+    ahead = np.zeros((*F.shape[:-2], D, D))
+    ahead[..., :, :] = np.eye(D)
+    ahead[..., :n, :n] = F
+    for _ in range(2):
+        turned = P @ np.swapaxes(ahead, 1, 2) if F.ndim > 2 else (P.reshape(-1, D) @ ahead.T).reshape(P.shape)
+        P[:] = np.swapaxes(turned, 1, 2)
+    P[:, :n, :n] += Q
+
+
+def corrected(x: Array, P: Array, z: Any, h: Array, r: Array, scales: Array, shares: Array) -> Array:
+    """Correct N models by one number each, in place; return its log-density (`correction.learnt`'s step)."""
+    y = z - (h * x).sum(axis=1)
+    C = np.einsum("nij,nj->ni", P, h)
+    S = (h * C).sum(axis=1)[:, None] + scales * r[:, None]
+    pulls = y[:, None] / S
+    logs = np.log(shares) - 0.5 * (pulls * y[:, None] + np.log(2.0 * math.pi * S))
+    peak = logs.max(axis=1)
+    given = np.exp(logs - peak[:, None])
+    total = given.sum(axis=1)
+    given /= total[:, None]
+    a = (given * pulls).sum(axis=1)
+    b = (given * (1.0 / S - pulls**2)).sum(axis=1) + a * a
+    x += a[:, None] * C
+    P -= b[:, None, None] * C[:, :, None] * C[:, None, :]
+    return np.asarray(peak + np.log(total))
