@@ -81,8 +81,9 @@ def count(name: str, value: Any, least: int = 0) -> int:
     """Return value as an int >= least or raise."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name}: expected an integer >= {least}, got {shown(value)}")
-    if value < least:
-        raise ValueError(f"{name}: expected an integer >= {least}, got {shown(value)}")
+    if not least <= value < 2**62:
+        beyond = "" if value < least else " and < 2**62"
+        raise ValueError(f"{name}: expected an integer >= {least}{beyond}, got {shown(value)}")
     return int(value)
 
 

@@ -77,19 +77,23 @@ class Timeline:
         """Return the entry of a stamp, a new one if there is none; from it on everything is dirty."""
         self.require_rest()
         i = bisect_left(self.keys, key)
+        self.clean = min(self.clean, i)
         if i == len(self.keys) or self.keys[i] != key:
             self.entries.insert(i, Entry(key, self.setup.layout.size))
             self.keys.insert(i, key)
-        self.clean = min(self.clean, i)
         return self.entries[i]
 
     def require_rest(self) -> None:
         """Raise while an entry is judged: a function of a sensor or of the motion has called its own fusion."""
         if self.judging:
             raise RuntimeError("fusion: expected no call of it from a function of its own sensors or motion")
+        # Ctrl-C may come between the two insertions of `at`.
+        if len(self.keys) != len(self.entries):
+            self.keys = [entry.key for entry in self.entries]
 
     def find(self, key: float | int) -> Entry | None:
         """Return the entry of a stamp, if there is one."""
+        self.require_rest()
         i = bisect_left(self.keys, key)
         return self.entries[i] if i < len(self.keys) and self.keys[i] == key else None
 
@@ -139,10 +143,11 @@ class Timeline:
         closed = max(closed, beyond)
         # All that is final is judged while its past is there.
         self.until(self.keys[closed - 1])
-        self.base, self.base_key, _ = self.until(self.keys[beyond - 1])
-        for entry in self.entries[:beyond]:
-            self.earlier.update(dict.fromkeys(entry.spoke, entry.key))
-        self.unusable = self.failures(self.entries[:beyond])
+        base, key, _ = self.until(self.keys[beyond - 1])
+        earlier = {**self.earlier, **{name: entry.key for entry in self.entries[:beyond] for name in entry.spoke}}
+        unusable = self.failures(self.entries[:beyond])
+        # No call from here on, so that Ctrl-C cannot fall between what belongs together.
+        self.base, self.base_key, self.earlier, self.unusable = base, key, earlier, unusable
         del self.entries[:beyond], self.keys[:beyond]
         self.clean -= beyond
         return crowded

@@ -286,8 +286,7 @@ class Fusion:
 
     def _refused(self, sensor: str, key: float | int, horizon: float | int) -> str:
         """Count a reading that is too old, and say so the first time."""
-        self._counts[sensor]["refused"] += 1
-        if self._counts[sensor]["refused"] == 1:
+        if not self._counts[sensor]["refused"]:
             last = max(
                 self._timeline.last_words(len(self._timeline.keys)).items(), key=lambda one: one[1], default=None
             )
@@ -298,6 +297,7 @@ class Fusion:
                 "takes it; counts has how many there are",
                 FusionWarning,
             )
+        self._counts[sensor]["refused"] += 1
         return "refused"
 
     def control(self, t: Any, u: ArrayLike) -> str:

@@ -169,3 +169,23 @@ def test_a_truth_is_no_stamp_and_no_number(flag):
         made().run({"time": np.array([flag, flag]), "sensor": ["gps"] * 2, "value": [0.0, 1.0]})
     with pytest.raises(TypeError, match="window: expected a number"):
         Fusion(constant_velocity(1), {"gps": Sensor([1.0, 0.0])}, window=flag)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_a_table_of_any_library_and_resolution_is_the_same_table(unit):
+    pa, pl = pytest.importorskip("pyarrow"), pytest.importorskip("polars")
+    rng, kf = np.random.default_rng(0), RobustKalmanFilter(1, 1)
+    stamps = (1_700_000_000 + np.cumsum(rng.integers(1, 4, 40))).astype("M8[s]")
+    kf.H, kf.Q, model = np.eye(1), 0.1 * np.eye(1), FilterModel(kf, time="t", measurements=["z"])
+    columns = {"device": ["a", "b"] * 20, "t": stamps, "z": rng.normal(size=40)}
+    expected = filter_table(pd.DataFrame(columns), model)["x0"].to_numpy()
+    columns["t"] = stamps.astype(f"M8[{unit}]")
+    zoned = pa.array(columns["t"]).cast(pa.timestamp(unit, "Asia/Tokyo"))
+    tables = [pd.DataFrame(columns), pa.table({**columns, "t": zoned})]
+    there = tables[0].assign(t=tables[0]["t"].dt.tz_localize("UTC").dt.tz_convert("Europe/Berlin"))
+    tables += [there, tables[0].assign(t=tables[0]["t"].astype(f"timestamp[{unit}][pyarrow]"))]
+    if unit != "s":
+        tables.append(pl.DataFrame(columns).with_columns(pl.col("t").dt.replace_time_zone("America/Lima")))
+    for table in tables:
+        found = filter_table(table, model)
+        np.testing.assert_array_equal(np.asarray(found["x0"], float), expected)

@@ -1,0 +1,147 @@
+"""Where a warning is an error, the call that gives it has not happened: trackers, banks, fusions and fleets."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+
+from robust_filterpy import _warning, fleet, fusion
+from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
+
+
+def plant(rng, n=400):
+    u, y = np.sign(rng.normal(size=n)), np.zeros(n)
+    for k in range(1, n):
+        y[k] = 0.8 * y[k - 1] + u[k - 1]
+    return u, y + 0.05 * rng.normal(size=n)
+
+
+def recordings():
+    """A plant, one that becomes another, a sensor that stands, fill values, and a row that nothing explains."""
+    rng = np.random.default_rng(4)
+    for kind in ("changes", "stands", "fills", "lost"):
+        u, y = plant(rng)
+        if kind == "changes":
+            y[200:] *= -2.0
+        elif kind == "stands":
+            y[150:260] = 7.25
+        elif kind == "fills":
+            y[[120, 121, 122, 180, 181]] = -9999.0
+        else:
+            y[150:] = 20.0 * rng.normal(size=250)
+        yield u, y
+
+
+def watched(call, things, state, said):
+    """Make a call with the second of two things, where a warning is an error, again where it is refused."""
+    before = pickle.dumps(state(things[1]))
+    _warning._said.clear()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        try:
+            call(things[1])
+        except UserWarning as word:
+            said.add(type(word).__name__)
+            assert pickle.dumps(state(things[1])) == before
+            warnings.simplefilter("ignore")
+            call(things[1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        call(things[0])
+
+
+def tracker(structure):
+    return ParameterTracker(structure)
+
+
+def bank(structure):
+    return TrackerBank(2, structure)
+
+
+@pytest.mark.parametrize("make", [tracker, bank])
+@pytest.mark.parametrize("structure", [ARX(1, 1), OutputError(1, 1)])
+def test_a_sample_that_a_warning_refuses_has_not_happened(make, structure):
+    said = set()
+    for u, y in recordings():
+        things = make(structure), make(structure)
+        for k in range(len(y)):
+            sample = (y[k], u[k]) if make is tracker else (np.array([y[k], y[k]]), np.array([u[k], u[k]]))
+            watched(lambda one, sample=sample: one.update(*sample), things, lambda one: one.state(), said)
+        assert pickle.dumps(things[0].state()) == pickle.dumps(things[1].state())
+    assert said
+
+
+@pytest.mark.parametrize("make", [tracker, bank])
+def test_a_run_that_a_warning_refuses_has_not_happened(make):
+    said = set()
+    for u, y in recordings():
+        things = make(ARX(1, 1)), make(ARX(1, 1))
+        for part in np.split(np.arange(len(y)), 8):
+            both = [y[part], u[part]] if make is tracker else [np.stack([x[part]] * 2, axis=1) for x in (y, u)]
+            watched(lambda one, both=both: one.run(*both), things, lambda one: one.state(), said)
+        assert pickle.dumps(things[0].state()) == pickle.dumps(things[1].state())
+    assert said
+
+
+def fails(x):
+    if x[0] > 8.0:
+        raise ValueError("beyond the sensor's range")
+    return x[:1]
+
+
+def fused(fault):
+    """A fusion in which somebody is never together with its group, one's function fails, or the motion does."""
+    sensors = {
+        "a": fusion.Sensor([1.0, 0.0], 0.3, group="party"),
+        "b": fusion.Sensor([1.0, 0.0], 0.5, group="party"),
+        "c": fusion.Sensor(h=fails, jacobian=lambda x: np.array([[1.0, 0.0]]), R=0.5),
+    }
+    motion = fusion.constant_velocity(1, q=0.1)
+    if fault == "motion":
+
+        def goes(x, dt):
+            if x[0] > 5.0:
+                raise ValueError("off the map")
+            return np.array([x[0] + x[1] * dt, x[1]])
+
+        motion = fusion.from_function(goes, lambda x, dt: np.array([[1.0, dt], [0.0, 1.0]]), 0.1 * np.eye(2), 2)
+    return fusion.Fusion(motion, sensors, window=2.0)
+
+
+def heard(one):
+    """What a fusion holds; made again, a reading that was taken before its warning is a duplicate."""
+    return pickle.dumps(one.state()), {name: {**had, "duplicate": 0} for name, had in one.counts.items()}
+
+
+@pytest.mark.parametrize("fault", ["sensors", "motion"])
+def test_a_fusion_whose_warnings_are_errors_takes_the_same_readings(fault):
+    said, rng = 0, np.random.default_rng(8)
+    plain, strict = fused(fault), fused(fault)
+    for k in range(120):
+        late = 5.0 if k % 30 == 29 else 0.0
+        reading = "abc"[k % 3], 0.1 * k - late, 0.1 * k + 0.3 * rng.normal()
+        calls = [lambda one, reading=reading: one.observe(*reading)]
+        calls += [lambda one: one.estimate()] * (k % 10 == 9)
+        for call in calls:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                expected = outcome(call, plain)
+                warnings.simplefilter("error", UserWarning)
+                try:
+                    assert outcome(call, strict) == expected
+                except fusion.FusionWarning:
+                    said += 1
+                    warnings.simplefilter("ignore")
+                    assert outcome(call, strict) in (expected, "duplicate")
+    assert heard(plain) == heard(strict)
+    assert said >= 2
+
+
+def outcome(call, one):
+    """What a call returns, or in which words it fails."""
+    try:
+        found = call(one)
+    except (ValueError, RuntimeError) as error:
+        return str(error)
+    return found if isinstance(found, str) else pickle.dumps((found.x, found.P))
