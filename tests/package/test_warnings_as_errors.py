@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from robust_filterpy import _warning, fleet, fusion
+from robust_filterpy import _warning, fusion
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
 
 
