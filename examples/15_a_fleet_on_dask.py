@@ -66,7 +66,7 @@ def main(argv=None):
     options = parser.parse_args(argv)
     table, worn = samples(options.devices, options.steps)
     found = on_dask(table).sort_values(["device", "t"], ignore_index=True)
-    alone = filter_table(table, model(), sort=True).sort_values(["device", "t"], ignore_index=True)
+    alone = filter_table(model(), table, sort=True).sort_values(["device", "t"], ignore_index=True)
     same = np.array_equal(found["x0"], alone["x0"]) and np.array_equal(found["std0"], alone["std0"])
     # How many of its readings a device's filter believed only in part.
     doubted = (found["weight0"] < 1.0).groupby(found["device"]).mean().to_numpy()

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.fleet import FilterModel, filter_table, pack, step_table, unpack
+from robust_filterpy.fleet import FilterModel, filter_table, pack, step, unpack
 from robust_filterpy.plotting import LOOKS
 
 kf = RobustKalmanFilter(2, 1)
@@ -48,7 +48,7 @@ def consume(store, batches, dies_at=None):
     outputs = {}
     for k in range(first, len(batches)):
         states = {device: unpack(state) for device, state in store.execute("SELECT device, state FROM states")}
-        states, output = step_table(MODEL, states, batches[k])
+        states, output = step(MODEL, states, batches[k], key="device")
         if k == dies_at:
             raise SystemExit
         with store:
@@ -80,7 +80,7 @@ def main(argv=None):
         (size,) = store.execute("SELECT AVG(LENGTH(state)) FROM states").fetchone()
         store.close()
     table = pd.concat(batches)
-    whole = filter_table(table, MODEL)
+    whole = filter_table(MODEL, table)
     later = pd.concat(second.values())
     same = later.equals(whole.loc[later.index])
     draw(table, whole, len(table) // 2, options.out)

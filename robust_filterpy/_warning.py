@@ -7,7 +7,7 @@ import warnings
 import weakref
 from typing import Any
 
-__all__ = ["RobustFilterWarning", "warn", "was_said"]
+__all__ = ["RobustFilterWarning", "mute", "warn", "was_said"]
 
 # filterpy's loops call the filters' methods.
 _PASSED_ON = {"robust_filterpy", "filterpy"}
@@ -35,9 +35,14 @@ def warn(message: str, category: type[Warning] = UserWarning, *, of: Any = None)
     warnings.warn(message, category, stacklevel=level)
     # Where a warning is an error, the call is refused, and may be made again.
     if of is not None:
-        _said.add(key := _key(category, of))
-        if not isinstance(of, (str, tuple)):
-            weakref.finalize(of, _said.discard, key)
+        mute(category, of)
+
+
+def mute(category: type[Warning], of: Any) -> None:
+    """Note that this was said of a kind of filter, by name, or of an object: somebody else says it better."""
+    _said.add(key := _key(category, of))
+    if not isinstance(of, (str, tuple)):
+        weakref.finalize(of, _said.discard, key)
 
 
 def was_said(category: type[Warning], of: Any) -> bool:

@@ -260,9 +260,9 @@ def say_stuck(where: str, sensor: int, of: Any = None) -> None:
     )
 
 
-def say_stuck_among(where: str, of: str, stuck: Array) -> None:
+def say_stuck_among(where: str, of: str, stuck: Array, name: Callable[[int], Any] = int) -> None:
     """Warn of those of many, series or keys, that have a sensor that is stuck; shape (count, m), bool."""
     if stuck.any():
         first, sensor = np.argwhere(stuck)[0].tolist()
         more = int(stuck.any(axis=1).sum()) - 1
-        say_stuck(f"{where}: {of} {first}{f' and {more} more' if more else ''} of {len(stuck)}", sensor)
+        say_stuck(f"{where}: {of} {name(first)!r}{f' and {more} more' if more else ''} of {len(stuck)}", sensor)

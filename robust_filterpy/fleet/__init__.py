@@ -2,9 +2,9 @@
 
 * `packing`: states as bytes, without pickle.
 * `models`: what all devices have in common, immutable: `FilterModel`, `TrackerModel`.
-* `stepping`: one pure step, (model, state, batch) to (state, output).
+* `stepping`: one pure step, (model, state, batch) to (state, output), of any number of keys.
 * `dask`, `spark`, `stream`: adapters to engines, imported by name.
-* `table`: many keys in a data frame.
+* `table`: `step`, of one key or many, and whole tables.
 * `states`: states of many keys in columns, as an Arrow table.
 * `reading`: the forms a batch may have; `timeline`: late samples, duplicates and gaps.
 """
@@ -13,8 +13,7 @@ from robust_filterpy._lazy import elsewhere
 from robust_filterpy.fleet.models import FilterModel, TrackerModel
 from robust_filterpy.fleet.packing import pack, unpack
 from robust_filterpy.fleet.states import States
-from robust_filterpy.fleet.stepping import step
-from robust_filterpy.fleet.table import filter_table, step_table
+from robust_filterpy.fleet.table import filter_table, step, step_table
 
 __all__ = ["FilterModel", "States", "TrackerModel", "filter_table", "pack", "step", "step_table", "unpack"]
 

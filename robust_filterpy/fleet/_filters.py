@@ -7,7 +7,7 @@ every step that the kernel can take is the kernel's, and the definition takes si
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,10 +15,11 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import mute
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.filters.notices import say_stuck_among
+from robust_filterpy.filters.notices import StuckSensorWarning, say_stuck_among
 from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.series import Model, Output
@@ -46,6 +47,8 @@ class Work(NamedTuple):
     """Keys that could not go on: how many steps they took, and why. -1: their state is refused."""
     missed: dict[int, str]
     """Steps whose measurement was refused, and so was as if missing."""
+    name: Callable[[int], Any] = int
+    """Of a key, by its place."""
 
 
 class Plain(NamedTuple):
@@ -98,9 +101,18 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
     """Take the steps of all keys; kf stays as it is."""
     steps = np.diff(work.bounds)
     if series is None:
-        worker, settings = copy.deepcopy(kf), kf.state()
+        worker, settings, m = copy.deepcopy(kf), kf.state(), kf.dim_z
+        learns = getattr(getattr(kf, "policy", None), "noise", None) is not None
+        if learns:
+            mute(StuckSensorWarning, worker)
+        work.columns[:] = np.nan
         for i in range(len(steps)):
             _alone(worker, settings, update, work, i, 0, int(steps[i]))
+        if learns:
+            # Of no reading else is the weight 0.
+            some = np.flatnonzero(steps)
+            left_out = np.maximum.reduceat(work.columns[:, -m:] == 0.0, work.bounds[some]) if len(some) else some
+            say_stuck_among("step", "key", np.reshape(left_out, (-1, m)), lambda i: work.name(int(some[i])))
         return
     x, P, memory = _moving(work)
     good = np.isfinite(x).all(axis=1) & _checks.are_covariances(P, _checks.GATHERED, _checks.ROUNDING)
@@ -113,7 +125,7 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
     if memory.size:
         # Of a key it is said once: its state knows.
         memory = _moving(work)[2]
-        say_stuck_among("step", "key", (before[:, :, FILLED] == 0.0) & (memory[:, :, FILLED] > 0.0))
+        say_stuck_among("step", "key", (before[:, :, FILLED] == 0.0) & (memory[:, :, FILLED] > 0.0), work.name)
 
 
 def _moving(work: Work) -> tuple[Array, Array, Array]:

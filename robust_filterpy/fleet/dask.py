@@ -59,5 +59,10 @@ def filter_frame(
                 "partitioned=True, if each key's samples are in one partition, in order"
             )
         frame = frame.shuffle(on=key, npartitions=npartitions)
-    meta = filter_table(frame._meta_nonempty, model, key=key).iloc[:0]
-    return frame.map_partitions(filter_table, model, key=key, sort=not partitioned, meta=meta, enforce_metadata=False)
+    meta = filter_table(model, frame._meta_nonempty, key=key).iloc[:0]
+
+    def advance(part: Any) -> Any:
+        """Filter the keys of a partition."""
+        return filter_table(model, part, key=key, sort=not partitioned)
+
+    return frame.map_partitions(advance, meta=meta, enforce_metadata=False)

@@ -155,7 +155,7 @@ class Model(ABC):
         Parameters
         ----------
         state : mapping of str to ndarray
-            From `step`, or of `step_table`'s.
+            From `step`, of one key.
 
         Returns
         -------

@@ -9,7 +9,7 @@ from typing import Any
 from robust_filterpy import _checks
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.packing import pack, unpack
-from robust_filterpy.fleet.table import filter_table, step_table
+from robust_filterpy.fleet.table import filter_table, step
 
 __all__ = ["filter_frame", "step_stream"]
 
@@ -58,7 +58,7 @@ def filter_frame(
 
     def advance(part: Any) -> Any:
         """Filter the keys of a group."""
-        return filter_table(part, model, key=key, sort=True)
+        return filter_table(model, part, key=key, sort=True)
 
     of_key = functions.pmod(functions.hash(frame[key]), functions.lit(groups))
     return frame.groupBy(of_key).applyInPandas(advance, _schema(frame, model, key))
@@ -115,7 +115,7 @@ def step_stream(
         # The name as the table has it: Spark hands over another type.
         own = table[key].tolist()[0]
         before = None if kept is None else {own: _unpacked(kept[0])}
-        states, output = step_table(model, before, table, key=key, sort=True)
+        states, output = step(model, before, table, key=key, sort=True)
         return (pack(states[own]) if own in states and own not in states.odd else None), output
 
     if forget_after is not None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class States(Mapping[Any, dict[str, Array]]):
-    """States of many keys, as `step_table` returns them; a mapping of key to state, and a table.
+    """States of many keys, as `step` returns them; a mapping of key to state, and a table.
 
     Parameters
     ----------
@@ -33,15 +33,15 @@ class States(Mapping[Any, dict[str, Array]]):
     Notes
     -----
     A million devices of two states and one sensor take 64 MB, or 1.4 GB as a dictionary of states. ``to_arrow`` gives
-    an Arrow table, for Parquet and the like; `step_table` takes it back as it is.
+    an Arrow table, for Parquet and the like; `step` takes it back as it is.
 
     Examples
     --------
     >>> from robust_filterpy import RobustKalmanFilter
-    >>> from robust_filterpy.fleet import FilterModel, step_table
+    >>> from robust_filterpy.fleet import FilterModel, step
     >>> import pandas as pd
     >>> table = pd.DataFrame({"device": ["a", "b", "a"], "z": [0.1, 0.2, 0.3]})
-    >>> states, _ = step_table(FilterModel(RobustKalmanFilter(1, 1)), None, table)
+    >>> states, _ = step(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="device")
     >>> list(states), states["a"]["x"].shape, states.to_arrow().num_rows
     (['a', 'b'], (1, 1), 2)
     """

@@ -15,10 +15,9 @@ from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet._filters import Work
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import Reasons, Rows, read_array, read_table, say
-from robust_filterpy.fleet.states import States, checked
-from robust_filterpy.fleet.timeline import Clocks, Placed, grouped, placed, silences
-from robust_filterpy.fusion import Fusion
+from robust_filterpy.fleet.reading import Reasons, Rows, say
+from robust_filterpy.fleet.states import checked
+from robust_filterpy.fleet.timeline import Clocks, Placed, placed, silences
 
 
 class Outcome(NamedTuple):
@@ -44,80 +43,6 @@ class Outcome(NamedTuple):
         for row, text in self.told.items():
             found[row] = text
         return found[self.kept]
-
-
-def step(model: Model | Fusion, state: Mapping[str, Any] | None, batch: Any) -> tuple[dict[str, Array] | None, Any]:
-    """Take one key's next samples and change nothing: the signature of stateful maps everywhere.
-
-    Parameters
-    ----------
-    model : FilterModel, TrackerModel or Fusion
-        What all keys have in common. Of a `robust_filterpy.fusion.Fusion` it is `Fusion.step`, whose batch has a row
-        for each reading.
-    state : mapping of str to ndarray, or None
-        What the step before returned, or `unpack` made of it, or JSON of its lists; None at the start. A filter's or
-        tracker's own ``state()`` serves too, its matrices being the model's.
-    batch : array_like, shape (N, columns), or DataFrame, or Arrow table
-        The samples in order, N >= 0. An array has the time first, if ``model.time`` is set, then the measurements, then
-        the inputs; a table has columns by name. NaN is a missing measurement.
-
-    Returns
-    -------
-    state : dict of str to ndarray, or None
-        What the next step goes on from; None if there has been no sample yet.
-    output : mapping of str to ndarray, or DataFrame, or Arrow table
-        ``model.columns`` for each sample, in the form of the batch: columns by name for an array, and the times too for
-        a table, whose index is kept; and ``error``: None, or what is wrong with the sample.
-
-    Raises
-    ------
-    ValueError
-        If the state is damaged or of another model (`Model.adopt` asks for it nevertheless), or a column is missing.
-        state and batch are as they were, and can be used again.
-    TypeError
-        If model or state is something else.
-
-    Notes
-    -----
-    However a recording is cut into batches, the numbers are the same to the last bit, on machines with the same
-    processor and packages, of which all or none have the kernel (``python -m robust_filterpy`` says so).
-
-    One bad sample costs one sample. A measurement that is no number is missing; a step with an input that is none holds
-    the one before it; a sample that has no time, is late, or lies off the grid is refused, and has NaN. ``error`` says
-    which, and the sample after one or more that were refused in the batch before says how many those were.
-
-    Examples
-    --------
-    >>> from robust_filterpy import RobustKalmanFilter
-    >>> from robust_filterpy.fleet import FilterModel
-    >>> kf = RobustKalmanFilter(1, 1)
-    >>> kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
-    >>> model = FilterModel(kf)
-    >>> state, output = step(model, None, [[0.1], [-0.2]])
-    >>> state, output = step(model, state, [[1e6], [np.nan], ["text"], [0.1]])
-    >>> bool(np.abs(output["x0"]).max() < 1.0), output["weight0"].round(2)
-    (True, array([ 0., nan, nan,  1.]))
-    >>> output["error"][2]
-    "z: expected a finite number or NaN (missing), got 'text'"
-    """
-    if isinstance(model, Fusion):
-        return model.step(state, batch)
-    if not isinstance(model, Model):
-        raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-    before = None if state is None else owned(model, state)
-    is_table = hasattr(batch, "columns") or hasattr(batch, "schema")
-    rows = read_table(batch, model, None) if is_table else read_array(batch, model)
-    entries = started(model, 1)
-    if before is not None:
-        for name, value in before.items():
-            entries[name][0] = value
-    _, order, starts = grouped(None, len(rows.z))
-    outcome = advance(model, entries, np.array([before is not None]), rows, order, starts)
-    if 0 in outcome.refused:
-        raise _state.StateError(outcome.refused[0])
-    after = States(model.label, [], outcome.entries).row(0) if outcome.moved[0] else None
-    columns = {name: outcome.columns[outcome.kept, j] for j, name in enumerate(model.columns)}
-    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors})
 
 
 def owned(model: Model, state: Any) -> dict[str, Array]:
@@ -240,7 +165,14 @@ def _steps(
         whole[at[taken]] = z[taken]
     held = None if u is None else _held(u, at, bounds, entries["input"])
     columns = np.empty((total, len(model.columns)))
-    return Work(entries, whole, held, bounds, columns, {}, {}), at, held
+    keys, firsts = batch.rows.keys, batch.order[batch.starts[:-1]] if len(batch.order) else batch.order
+
+    def name(i: int) -> Any:
+        """Return a key, or its place where there is one alone."""
+        key = i if keys is None else keys[firsts[i]]
+        return key.item() if isinstance(key, np.generic) else key
+
+    return Work(entries, whole, held, bounds, columns, {}, {}, name), at, held
 
 
 def _from_first_input(

@@ -17,7 +17,7 @@ from robust_filterpy._checks import shown
 from robust_filterpy.fleet._filters import REFUSED
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.packing import pack, unpack
-from robust_filterpy.fleet.stepping import step
+from robust_filterpy.fleet.table import step
 
 __all__ = ["StreamStep"]
 

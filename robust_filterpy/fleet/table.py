@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from robust_filterpy import _state
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import NOBODY, Rows, read_table, reasons, say
+from robust_filterpy.fleet.reading import NOBODY, Rows, read_array, read_table, reasons, say
 from robust_filterpy.fleet.states import States, taken
 from robust_filterpy.fleet.stepping import advance, owned, started
 from robust_filterpy.fleet.timeline import grouped, strays
+from robust_filterpy.fusion import Fusion
 
 
 class _Keys(NamedTuple):
@@ -26,8 +29,8 @@ class _Keys(NamedTuple):
 
 
 def filter_table(
-    table: Any,
     model: Model,
+    table: Any,
     *,
     key: str = "device",
     sort: bool = True,
@@ -36,10 +39,10 @@ def filter_table(
 
     Parameters
     ----------
-    table : DataFrame or Arrow table
-        A row for each sample, in any order. Of pandas, polars, Arrow, or any other kind that narwhals reads.
     model : FilterModel or TrackerModel
         What all keys have in common, and which columns are its time, measurements and inputs.
+    table : DataFrame or Arrow table
+        A row for each sample, in any order. Of pandas, polars, Arrow, or any other kind that narwhals reads.
     key : str, default "device"
         Column that says whose sample it is.
     sort : bool, default True
@@ -76,12 +79,17 @@ def filter_table(
     >>> kf = RobustKalmanFilter(1, 1)
     >>> kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
     >>> table = pd.DataFrame({"device": ["a", "b", "a", "b"], "t": [0.0, 1.0, 1.0, 1.0], "z": [0.1, 0.0, 1e6, 5.0]})
-    >>> found = filter_table(table, FilterModel(kf, time="t", measurements=["z"]))
+    >>> found = filter_table(FilterModel(kf, time="t", measurements=["z"]), table)
     >>> found["x0"].round(2).tolist()
     [0.05, 0.0, 0.58, nan]
     >>> found["error"][3]
     "device 'b': time: expected a sample later than the one at 1, got 1, a duplicate"
     """
+    if isinstance(table, Model):
+        warnings.warn("filter_table: expected the model first, as in step", DeprecationWarning, stacklevel=2)
+        model, table = table, model
+    if not isinstance(model, Model):
+        raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
     found = _taken(model, None, table, key, sort, whole=True)[1]
     refused, keys = reasons(found, key)
     bad, rows = Counter(name for name, _ in refused), Counter(keys)
@@ -97,46 +105,112 @@ def filter_table(
     return found
 
 
-def step_table(
-    model: Model,
-    states: Any,
-    table: Any,
-    *,
-    key: str = "device",
-    sort: bool = False,
-) -> tuple[States, Any]:
-    """Take the next samples of many keys, as `step` does those of one, and change nothing.
+def step(
+    model: Model | Fusion, state: Any, batch: Any, *, key: str | None = None, sort: bool = False
+) -> tuple[Any, Any]:
+    """Take the next samples, of one key or of many, and change nothing: the signature of stateful maps everywhere.
 
     Parameters
     ----------
-    model : FilterModel or TrackerModel
-        What all keys have in common.
-    states : States, or mapping of key to state, or Arrow table of states, or None
-        What the call before returned, or its ``to_arrow()``; keys that it does not hold start.
-    table, key
-        As in `filter_table`.
+    model : FilterModel, TrackerModel or Fusion
+        What all keys have in common. Of a `robust_filterpy.fusion.Fusion` it is `Fusion.step`, whose batch has a row
+        for each reading.
+    state : mapping of str to ndarray, or None; with key, States, or mapping of key to state, or Arrow table of states
+        What the step before returned, or `unpack` made of it, or JSON of its lists; None at the start. A filter's or
+        tracker's own ``state()`` serves too, its matrices being the model's.
+    batch : array_like, shape (N, columns), or DataFrame, or Arrow table
+        The samples in order, N >= 0. An array has the time first, if ``model.time`` is set, then the measurements, then
+        the inputs; a table has columns by name. NaN is a missing measurement.
+    key : str, optional
+        Column of a table that says whose sample it is, of many keys; those that state does not hold start. Default: all
+        samples are of one.
     sort : bool, default False
-        As in `filter_table`; by default a late sample is one, whether its batch or the one before has the newer.
+        With key, as in `filter_table`; by default a late sample is one, whether its batch or the one before has the
+        newer.
 
     Returns
     -------
-    states : States
-        Of all keys so far, a mapping; that of a key that was refused is as it was.
-    output : DataFrame or Arrow table
-        As in `filter_table`.
+    state : dict of str to ndarray, or None; with key, States
+        What the next step goes on from; None if there has been no sample yet. With key a mapping of all keys so far;
+        the state of one that was refused is as it was.
+    output : mapping of str to ndarray, or DataFrame, or Arrow table
+        ``model.columns`` for each sample, in the form of the batch: columns by name for an array, and the times too for
+        a table, whose index is kept; and ``error``: None, or what is wrong with the sample.
 
     Raises
     ------
-    ValueError, TypeError
-        As in `filter_table`.
+    ValueError
+        If the state is damaged or of another model (`Model.adopt` asks for it nevertheless), or a column is missing.
+        state and batch are as they were, and can be used again.
+    TypeError
+        If model or state is something else.
+
+    Notes
+    -----
+    However a recording is cut into batches, the numbers are the same to the last bit, on machines with the same
+    processor and packages, of which all or none have the kernel (``python -m robust_filterpy`` says so).
+
+    One bad sample costs one sample. A measurement that is no number is missing; a step with an input that is none holds
+    the one before it; a sample that has no time, is late, or lies off the grid is refused, and has NaN. ``error`` says
+    which, and the sample after one or more that were refused in the batch before says how many those were.
+
+    Examples
+    --------
+    >>> from robust_filterpy import RobustKalmanFilter
+    >>> from robust_filterpy.fleet import FilterModel
+    >>> kf = RobustKalmanFilter(1, 1)
+    >>> kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
+    >>> model = FilterModel(kf)
+    >>> state, output = step(model, None, [[0.1], [-0.2]])
+    >>> state, output = step(model, state, [[1e6], [np.nan], ["text"], [0.1]])
+    >>> bool(np.abs(output["x0"]).max() < 1.0), output["weight0"].round(2)
+    (True, array([ 0., nan, nan,  1.]))
+    >>> output["error"][2]
+    "z: expected a finite number or NaN (missing), got 'text'"
     """
-    return _taken(model, states, table, key, sort)
+    if isinstance(model, Fusion):
+        return model.step(state, batch)
+    if not isinstance(model, Model):
+        raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
+    if key is not None:
+        return _taken(model, state, batch, key, sort)
+    before = None if state is None else owned(model, state)
+    is_table = hasattr(batch, "columns") or hasattr(batch, "schema")
+    rows = read_table(batch, model, None) if is_table else read_array(batch, model)
+    entries = started(model, 1)
+    if before is not None:
+        for name, value in before.items():
+            entries[name][0] = value
+    _, order, starts = grouped(None, len(rows.z))
+    outcome = advance(model, entries, np.array([before is not None]), rows, order, starts)
+    if 0 in outcome.refused:
+        raise _state.StateError(outcome.refused[0])
+    after = States(model.label, [], outcome.entries).row(0) if outcome.moved[0] else None
+    columns = {name: outcome.columns[outcome.kept, j] for j, name in enumerate(model.columns)}
+    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors})
+
+
+def step_table(
+    model: Model, states: Any, table: Any, *, key: str = "device", sort: bool = False
+) -> tuple[States, Any]:
+    """Do what ``step(model, states, table, key=key, sort=sort)`` does, for one release.
+
+    Parameters
+    ----------
+    model, states, table, key, sort
+        As in `step`.
+
+    Returns
+    -------
+    states, output
+        As in `step`.
+    """
+    warnings.warn("step_table: use step(model, states, table, key=..)", DeprecationWarning, stacklevel=2)
+    return step(model, states, table, key=key, sort=sort)
 
 
 def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: bool = False) -> tuple[States, Any]:
     """Return states and output of the next samples of many keys, or of all that there are."""
-    if not isinstance(model, Model):
-        raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
     rows = read_table(table, model, key)
     before = taken(states, model)
     keys = _known_ones(_Keys(*grouped(rows.keys, len(rows.z))), before, model, rows)

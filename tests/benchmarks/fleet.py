@@ -29,7 +29,7 @@ from robust_filterpy import (
     RobustUnscentedKalmanFilter,
     filter_series,
 )
-from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
+from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
 
 F, H = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]])
 Q, R = 0.01 * np.eye(2), np.eye(1)
@@ -115,9 +115,9 @@ def one_process(keys, steps):
     described, table, count = model(), samples(keys, steps), keys * steps
     zs = table["z"].to_numpy().reshape(steps, keys).T[:, :, None].copy()
     series = least(lambda: filter_series(zs, F, H, Q, R, np.zeros(2), np.eye(2), covariance="diagonal", n_threads=1))
-    whole = least(lambda: filter_table(table, described))
+    whole = least(lambda: filter_table(described, table))
     shuffled = table.sample(frac=1.0, random_state=0)
-    sorting = least(lambda: filter_table(shuffled, described, sort=True))
+    sorting = least(lambda: filter_table(described, shuffled, sort=True))
     print(f"filter_series                        {series / count * 1e6:8.3f} us a sample")
     print(f"filter_table                         {whole / count * 1e6:8.3f}, {count / whole:,.0f} rows a second")
     print(f"filter_table of a shuffled table     {sorting / count * 1e6:8.3f}")
@@ -129,15 +129,15 @@ def one_process(keys, steps):
     print(f"step, one sample at a time           {online:8.3f}")
     tracked = TrackerModel(ARX(2, 2), {"start": 0}, time="t", measurements=["z"], inputs=["u"])
     some = samples(min(keys, 1000), steps).assign(u=1.0)
-    tracking = least(lambda: filter_table(some, tracked), 2) / len(some) * 1e6
+    tracking = least(lambda: filter_table(tracked, some), 2) / len(some) * 1e6
     print(f"filter_table of a ParameterTracker   {tracking:8.3f}")
-    states, _ = step_table(described, None, table[: 2 * keys])
+    states, _ = step(described, None, table[: 2 * keys], key="device")
     another = table[2 * keys : 3 * keys]
-    batch = least(lambda: step_table(described, states, another)) / keys
-    print(f"step_table, a sample of each device  {batch * 1e6:8.3f} us a device")
+    batch = least(lambda: step(described, states, another, key="device")) / keys
+    print(f"step, a sample of each device        {batch * 1e6:8.3f} us a device")
     columns = states.to_arrow()
     there = least(states.to_arrow) / keys
-    back = least(lambda: step_table(described, columns, another)) / keys
+    back = least(lambda: step(described, columns, another, key="device")) / keys
     print(f"states to an Arrow table and back    {(there + back - batch) * 1e6:8.3f} us a device")
     packing = bytes_and_files(state)
     return Costs(series / count, whole / count, online + packing, batch * 1e6 + packing, len(pack(state)))
@@ -173,7 +173,7 @@ def part(first, keys, steps):
     began = time.process_time()
     table = samples(keys, steps, first)
     start = time.perf_counter()
-    found = filter_table(table, model())
+    found = filter_table(model(), table)
     return found["x0"].sum(), time.perf_counter() - start, time.process_time() - began
 
 

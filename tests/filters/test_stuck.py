@@ -16,7 +16,7 @@ from robust_filterpy import (
     filter_series,
 )
 from robust_filterpy.filters import StuckSensorWarning
-from robust_filterpy.fleet import FilterModel, step_table
+from robust_filterpy.fleet import FilterModel, step
 from robust_filterpy.influence import TukeyBiweight
 
 
@@ -170,8 +170,9 @@ def test_series_and_keys_say_it_once_with_how_many_there_are():
         filter_series(zs, *model, influence=TukeyBiweight(), scaling="innovation")
 
 
-def test_a_stream_says_it_once_for_each_key():
-    kf = RobustKalmanFilter(1, 1)
+@pytest.mark.parametrize("noise", [None, "learnt"])
+def test_a_stream_says_it_once_for_each_key(noise):
+    kf = RobustKalmanFilter(1, 1, noise=noise)
     kf.F, kf.H, kf.Q = np.eye(1), np.eye(1), 0.01 * np.eye(1)
     model, states, said = FilterModel(kf), None, []
     zs = np.random.default_rng(5).normal(size=(3, 60))
@@ -180,6 +181,8 @@ def test_a_stream_says_it_once_for_each_key():
         table = pd.DataFrame({"device": np.repeat(["a", "b", "c"], 5), "z0": zs[:, k : k + 5].ravel()})
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always", StuckSensorWarning)
-            states, _ = step_table(model, states, table)
-        said += [(k, str(w.message)[:16]) for w in found]
-    assert said == [(30, "step: key 0 of 3"), (45, "step: key 2 of 3")]
+            states, _ = step(model, states, table, key="device")
+        said += [(k, str(w.message)[:18]) for w in found]
+    # What is learned of noise forgets that it has been said.
+    again = [(50, "step: key 'a' of 3")] if noise else []
+    assert said == [(30, "step: key 'a' of 3"), (45, "step: key 'c' of 3"), *again]

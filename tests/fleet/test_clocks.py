@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.fleet import FilterModel, filter_table, step, step_table
+from robust_filterpy.fleet import FilterModel, filter_table, step
 
 DAY = 1.7e9
 BACK = "the clock was set"
@@ -34,7 +34,7 @@ def streamed(times, a_model, sizes=1):
 def test_one_wrong_stamp_in_a_table_costs_its_row_alone(place, wrong):
     t = DAY + np.arange(500.0)
     t[place] = wrong
-    found = filter_table(pd.DataFrame({"device": "a", "t": t, "z": 1.0}), model())
+    found = filter_table(model(), pd.DataFrame({"device": "a", "t": t, "z": 1.0}))
     good = np.isfinite(found["x0"].to_numpy())
     assert not good[place] and good.sum() == 499 and found["error"].notna().sum() == 1
 
@@ -83,17 +83,18 @@ def test_a_device_whose_clock_is_wrong_is_named_among_others():
     with pytest.warns(
         UserWarning, match=r"49 of 250 rows have an error, most of those of 1 device\(s\): 'c' \(49 of 50\)"
     ):
-        filter_table(table, model())
+        filter_table(model(), table)
     table.loc[table.device == "c", "t"] = t
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert filter_table(table, model())["error"].isna().all()
+        assert filter_table(model(), table)["error"].isna().all()
 
 
 def test_a_table_of_states_keeps_what_was_refused():
     states, costs = None, 0
     for t in [DAY, *range(10)]:
-        states, output = step_table(model(), states, pd.DataFrame({"device": ["a"], "t": [float(t)], "z": [1.0]}))
+        sample = pd.DataFrame({"device": ["a"], "t": [float(t)], "z": [1.0]})
+        states, output = step(model(), states, sample, key="device")
         costs += int(np.isnan(output["x0"][0]))
     assert costs == 4
 
@@ -104,12 +105,12 @@ def test_fill_values_of_a_table_are_missing_and_said_once(fill):
     z = rng.normal(size=1000)
     gone = rng.random(1000) < 0.01
     table = pd.DataFrame({"device": rng.choice(list("abc"), 1000), "t": DAY + np.arange(1000.0), "z": z})
-    want = filter_table(table.assign(z=np.where(gone, np.nan, z)), model(None))
+    want = filter_table(model(None), table.assign(z=np.where(gone, np.nan, z)))
     with pytest.warns(UserWarning, match="devices' measurements: .* repeated exactly and far outside") as said:
-        found = filter_table(table.assign(z=np.where(gone, fill, z)), model(None))
+        found = filter_table(model(None), table.assign(z=np.where(gone, fill, z)))
     assert len(said) == 1
     pd.testing.assert_frame_equal(found, want)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # One that is wild and does not repeat, and a rounded signal, are what they were.
-        filter_table(table.assign(z=np.where(np.arange(1000) == 7, fill, z.round(1))), model(None))
+        filter_table(model(None), table.assign(z=np.where(np.arange(1000) == 7, fill, z.round(1))))

@@ -12,7 +12,7 @@ from test_engines import Store
 from test_state import FILTERS
 
 from robust_filterpy import ARX
-from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
+from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
 from robust_filterpy.fleet.stream import StreamStep
 
 pd = pytest.importorskip("pandas")
@@ -168,12 +168,12 @@ def test_whatever_comes_nothing_raises_and_clean_devices_do_not_notice(name, rou
             step(model, unpack(stored[key]), np.zeros((0, 3 if model.inputs else 2)))
     # The same as a table, in one batch and in many, and as batches of single devices.
     table = table_of(messages)
-    whole_states, whole = step_table(model, None, table)
+    whole_states, whole = step(model, None, table, key="device")
     states, parts = None, []
     for part in np.array_split(np.arange(len(table)), 7):
-        states, found = step_table(model, states, table.iloc[part])
+        states, found = step(model, states, table.iloc[part], key="device")
         parts.append(found)
-    for found in (whole, pd.concat(parts), filter_table(table, model, sort=False)):
+    for found in (whole, pd.concat(parts), filter_table(model, table, sort=False)):
         for key, (_, output) in expected.items():
             mine = found[found["device"] == key]
             assert mine["error"].isna().all()
@@ -216,7 +216,7 @@ def test_states_that_are_none_cost_their_keys():
     spoilt["e"] = {**state, "x": np.array(["a", "b"])}
     spoilt["f"] = {**state, "P": 3.0}
     table = pd.DataFrame({"device": list("abcdefg"), "t": 1.0, "z": rng.normal(size=7)})
-    states, found = step_table(model, spoilt, table)
+    states, found = step(model, spoilt, table, key="device")
     assert found["error"].notna().tolist() == [False, True, True, True, True, True, False]
     equal(found["x0"][[0]], step(model, state, [[1.0, table["z"][0]]])[1]["x0"])
     for name in "bcdef":
@@ -228,10 +228,10 @@ def test_states_that_are_none_cost_their_keys():
 def test_a_shuffled_table_a_column_of_text_and_a_path_are_said():
     table = pd.DataFrame({"device": "a", "t": np.arange(50.0)[::-1], "z": 1.0})
     with pytest.warns(UserWarning, match=r"49 of 50 rows .* late; sort=True puts"):
-        filter_table(table, MODELS["filter"], sort=False)
+        filter_table(MODELS["filter"], table, sort=False)
     with pytest.warns(UserWarning, match="50 of 50 rows .* z: expected a finite number .* got '1.0'$"):
-        filter_table(table.assign(t=np.arange(50.0), z="1.0"), MODELS["filter"])
+        filter_table(MODELS["filter"], table.assign(t=np.arange(50.0), z="1.0"))
     with pytest.raises(TypeError, match=r"table: expected .* got str; pandas.read_parquet"):
-        filter_table("day.parquet", MODELS["filter"])
+        filter_table(MODELS["filter"], "day.parquet")
     with pytest.raises(ValueError, match="measurements: expected 1 column"):
         FilterModel(FILTERS["linear"](), measurements=["z", "w"])

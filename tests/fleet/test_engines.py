@@ -41,7 +41,7 @@ def samples(keys, steps, seed=0):
 
 def assert_same(found, table, described=None):
     """Hold a result together with that of one process, in whatever order it came, to the last bit."""
-    expected = filter_table(table, model() if described is None else described, sort=True)
+    expected = filter_table(model() if described is None else described, table, sort=True)
     found, expected = (one.sort_values(["device", "t"], ignore_index=True) for one in (found, expected))
     pd.testing.assert_frame_equal(found[expected.columns.tolist()], expected, check_exact=True, check_dtype=False)
     assert expected["error"].notna().sum() == 1
@@ -95,7 +95,7 @@ def test_on_dask_the_result_is_that_of_one_process(dask_frame):
     assert_same(filter_frame(dask_frame(table, 5), model()).compute(scheduler="synchronous"), table)
     whole = table[table["device"] != 3].sort_values(["device", "t"], ignore_index=True)
     already = filter_frame(dask_frame(whole, 1), model(), partitioned=True).compute(scheduler="synchronous")
-    pd.testing.assert_frame_equal(already, filter_table(whole, model()))
+    pd.testing.assert_frame_equal(already, filter_table(model(), whole))
     with pytest.raises(ValueError, match="time: expected"):
         filter_frame(dask_frame(table, 5), FilterModel(model().template(), measurements=["z"]))
 
@@ -218,12 +218,12 @@ def test_a_streaming_query_goes_on_from_its_checkpoint(spark, tmp_path, seconds)
             run_query(spark, described, tmp_path, schema, **options)
     spark.conf.unset(PROVIDER)
     found = spark.read.parquet(str(tmp_path / "out")).toPandas()
-    expected = filter_table(table, described, sort=True).sort_values(["device", "t"], ignore_index=True)
+    expected = filter_table(described, table, sort=True).sort_values(["device", "t"], ignore_index=True)
     found = found.sort_values(["device", "t"], ignore_index=True)
     if seconds == 1e-3:
         # The states were gone when it was started again: that part begins anew, and what comes again is not known.
         parts = [table[table["t"] < 6], table[table["t"] >= 6]]
-        expected = pd.concat([filter_table(part, described, sort=True) for part in parts])
+        expected = pd.concat([filter_table(described, part, sort=True) for part in parts])
         expected = expected.sort_values(["device", "t"], ignore_index=True)
     pd.testing.assert_frame_equal(found[list(expected)], expected, check_exact=True, check_dtype=False)
     assert len(found) == len(expected) >= len(table) - 1

@@ -345,7 +345,7 @@ def test_a_state_of_other_matrices_is_refused_unless_asked_for():
         kf.predict()
         kf.update(1.0)
         np.testing.assert_allclose(adopted["x"], kf.x, rtol=1e-12)
-        states, output = step_table(other, {"a": state}, pd.DataFrame({"device": ["a", "b"], "z": 1.0}))
+        states, output = step(other, {"a": state}, pd.DataFrame({"device": ["a", "b"], "z": 1.0}), key="device")
         assert "other matrices" in output["error"][0] and states["a"]["x"] is not None
         np.testing.assert_array_equal(output["x0"][1:], step(other, None, [[1.0]])[1]["x0"])
     for one, other in ((MODELS["ARX"](), TrackerModel(ARX(2, 1), {"start": 0, "R": 2.0})),
@@ -385,7 +385,7 @@ def test_a_damaged_state_is_refused_on_every_path_by_one_error(damage, name):
         with pytest.raises(StateError, match="state: "):
             model.template().restore(spoilt)
     table = pd.DataFrame({"device": ["a", "b"], "z": 1.0})
-    states, output = step_table(model, {"a": spoilt, "b": state}, table)
+    states, output = step(model, {"a": spoilt, "b": state}, table, key="device")
     assert output["error"][0].startswith("device 'a': state: ")
     # np.asarray: a state with an object in it compares as an array of them.
     assert all(np.asarray(states["a"][key] == spoilt[key], dtype=object).all() or value is not None
@@ -439,16 +439,16 @@ def fleet(keys=40, seed=2):
 def test_a_table_is_a_step_for_each_key(model):
     table = fleet()
     model = replace(model, time="t")
-    found = filter_table(table, model)
+    found = filter_table(model, table)
     assert found.index.equals(table.index) and found["error"].isna().all()
     assert list(found) == ["device", "t", *model.columns, "error"]
     for _, part in table.groupby("device"):
         _, expected = step(model, None, part)
         pd.testing.assert_frame_equal(found.loc[part.index, list(model.columns)], expected[list(model.columns)])
     half = len(table) // 2
-    states, first = step_table(model, None, table[:half])
+    states, first = step(model, None, table[:half], key="device")
     before = copy.deepcopy(states)
-    again, second = step_table(model, states, table[half:])
+    again, second = step(model, states, table[half:], key="device")
     pd.testing.assert_frame_equal(pd.concat([first, second]), found)
     for name in before:
         same(before[name], states[name])
@@ -465,7 +465,7 @@ def test_a_bad_row_costs_one_row_and_a_bad_state_one_key():
     table.loc[row["d4"], "t"] = np.nan
     table.loc[len(table)] = [None, 1.0, 1.0, 0.0]
     given = {"d5": {"x": np.zeros(7)}, "d6": 3.0, "d7": {**step(model, None, [[0.0, 1.0]])[0], "P": "text"}}
-    states, found = step_table(model, given, table)
+    states, found = step(model, given, table, key="device")
     damaged = table["device"].isin(list(given))
     bad = damaged | table.index.isin([*row.values(), len(table) - 1])
     assert found.loc[bad, "error"].notna().all() and found.loc[~bad, "error"].isna().all()
@@ -480,7 +480,7 @@ def test_a_bad_row_costs_one_row_and_a_bad_state_one_key():
     good = fleet()
     good.loc[[row["d1"], row["d2"]], "z"] = np.nan
     good = good[~good["device"].isin(list(given))].drop(index=[row["d3"], row["d4"]])
-    expected = filter_table(good, model)
+    expected = filter_table(model, good)
     pd.testing.assert_frame_equal(expected[["x0", "std0"]], found.loc[good.index, ["x0", "std0"]])
 
 
@@ -488,11 +488,11 @@ def test_a_table_may_be_shuffled_and_have_rows_without_a_time():
     model = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
     table = fleet()
     shuffled = table.sample(frac=1.0, random_state=1)
-    found = filter_table(shuffled, model)
-    pd.testing.assert_frame_equal(found.sort_index(), filter_table(table, model))
+    found = filter_table(model, shuffled)
+    pd.testing.assert_frame_equal(found.sort_index(), filter_table(model, table))
     # Between 5 and 3 stands a row of no time: the order is looked at across it.
     gap = pd.DataFrame({"device": "a", "t": [5.0, np.nan, 3.0], "z": [0.1, 0.2, 0.3]})
-    assert filter_table(gap, model)["error"].isna().tolist() == [True, False, True]
+    assert filter_table(model, gap)["error"].isna().tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
@@ -501,30 +501,30 @@ def test_an_error_names_instants_as_instants(zone):
     when = pd.to_datetime(["2024-03-01 10:00:00.0", "2024-03-01 09:59:59.5"]).tz_localize("UTC").tz_convert(zone)
     table = pd.DataFrame({"device": "a", "t": when, "z": [0.1, 0.2]})
     said = "later than the one at 2024-03-01T10:00:00Z, got 2024-03-01T09:59:59.500000Z, late"
-    assert said in filter_table(table, model, sort=False)["error"][1]
+    assert said in filter_table(model, table, sort=False)["error"][1]
     texts = table.assign(t=[f"{one}" if zone else f"{one}Z" for one in when])
-    assert said in filter_table(texts, model, sort=False)["error"][1]
+    assert said in filter_table(model, texts, sort=False)["error"][1]
 
 
 def test_states_of_devices_that_are_gone_can_be_left_out():
     """And what goes on from the others is the same; of keys without times all stay."""
     described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
     table = pd.DataFrame({"device": ["a", "b", "a", "c"], "t": [0.0, 1.0, 2.0, 5.0], "z": [0.1, 0.2, 0.3, 0.4]})
-    states, _ = step_table(described, None, table)
+    states, _ = step(described, None, table, key="device")
     kept = states.newer(2.0)
     assert list(kept) == ["a", "c"] and list(states) == ["a", "b", "c"] and list(states.newer(6.0)) == []
     later = table.assign(t=table["t"] + 10.0)
-    one, other = (step_table(described, before, later)[1].set_index("device") for before in (kept, states))
+    one, other = (step(described, before, later, key="device")[1].set_index("device") for before in (kept, states))
     pd.testing.assert_frame_equal(one.loc[["a", "c"]], other.loc[["a", "c"]], check_exact=True)
     assert not one.loc["b"].equals(other.loc["b"])
     untimed = FilterModel(FILTERS["linear"](), measurements=["z"])
-    assert len(step_table(untimed, None, table)[0].newer(1e9)) == 3
+    assert len(step(untimed, None, table, key="device")[0].newer(1e9)) == 3
 
 
 def test_states_of_devices_that_are_gone_are_told_by_an_instant_as_by_its_seconds():
     described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
     when = pd.to_datetime([0, 10, 20], unit="s", utc=True)
-    states, _ = step_table(described, None, pd.DataFrame({"device": list("abc"), "t": when, "z": 0.1}))
+    states, _ = step(described, None, pd.DataFrame({"device": list("abc"), "t": when, "z": 0.1}), key="device")
     for since in (when[1], when[1].to_datetime64(), when[1].to_pydatetime(), 10.0):
         assert list(states.newer(since)) == ["b", "c"]
     for wrong in ("yesterday", when[1].tz_localize(None).to_pydatetime(), None):
@@ -567,19 +567,19 @@ def test_in_a_table_the_keys_that_expired_start_anew_and_no_others_notice(stored
     described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t", dt=dt)
     early = pd.DataFrame({"device": ["a", "b", "c"] * 4, "t": np.repeat(np.arange(4.0), 3), "z": np.arange(12.0)})
     late = pd.DataFrame({"device": ["b", "a", "new", "b", "a", "b"], "t": [8.0, 9.0, 9.0, 9.0, 10.0, 99.0], "z": 1.0})
-    states, _ = step_table(described, None, early)
+    states, _ = step(described, None, early, key="device")
     before = copy.deepcopy(states)
     given = states.to_arrow() if stored else states
-    after, found = step_table(replace(described, expires=5.5), given, late)
-    expected = step_table(described, before, late[:-1])[1]
-    plain = step_table(described, None, late[late["device"] == "a"])
+    after, found = step(replace(described, expires=5.5), given, late, key="device")
+    expected = step(described, before, late[:-1], key="device")[1]
+    plain = step(described, None, late[late["device"] == "a"], key="device")
     pd.testing.assert_frame_equal(found[late["device"] == "a"].drop(columns="error"), plain[1].drop(columns="error"))
     same(after["a"], plain[0]["a"])
     for row in (0, 2, 3):
         assert found.loc[row, "x0"] == expected.loc[row, "x0"] and pd.isna(found.loc[row, "error"])
     assert found["error"][1] == "device 'a': state: expected one at most expires=5.5 old, got 6; started anew"
     assert found["error"][5] == "device 'b': state: expected one at most expires=5.5 old, got 90; started anew"
-    same(after["b"], step_table(described, None, late[-1:])[0]["b"])
+    same(after["b"], step(described, None, late[-1:], key="device")[0]["b"])
     # A key of which nothing came stays as it is, and nothing is written into.
     same(after["c"], before["c"])
     for name in before:
@@ -640,21 +640,21 @@ def test_in_a_stream_a_key_that_was_silent_for_long_starts_anew():
 
 def test_an_empty_table_and_missing_columns():
     model = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
-    assert filter_table(fleet()[:0], model).shape == (0, 8)
+    assert filter_table(model, fleet()[:0]).shape == (0, 8)
     with pytest.raises(ValueError, match=r"\['device'\]"):
-        filter_table(fleet().drop(columns="device"), model)
+        filter_table(model, fleet().drop(columns="device"))
     with pytest.raises(ValueError, match="measurements"):
-        filter_table(fleet(), replace(model, measurements=None))
+        filter_table(replace(model, measurements=None), fleet())
     with pytest.raises(TypeError, match="model"):
-        filter_table(fleet(), None)
+        filter_table(None, fleet())
 
 
 def test_states_of_a_fleet_print_on_a_line_and_a_missing_column_says_who_names_it():
     table = pd.DataFrame({"tank": [f"T{i}" for i in range(9)], "z": np.zeros(9)})
-    states, _ = step_table(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="tank")
+    states, _ = step(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="tank")
     assert repr(states) == "States(9 keys: T0, T1, T2, ..)"
     with pytest.raises(ValueError, match=r"got .'tank', 'z'.; key= names that of the device"):
-        step_table(FilterModel(RobustKalmanFilter(1, 1)), None, table)
+        step(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="device")
 
 
 def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
@@ -683,8 +683,20 @@ def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
     a, b = z.repeat(2, axis=0).T
     table = pd.DataFrame({"device": ["lost", "other"] * 60, "a": a, "b": b})
     table.loc[table.device == "other", ["a", "b"]] = np.nan
-    _, output = step_table(FilterModel(kf, measurements=["a", "b"]), None, table)
+    _, output = step(FilterModel(kf, measurements=["a", "b"]), None, table, key="device")
     lost, other = (output[output.device == device] for device in ("lost", "other"))
     assert other.x0.notna().all() and other.error.isna().all()
     assert lost.x0.iloc[:5].notna().all() and lost.x0.iloc[-1:].isna().all()
     assert "state: P: expected a positive semidefinite matrix" in lost.error.iloc[-1]
+
+
+def test_the_names_and_the_order_of_before_serve_for_one_release_and_say_so():
+    model = FilterModel(RobustKalmanFilter(1, 1))
+    table = pd.DataFrame({"device": ["a", "b", "a"], "z": [0.1, 0.2, 0.3]})
+    with pytest.warns(DeprecationWarning, match=r"step\(model, states, table, key=\.\.\)"):
+        states, found = step_table(model, None, table)
+    now, expected = step(model, None, table, key="device")
+    pd.testing.assert_frame_equal(found, expected)
+    assert list(states) == list(now)
+    with pytest.warns(DeprecationWarning, match="model first"):
+        pd.testing.assert_frame_equal(filter_table(table, model), filter_table(model, table))

@@ -119,7 +119,7 @@ def test_a_date_that_is_none_costs_its_row_alone(far):
         assert (output["outcome"][good] == "taken").all(), name
         assert output["outcome"][4] is None and "which nanoseconds do not hold" in output["error"][4], name
         if not isinstance(table, dict):
-            filtered = filter_table(table, filter_model())
+            filtered = filter_table(filter_model(), table)
             stood = np.isfinite(np.asarray(filtered["x0"].to_numpy(), float))
             assert (stood == good).all(), name
             assert "which nanoseconds do not hold" in filtered["error"][4], name
