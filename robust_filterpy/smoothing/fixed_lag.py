@@ -30,8 +30,8 @@ _UNJUDGED = 1e-3
 _MEMORY = 0.999
 
 
-class _Step(NamedTuple):
-    """A measurement in the window, with the matrices of its time and what it weighs at present."""
+class _Window(NamedTuple):
+    """Measurements in the window, the matrices of their times, what they weigh at present; (steps, ..)."""
 
     F: Array
     Q: Array
@@ -41,7 +41,13 @@ class _Step(NamedTuple):
     z: Array
     precision: Array
     offset: Array
-    process_scale: float
+    process_scale: Array
+
+    @classmethod
+    def empty(cls, n: int, m: int) -> _Window:
+        """Return a window without a step."""
+        shapes = (n, n), (n, n), (n,), (m, n), (m, m), (m,), (m,), (m,), ()
+        return cls(*(np.empty((0, *shape)) for shape in shapes))
 
 
 class FixedLagSmoother(_filterpy.FixedLagSmoother):
@@ -108,7 +114,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         self._influence, self._process = influence, process
         self._rules(np.ones((1, 1, dim_z), dtype=bool), np.ones((1, 1, dim_x), dtype=bool))
         super().__init__(dim_x, dim_z, N)
-        self._window: list[_Step] = []
+        self._window = _Window.empty(dim_x, dim_z)
         self._prior = (np.zeros(dim_x), np.eye(dim_x))
         self._beliefs = [Belief(), Belief()]
         self._mixtures: list[Mixture | None] = [None, None]
@@ -145,35 +151,32 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         if self.N is None:
             raise ValueError("N: expected a lag, got None; use FixedLagSmoother(dim_x, dim_z, N=..)")
         x, P = state_of(self)
-        step = self._step(z, u, x, P)
-        prior = self._prior if self._window else (x.ravel().copy(), P.copy())
-        window = [*self._window, step]
-        there = _problem(window, prior)
+        step = self._step(z, u, x)
+        prior = self._prior if len(self._window.z) else (x.ravel().copy(), P.copy())
+        parts = zip(self._window, step, strict=True)
+        window = _Window(*(np.concatenate([a, np.reshape(b, (1, *a.shape[1:]))]) for a, b in parts))
+        there = problem(*(a[None] for a in window[:6]), prior[0][None], prior[1][None])
         rules = self._rules(there.observed, there.driven)
-        start = Weighting(*(np.array([[getattr(one, name) for one in window]]) for name in Weighting._fields))
+        start = Weighting(*(a[None] for a in window[6:]))
         fit = reweighted(there.model, there.observed, *rules, _SWEEPS, start=start)
-        after: dict[str, Any] = {"_prior": prior, "_beliefs": self._beliefs}
-        after["_window"] = [
-            one._replace(**{name: getattr(fit.weighting, name)[0, i] for name in Weighting._fields})
-            for i, one in enumerate(window)
-        ]
+        window = _Window(*window[:6], *(a[0] for a in fit.weighting))
+        after: dict[str, Any] = {"_prior": prior, "_beliefs": self._beliefs, "_window": window}
         after |= self._shown(fit.smooth, step, x, P, rules)
-        if len(window) > self.N:
-            after |= self._left(there, fit.weighting, rules, after["_window"])
-        after["_settled"] = len(self.xSmooth) + 1 - len(window)
+        if len(window.z) > self.N:
+            after |= self._left(there, fit.weighting, rules, window)
+        after["_settled"] = len(self.xSmooth) + 1 - len(window.z)
         # Everything at once, so that an interrupt falls before it or behind it.
         self.__dict__.update(after)
 
-    def _step(self, z: Any, u: Any, x: Array, P: Array) -> _Step:
-        """Return a measurement with the matrices of its time."""
+    def _step(self, z: Any, u: Any, x: Array) -> _Window:
+        """Return a measurement with the matrices of its time, without the axis of steps."""
         n, m = self.dim_x, self.dim_z
         F, H = _checks.matrix("F", self.F, (n, n), "dim_x"), _checks.matrix("H", self.H, (m, n), f"dim_z={m}")
         values = np.full(m, np.nan) if z is None else np.atleast_1d(measured(z, m, missing=True))
         c = np.zeros(n) if u is None else np.zeros(n) + control_term(self.B, u, (n,))
         Q = process_noise(self.Q, None, n) * np.ones((n, n))
-        R = noise_covariance(self.R, None, m)
-        precision = np.where(np.isnan(values), 0.0, _UNJUDGED)
-        return _Step(F.copy(), Q.copy(), c, H.copy(), R.copy(), values, precision, np.zeros(m), 1.0)
+        R, precision = noise_covariance(self.R, None, m), np.where(np.isnan(values), 0.0, _UNJUDGED)
+        return _Window(F, Q, c, H, R, values, precision, np.zeros(m), np.ones(()))
 
     def _rules(self, observed: Array, driven: Array) -> tuple[Rule, Rule]:
         """Return what is made of residuals, with what was learnt so far."""
@@ -185,7 +188,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
                 rule.belief, rule.mixture = belief, rule.mixture if mixture is None else mixture
         return rules
 
-    def _shown(self, smooth: Smooth, step: _Step, x: Array, P: Array, rules: tuple[Rule, Rule]) -> dict[str, Any]:
+    def _shown(self, smooth: Smooth, step: _Window, x: Array, P: Array, rules: tuple[Rule, Rule]) -> dict[str, Any]:
         """Return filterpy's attributes after a step."""
         shape = x.shape
         prior = step.F @ x.ravel() + step.c
@@ -200,14 +203,15 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         }  # fmt: skip
 
     def _left(
-        self, there: Recording, weighting: Weighting, rules: tuple[Rule, Rule], window: list[_Step]
+        self, there: Recording, weighting: Weighting, rules: tuple[Rule, Rule], window: _Window
     ) -> dict[str, Any]:
         """Let the oldest step go: the prior of the window moves on by it, and learnt noise remembers it."""
         model = there.model
         model = model._replace(**{name: getattr(model, name)[:, :1] for name in ("F", "G", "c", "H", "z")})
         first = smoothing_pass(model, Weighting(*(a[:, :1] for a in weighting)), states=True)
         beliefs = [rule.remembered(_MEMORY) if isinstance(rule, Learnt) else Belief() for rule in rules]
-        return {"_prior": (first.x[0, 0].copy(), first.P[0, 0].copy()), "_window": window[1:], "_beliefs": beliefs}
+        window = _Window(*(a[1:] for a in window))
+        return {"_prior": (first.x[0, 0].copy(), first.P[0, 0].copy()), "_window": window, "_beliefs": beliefs}
 
     @property
     def xSmooth(self) -> list[Array]:
@@ -242,15 +246,11 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
             mixtures (2, 2, kinds), NaN where nothing is. All of float64.
         """
         x, P = state_of(self)
-        window = _stacked(self._window, self.dim_x, self.dim_z)
-        latest = self.xSmooth[len(self.xSmooth) - len(self._window) :]
-        learnt = self._learnt_arrays(self._beliefs, self._mixtures)
-        prior = {"prior_x": self._prior[0], "prior_P": self._prior[1]}
-        return _state.labelled(
-            self._kind,
-            {"x": x, "P": P, **{f"window_{name}": array for name, array in window.items()},
-             "smooth": np.reshape(latest, (len(self._window), self.dim_x)), **prior, "count": self.count, **learnt},
-        )  # fmt: skip
+        steps = len(self._window.z)
+        window = {f"window_{name}": array for name, array in self._window._asdict().items()}
+        smooth = np.reshape(self.xSmooth[len(self.xSmooth) - steps :], (steps, self.dim_x))
+        parts = {"smooth": smooth, "prior_x": self._prior[0], "prior_P": self._prior[1], "count": self.count}
+        return _state.labelled(self._kind, {"x": x, "P": P, **window, **parts, **self._learnt_arrays()})
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this smoother, or of another one made like it.
@@ -274,17 +274,15 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         B of the steps to come are those of this object.
         """
         n, m = self.dim_x, self.dim_z
-        parts = {f"window_{k}": (None, *a.shape[1:]) for k, a in _stacked([], n, m).items()}
+        parts = {f"window_{k}": (None, *a.shape[1:]) for k, a in _Window.empty(n, m)._asdict().items()}
         needed = {"x": (n,), "P": (n, n), **parts, "smooth": (None, n), "prior_x": (n,), "prior_P": (n, n), "count": ()}
-        kinds = self._kinds
-        needed |= {"beliefs": (2, 4, kinds), "mixtures": (2, 2, kinds)}
+        needed |= {name: array.shape for name, array in self._learnt_arrays().items()}
         found = _state.checked(state, self._kind, needed, {}, ("window_z", "beliefs", "mixtures"))
         steps = len(found["smooth"])
         if any(len(found[name]) != steps for name in parts):
             raise ValueError(f"state: expected {steps} steps in each part of the window, got others")
         self.x, self.P, shape = found["x"], found["P"], found["x"].shape
-        rows = [found[f"window_{name}"] for name in _Step._fields]
-        self._window = [_Step(*(row[i].item() if row.ndim == 1 else row[i] for row in rows)) for i in range(steps)]
+        self._window = _Window(*(found[name] for name in parts))
         self._prior, self.count = (found["prior_x"], found["prior_P"]), int(found["count"])
         self.xSmooth = [one.reshape(shape).copy() for one in found["smooth"]]
         self.x_s = self.xSmooth[0].copy() if steps else np.zeros(shape)
@@ -299,18 +297,14 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         """What a state belongs to."""
         return f"{type(self).__name__} of lag {self.N}"
 
-    @property
-    def _kinds(self) -> int:
-        """How many noises there are at most."""
-        return 1 if self._joint else self.dim_z
-
-    def _learnt_arrays(self, beliefs: list[Belief], mixtures: list[Mixture | None]) -> dict[str, Array]:
+    def _learnt_arrays(self) -> dict[str, Array]:
         """Return what is learnt of measurement and process noise, NaN where nothing is."""
-        found = {"beliefs": np.full((2, 4, self._kinds), np.nan), "mixtures": np.full((2, 2, self._kinds), np.nan)}
-        for i, (belief, mixture) in enumerate(zip(beliefs, mixtures, strict=True)):
-            # One that has not met a sample is made of numbers.
-            for name, parts in (("beliefs", belief), ("mixtures", mixture)):
+        kinds = 1 if self._joint else self.dim_z
+        found = {"beliefs": np.full((2, 4, kinds), np.nan), "mixtures": np.full((2, 2, kinds), np.nan)}
+        for name, noises in (("beliefs", self._beliefs), ("mixtures", self._mixtures)):
+            for i, parts in enumerate(noises):
                 for j, part in enumerate(parts or ()):
+                    # One that has not met a sample is made of numbers.
                     if np.ndim(part):
                         found[name][i, j, : np.size(part)] = np.ravel(part)
         return found
@@ -340,7 +334,8 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
             As `smooth`, with the step named.
         """
         live = copy.deepcopy(self)
-        live.N, live.count, live.xSmooth, live._window = _checks.count("N", N, 1), 0, [], []
+        live.N, live.count, live.xSmooth = _checks.count("N", N, 1), 0, []
+        live._window = _Window.empty(self.dim_x, self.dim_z)
         if us is not None and len(us) < len(zs):
             raise ValueError(f"us: expected an entry for each of the {len(zs)} measurements, got {len(us)}")
         latest = []
@@ -353,16 +348,3 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
             latest.append(live.x)
         shape = (len(latest), *np.shape(self.x))
         return np.array(live.xSmooth).reshape(shape), np.array(latest).reshape(shape)
-
-
-def _stacked(window: list[_Step], n: int, m: int) -> dict[str, Array]:
-    """Return the steps of a window as arrays with an axis of steps in front."""
-    shapes = {"F": (n, n), "Q": (n, n), "c": (n,), "H": (m, n), "R": (m, m), "z": (m,), "precision": (m,)}
-    shapes |= {"offset": (m,), "process_scale": ()}
-    return {k: np.array([getattr(one, k) for one in window]).reshape(-1, *shape) for k, shape in shapes.items()}
-
-
-def _problem(window: list[_Step], prior: tuple[Array, Array]) -> Recording:
-    """Return the smoothing problem of a window."""
-    F, Q, c, H, R, z = (np.array([getattr(one, name) for one in window])[None] for name in _Step._fields[:6])
-    return problem(F, Q, c, H, R, z, prior[0][None], prior[1][None])
