@@ -33,6 +33,10 @@ _FORMER: Final = (10, 15)
 _OF_JUMPS, _BEHIND = 5, 10
 
 
+# Arrays of as many sensors, or numbers, as there are.
+_ANY_LENGTH: Final = ("learnt", "insisting", "random", "generator")
+
+
 class StateError(ValueError):
     """A state that nothing can go on from: damaged, of something else, or of a newer format."""
 
@@ -43,6 +47,12 @@ def labelled(kind: str, arrays: Mapping[str, Any]) -> dict[str, Array]:
         LABEL: spelt(kind, FORMAT),
         **{name: np.array(value, dtype=float, order="C") for name, value in arrays.items()},
     }
+
+
+def schema(arrays: Mapping[str, Any]) -> dict[str, Shape]:
+    """Return the shapes that another state like this one has."""
+    shapes = {name: np.shape(value) for name, value in arrays.items()}
+    return {name: (None, *shape[1:]) if name in _ANY_LENGTH else shape for name, shape in shapes.items()}
 
 
 def spelt(text: str, *before: float) -> Array:

@@ -12,7 +12,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import EnsembleKalmanFilter
-from robust_filterpy._state import Shape, read, spelt
+from robust_filterpy._state import read, spelt
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
@@ -204,11 +204,6 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         """Return x, P, the members and where the random numbers are."""
         words, name = _numbered(self.rng.bit_generator.state)
         return {**super()._moving(), "sigmas": self.sigmas, "random": words, "generator": spelt(name)}
-
-    def _needed(self) -> dict[str, Shape]:
-        """Return the shapes of these."""
-        sizes: dict[str, Shape] = {"sigmas": (self.N, self.dim_x), "random": (None,), "generator": (None,)}
-        return {**super()._needed(), **sizes}
 
     def _go_on(self, found: dict[str, Array]) -> None:
         """Take over a checked state, with a generator of its own at the same place."""

@@ -25,7 +25,6 @@ from scipy.linalg import block_diag
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._state import Shape
 from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.copies import Copies, Scales
@@ -230,10 +229,6 @@ class Bounded:
         if kept is None:
             return {}
         return {"counts": np.array([kept.refused, kept.recoveries], dtype=float), "insisting": kept.insisting}
-
-    def shapes(self, n: int) -> dict[str, Shape]:
-        """Return the shapes of these."""
-        return {} if self.patience is None else {"counts": (2,), "insisting": (None,)}
 
     def resumed(self, found: dict[str, Array], x: Array, P: Array) -> Insistence | None:
         """Return the count of a state, if it is one."""
@@ -447,13 +442,6 @@ class Mixture:
             return {}
         now = self.current(kept, x, P)
         return {"means": now.means, "covariances": now.covariances, "belief": now.belief}
-
-    def shapes(self, n: int) -> dict[str, Shape]:
-        """Return the shapes of these."""
-        q = self.scales.count
-        if q == 1:
-            return {}
-        return {"means": (q, n), "covariances": (q, n, n), "belief": (q + 2, n)}
 
     def resumed(self, found: dict[str, Array], x: Array, P: Array) -> Kept | None:
         """Return the copies of a state, if their probabilities are some."""

@@ -69,7 +69,7 @@ class Customs(NamedTuple):
 class StateMixin:
     """Hold what a step moves and what is learnt of the sensors; give it as plain arrays, and go on from these.
 
-    A subclass adds to `_moving` and `_needed` what a step moves besides x, P and what its policy knows, and takes it
+    A subclass adds to `_moving` what a step moves besides x, P and what its policy knows, and takes it
     over in `_go_on`. Declared are filterpy's attributes that are written to, and those of `snapshot.SLOTS`.
     """
 
@@ -344,10 +344,9 @@ class StateMixin:
 
     def _sensor_shapes(self) -> dict[str, _state.Shape]:
         """Return the shapes of what is known of the sensors: at each place of z, and by the rows of an H passed."""
-        name, width = self._sensors_name, self._memory.shape[1]
-        by_row: dict[str, _state.Shape] = {"sensors": (None, self.dim_x), f"sensors_{name}": (None, width)}
-        by_row |= {"named": (None,), f"named_{name}": (None, width)}
-        return by_row if name == "learnt" else {name: (None, width), **by_row}
+        name, width = self._sensors_name, (None, self._memory.shape[1])
+        shapes = {"sensors": (None, self.dim_x), "named": (None,), f"sensors_{name}": width, f"named_{name}": width}
+        return shapes if name == "learnt" else {name: width, **shapes}
 
     def _sensors_in_state(self) -> dict[str, Array]:
         """Return what is known of the sensors, if anything is."""
@@ -369,8 +368,7 @@ class StateMixin:
 
     def _needed(self) -> dict[str, _state.Shape]:
         """Return the shapes of what a step moves."""
-        learnt: dict[str, _state.Shape] = {"learnt": (None, self._memory.shape[1])} if self._learns_noise else {}
-        return {"x": (self.dim_x,), "P": (self.dim_x, self.dim_x), **self._policy.shapes(self.dim_x), **learnt}
+        return {**_state.schema(self._moving()), "x": (self.dim_x,)}
 
     def _go_on(self, found: dict[str, Array]) -> None:
         """Take over a checked state."""

@@ -155,7 +155,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         prior = self._prior if len(self._window.z) else (x.ravel().copy(), P.copy())
         parts = zip(self._window, step, strict=True)
         window = _Window(*(np.concatenate([a, np.reshape(b, (1, *a.shape[1:]))]) for a, b in parts))
-        there = problem(*(a[None] for a in window[:6]), prior[0][None], prior[1][None])
+        there = problem(*(a[None] for a in (*window[:6], *prior)))
         rules = self._rules(there.observed, there.driven)
         start = Weighting(*(a[None] for a in window[6:]))
         fit = reweighted(there.model, there.observed, *rules, _SWEEPS, start=start)
