@@ -1,12 +1,12 @@
 from robust_filterpy._version import __version__ as __version__
 from robust_filterpy._warning import RobustFilterWarning as RobustFilterWarning
-from robust_filterpy.batch import filter_series as filter_series
 from robust_filterpy.correction.contaminated import Contaminated as Contaminated
 from robust_filterpy.correction.policies import Learnt as Learnt
 from robust_filterpy.diagnostics import diagnose as diagnose
 from robust_filterpy.filters import AdaptiveKalmanFilter as AdaptiveKalmanFilter
 from robust_filterpy.filters import RobustExtendedKalmanFilter as RobustExtendedKalmanFilter
 from robust_filterpy.filters import RobustUnscentedKalmanFilter as RobustUnscentedKalmanFilter
+from robust_filterpy.filters import filter_series as filter_series
 from robust_filterpy.filters import robust as robust
 from robust_filterpy.filters.kalman import RobustKalmanFilter as RobustKalmanFilter
 from robust_filterpy.identification import ARX as ARX

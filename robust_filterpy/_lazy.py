@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 _GONE = {
     "tune": "kf = estimate_noise(kf, zs).apply(kf) fits a filter's noises, noise=Learnt() learns them while it runs",
     "check_tracker": "draw('arx', ..), run_tracker(tracker, scenario), assert_tracks and its like test a tracker",
+    "batch": "filter_series is in robust_filterpy, and in robust_filterpy.filters",
     "FilterBank": "filter_series(z[:, None], .., state=result.state) takes one step of many filters",
 }
 

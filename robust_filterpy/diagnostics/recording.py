@@ -87,17 +87,16 @@ def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
         """Stand where filterpy puts its Saver."""
 
         def save(self) -> None:
-            """Keep one epoch."""
+            """Keep one epoch, with the matrices of its step."""
             k = len(kept.get("y", []))
             stage(f"sample {k} of {len(zs)}")
-            for name in (*_NAMES, *_OPTIONAL):
-                if not hasattr(kf, name):
-                    continue
-                steps = per_step.get(given.get(name, ""))
-                value = getattr(kf, name) if steps is None or steps[k] is None else steps[k]
+            _keep(kept, kf)
+            for name in given.keys() & kept.keys():
+                steps = per_step.get(given[name])
+                value = kept[name][k] if steps is None or steps[k] is None else copy.copy(steps[k])
                 if name in ("Q", "R") and np.ndim(value) == 0:
                     value = float(value) * np.eye(len(kf.x) if name == "Q" else kf.dim_z)
-                kept.setdefault(name, []).append(copy.copy(value))
+                kept[name][k] = value
 
     kf.batch_filter(zs, saver=Recorder(), **per_step)
     return _recording(kept, kf)
@@ -116,17 +115,21 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
     for k, output in enumerate(y):
         stage(f"sample {k} of {len(y)}")
         tracker.update(output, None if u is None else u[k])
-        for name in (*_NAMES, *_OPTIONAL):
-            if hasattr(kf, name):
-                kept.setdefault(name, []).append(copy.copy(getattr(kf, name)))
+        _keep(kept, kf)
         kept["z"][-1] = output
         if np.isnan(output):
             kept["y"][-1] = np.full((1, 1), np.nan)
     return _recording(kept, kf)
 
 
-_NAMES = ("z", "y", "S")
-_OPTIONAL = ("e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
+_NAMES = ("z", "y", "S", "e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
+
+
+def _keep(kept: dict[str, list[Any]], kf: Any) -> None:
+    """Keep what a filter shows now."""
+    for name in _NAMES:
+        if hasattr(kf, name):
+            kept.setdefault(name, []).append(copy.copy(getattr(kf, name)))
 
 
 def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:

@@ -5,6 +5,7 @@
 * `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learnt.
 * `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise told or learnt, copies of the
   state.
+* `series`: `filter_series`, many recordings, the noise of each learnt on request.
 * `driver`: many steps, by the kernel where it serves, else by the definition.
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.

@@ -6,5 +6,6 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter as RobustKalmanFil
 from robust_filterpy.filters.notices import CorrelatedInnovationsWarning as CorrelatedInnovationsWarning
 from robust_filterpy.filters.notices import OutlierShareWarning as OutlierShareWarning
 from robust_filterpy.filters.notices import StuckSensorWarning as StuckSensorWarning
+from robust_filterpy.filters.series import filter_series as filter_series
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter as RobustCubatureKalmanFilter
 from robust_filterpy.filters.sigma_point import RobustUnscentedKalmanFilter as RobustUnscentedKalmanFilter

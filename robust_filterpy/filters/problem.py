@@ -70,6 +70,7 @@ def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
     """Return B u of each step, (N or 1, n); None in us or Bs is no input, or the filter's own B."""
     if us is None:
         return np.zeros((1, n))
+    us, Bs = _checks.entries("us", us), _checks.entries("Bs", Bs)
     for name, values in (("us", us), ("Bs", Bs)):
         if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
             found = len(values) if hasattr(values, "__len__") else _checks.shown(values)

@@ -32,12 +32,8 @@ def of_filter(kf: Any, zs: Any, us: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any) -> 
         raise TypeError(
             f"filter: expected a linear filter, such as RobustKalmanFilter, or a tracker, got {type(kf).__name__}"
         )
-    given = {"zs": zs, "us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs}
-    zs, us, Fs, Qs, Hs, Rs = (_checks.entries(name, values) for name, values in given.items())
-    if not hasattr(zs, "__len__"):
-        raise TypeError(f"zs: expected a sequence of measurements, got {type(zs).__name__}")
     for name, values in {"us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs}.items():
-        if values is not None and len(values) != len(zs):
+        if hasattr(zs, "__len__") and values is not None and len(values) != len(zs):
             raise ValueError(f"{name}: expected {len(zs)} entries, one for each measurement, got {len(values)}")
     problem = finite(read(kf, zs, Fs, Qs, Hs, Rs, None, us))
     _checks.covariance("R", problem.R)

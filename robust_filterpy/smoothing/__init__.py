@@ -9,7 +9,7 @@
 * `nonlinear`: extended, unscented and cubature filters, made linear about the smoothed trajectory.
 * `fixed_lag`: the live form.
 
-Imports from below: `influence`, `correction`, `kernel`, `filters`, `batch`.
+Imports from below: `influence`, `correction`, `kernel`, `filters`.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ import math
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.batch.series import filter_series
+from robust_filterpy.filters.series import filter_series
 from robust_filterpy.influence.functions import Linear
 from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting
 from robust_filterpy.smoothing.recording import Recording

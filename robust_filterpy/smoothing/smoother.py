@@ -14,9 +14,9 @@ from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
-from robust_filterpy.batch.series import series_arguments
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
+from robust_filterpy.filters.series import series_arguments
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.nonlinear import Trajectory, is_nonlinear, nonlinear_trajectory
 from robust_filterpy.smoothing.readings import doubted_stretches, log_probability, misfits

@@ -5,8 +5,8 @@ import pytest
 import support
 
 from robust_filterpy import RobustKalmanFilter, StudentT
-from robust_filterpy.batch.series import filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.filters.series import filter_series
 
 
 def problem_and_series(dims=(3, 2, 0), series=4, steps=30):

@@ -18,7 +18,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.batch.series import filter_series
+from robust_filterpy.filters.series import filter_series
 from robust_filterpy.influence import Linear
 
 SIZES = [(2, 1), (4, 1), (4, 2), (7, 4), (8, 1), (20, 5)]

@@ -14,8 +14,7 @@ import pytest
 import support
 from hostile import Fleeting, guarded, leaves, mutated, spoilt
 
-from robust_filterpy import Huber, RobustKalmanFilter, kernel, smooth
-from robust_filterpy.batch import filter_series
+from robust_filterpy import Huber, RobustKalmanFilter, filter_series, kernel, smooth
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters import shell

@@ -5,12 +5,12 @@ import importlib
 import pytest
 
 import robust_filterpy
-from robust_filterpy import _lazy, batch, noise, testing
+from robust_filterpy import _lazy, noise, testing
 
 
 @pytest.mark.parametrize("module, name, mend", [
     (robust_filterpy, "tune", "estimate_noise"), (noise, "tune", "estimate_noise"),
-    (batch, "FilterBank", "filter_series"), (robust_filterpy, "FilterBank", "filter_series"),
+    (robust_filterpy, "batch", "filter_series"), (robust_filterpy, "FilterBank", "filter_series"),
     (testing, "check_tracker", "assert_tracks"),
 ])  # fmt: skip
 def test_a_name_that_is_gone_says_what_does_the_same(module, name, mend):
@@ -22,7 +22,7 @@ def test_a_name_that_is_gone_says_what_does_the_same(module, name, mend):
 
 
 def test_a_name_that_never_was_is_refused_in_python_s_own_words():
-    for room in ("batch", "noise"):
+    for room in ("smoothing", "noise"):
         with pytest.raises(AttributeError, match="has no attribute 'filter_searies'"):
             importlib.import_module(f"robust_filterpy.{room}").filter_searies  # noqa: B018
 
