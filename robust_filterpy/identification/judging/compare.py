@@ -103,9 +103,7 @@ class Comparison(Pictured):
         lines += [f"{row.name:<{width}}{row.fit:>10.2f}{row.one_step:>10.2f}{row.all:>10.2f}" for row in self.rows]
         return "\n".join([*lines, f"fits on {self.ordinary} ordinary samples, and on all {self.samples}"])
 
-    def __str__(self) -> str:
-        """Return the table."""
-        return self.to_text()
+    __str__ = to_text
 
 
 def compare(

@@ -309,6 +309,4 @@ class Selection(Pictured):
             lines.append(f"{row.structure!s:<38}{values}{'' if row.shows_delay else '  first b is 0'}")
         return "\n".join(lines)
 
-    def __str__(self) -> str:
-        """Return the table."""
-        return self.to_text()
+    __str__ = to_text

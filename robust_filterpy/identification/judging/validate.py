@@ -173,9 +173,7 @@ class Validation(Pictured):
             )
         return table(columns, name="lag")
 
-    def __str__(self) -> str:
-        """Return the text."""
-        return self.to_text()
+    __str__ = to_text
 
 
 class Validations(Pictured, tuple[Validation, ...]):
@@ -231,9 +229,7 @@ class Validations(Pictured, tuple[Validation, ...]):
         columns = {(f"output {j}", name): each[name] for j, each in enumerate(frames) for name in each}
         return table(columns, frames[0].index)
 
-    def __repr__(self) -> str:
-        """Return the text."""
-        return self.to_text()
+    __repr__ = to_text
 
 
 @overload

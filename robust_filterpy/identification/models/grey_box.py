@@ -22,10 +22,6 @@ from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.results import (
     Finding,
     Identified,
-    Summary,
-    facts_of_outputs,
-    said,
-    summarized,
 )
 from robust_filterpy.identification.models.signals import trend_of
 from robust_filterpy.identification.models.time_axis import TimeAxis
@@ -109,6 +105,10 @@ class GreyBox:
         for name, (low, high) in self.limits.items():
             if not low < self.p0[name] < high:
                 raise ValueError(f"p0: expected {name} between {low:.6g} and {high:.6g}, got {self.p0[name]:.6g}")
+
+    def __str__(self) -> str:
+        """Return the kind of structure, which is all that a title has room for."""
+        return "GreyBox"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -223,11 +223,10 @@ class GreyBoxModel(Identified):
         """Show the estimated parameters with their standard deviations."""
         return f"GreyBoxModel({self._valued(self.structure.free_names)})" + self._beside
 
-    def _summarized(self, level: float) -> Summary:
-        """Return the table, with what was found beside the parameters."""
-        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise, self.colour)
-        names = self.structure.free_names
-        return summarized("GreyBox", facts, names, self.theta, self.std, level, self.warning, said(self.findings))
+    @property
+    def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
+        """The parameters that are estimated."""
+        return self.structure.free_names, self.theta, self.std
 
     def simulate(self, u: ArrayLike | None, t: ArrayLike, x0: ArrayLike | None = None) -> Array:
         """Run the model on inputs alone.

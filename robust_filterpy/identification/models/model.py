@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification.models import regressor as coefficients
+from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.prediction import (
@@ -28,11 +28,9 @@ from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import (
     Finding,
     Identified,
-    Summary,
     coloured,
     said,
     signals_of,
-    summarized,
 )
 from robust_filterpy.identification.models.signals import measured_output, recorded_input, recorded_output, trend_of
 from robust_filterpy.identification.models.structures import OutputError, Structure
@@ -185,19 +183,16 @@ class Model(PolynomialSystem, Identified):
         return resting_level(self.parts)
 
     @property
-    def _gain(self) -> Array:
-        """What a constant input of 1 adds to the output in the end, for each input, shape (n_inputs,)."""
-        parts, found = self.parts, np.zeros(self.structure.n_inputs)
-        acting = [i for i, (nb, _) in enumerate(self.structure.inputs) if nb]
-        found[acting] = [b.sum() / (parts.f.sum() * parts.a.sum()) for b in parts.b]
-        return found
+    def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
+        """The parameters, and the constant."""
+        names, theta, std = super()._rows
+        if not self.has_offset:
+            return names, theta, std
+        return (*names, "offset"), np.append(theta, self.offset), np.append(std, self.offset_std)
 
-    def _summarized(self, level: float) -> Summary:
-        """Return the table, with what was found beside the parameters."""
-        theta, std, names = self.theta, self.std, self.structure.names
-        if self.has_offset:
-            theta, std = np.append(theta, self.offset), np.append(std, self.offset_std)
-            names = (*names, "offset")
+    @property
+    def _facts(self) -> dict[str, str]:
+        """What the table says beside the parameters."""
         known = int((~np.isnan(self.weights)).sum())
         facts = {"Samples": f"{known} of {self.weights.size}", "R": f"{self.R:.4g}"}
         if isinstance(self.noise.influence, Contaminated):
@@ -206,12 +201,8 @@ class Model(PolynomialSystem, Identified):
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.profiled:
             facts["Intervals"] = "sampled likelihood" if self.sampled else "profile likelihood"
-        facts |= coloured(self.colour)
-        if self.levels.size:
-            facts["Recordings"] = f"{self.levels.size}, each with a level"
-        if self.dt is not None:
-            facts["Sampling period"] = f"{self.dt:.6g} s"
-        return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
+        several = {"Recordings": f"{self.levels.size}, each with a level"} if self.levels.size else {}
+        return facts | coloured(self.colour) | several
 
     # Its outputs.
 
@@ -258,9 +249,10 @@ class Model(PolynomialSystem, Identified):
         if self.operating_point.any() and isinstance(start, str) and start == "rest":
             # From the start: an input of 1e8 beside which there is motion of 1 is not switched on in the first sample.
             signal = signal - self.operating_point
-            y = coefficients.simulate(self.structure, layout, Memory.at_rest(layout), self.theta, signal)
-            return axis.series(y + (self.level + float(self._gain @ self.operating_point)), "simulated")
-        y = coefficients.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
+            y = regressor.simulate(self.structure, layout, Memory.at_rest(layout), self.theta, signal)
+            gain = self._ways(self.theta[None], np.ones(1), 0)[0, :, 0]
+            return axis.series(y + (self.level + float(gain @ self.operating_point)), "simulated")
+        y = regressor.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
         integrates = self.level == 0.0 != self.offset
         rest = lfilter([self.offset], self.parts.a, np.ones(y.size)) if integrates else self.level
         return axis.series(y + rest, "simulated")

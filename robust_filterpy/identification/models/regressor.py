@@ -342,35 +342,11 @@ def poles(structure: Structure, theta: Array) -> Any:
     )
 
 
-def transfer_function(structure: Structure, theta: Array, dt: Any) -> Any:
-    """Return B/(A F) as a control.TransferFunction."""
-    import control
-
-    if structure.takes_phi:
-        coefficients(structure, theta)
-    if not structure.inputs:
-        raise ValueError(f"{structure}: expected a model with an input, this one has no transfer function")
-    if dt is not True and not (_is_number(dt) and 0.0 < dt < math.inf):
-        raise ValueError(f"dt: expected a sampling period > 0 in s, or True, got {dt!r}")
-    whole, numerators, denominators = denominator(structure, theta), [], []
-    for place, (nb, nk) in zip(structure.polynomials.b, structure.inputs, strict=True):
-        numerator = np.zeros(max(whole.size, nk + nb) if nb else whole.size)
-        numerator[nk : nk + nb] = theta[place]
-        numerators.append(numerator if numerator.any() else np.zeros(1))
-        denominators.append(np.pad(whole, (0, numerator.size - whole.size)))
-    return control.tf([numerators], [denominators], dt)
-
-
 def period(dt: Any, recorded: float | None) -> Any:
     """Return the sampling period that was asked for; for "recorded" that of the recording, True if it is unknown."""
     if not isinstance(dt, str) or dt != "recorded":
         return dt
     return True if recorded is None else recorded
-
-
-def _is_number(value: Any) -> bool:
-    """Tell whether value can be compared as a real number."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 def simulate(structure: Structure, layout: Layout, memory: Memory, theta: Array, u: Array) -> Array:

@@ -42,7 +42,6 @@ Matrices = tuple[Array, Array, Array, Array]
 class System(Estimated):
     """A linear system with parameters theta of covariance P, sampled every dt seconds: a model, a tracker."""
 
-    dt: float | None
     R: Any
 
     def _ways(self, thetas: Array, delays: Any, output: int) -> Any:
@@ -378,7 +377,20 @@ class PolynomialSystem(System):
         >>> tf.poles().real, float(tf.dcgain())
         (array([0.5]), 4.0)
         """
-        return regressor.transfer_function(self.structure, self.theta, regressor.period(dt, self.dt))
+        import control
+
+        period, whole = regressor.period(dt, self.dt), regressor.denominator(self.structure, self.theta)
+        self._require("transfer function")
+        number = isinstance(period, (int, float, np.integer, np.floating)) and not isinstance(period, bool)
+        if period is not True and not (number and 0.0 < period < np.inf):
+            raise ValueError(f"dt: expected a sampling period > 0 in s, or True, got {period!r}")
+        ways = []
+        for b in _numerators(self.structure, self.theta):
+            size = max(whole.size, b.size)
+            ways.append(
+                (np.pad(b, (0, size - b.size)) if b.any() else np.zeros(1), np.pad(whole, (0, size - whole.size)))
+            )
+        return control.tf([[b for b, _ in ways]], [[a for _, a in ways]], period)
 
     @property
     def _sizes(self) -> tuple[int, int]:
@@ -452,10 +464,10 @@ class PolynomialSystem(System):
         if n:
             A[:, 0], A[: n - 1, 1:], C[0, 0] = -a, np.eye(n - 1), 1.0
         B, D = (rows[:, 1:] - rows[:, :1] * a).T, rows[:, :1].T
-        if dead:
-            T = balancing(A, B, C)
-            return (np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, D), delays
-        return (A, B, C, D), delays
+        if not dead:
+            return (A, B, C, D), delays
+        T = balancing(A, B, C)
+        return (np.asarray(np.linalg.solve(T, A @ T)), np.asarray(np.linalg.solve(T, B)), C @ T, D), delays
 
 
 def balancing(A: Array, B: Array, C: Array) -> Array:

@@ -13,7 +13,7 @@ from robust_filterpy._brief import brief, lines_of, wrapped
 from robust_filterpy._checks import Array, count, numbers, real
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy._pictures import Pictured
-from robust_filterpy.identification.models.noise import Noise, fit_percent
+from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 
 if TYPE_CHECKING:
@@ -327,24 +327,9 @@ class Summary:
         columns = {field: [getattr(row, field) for row in self.rows] for field in Estimate._fields[1:]}
         return table(columns, [row.name for row in self.rows], "parameter")
 
-    def __str__(self) -> str:
-        """Return the table."""
-        return self.to_text()
+    __str__ = to_text
 
-    def __repr__(self) -> str:
-        """Return the table, which is what a prompt is to show."""
-        return self.to_text()
-
-
-def facts_of_outputs(weights: Array, log_likelihood: float, noise: tuple[Noise, ...], colour: float) -> dict[str, str]:
-    """Return what a summary says of a model whose outputs have each a noise."""
-    known = int((~np.isnan(weights)).sum())
-    facts = {"Samples": f"{known} of {weights.size}", "Log-likelihood": f"{log_likelihood:.1f}"}
-    for j, one in enumerate(noise):
-        share = getattr(one.influence, "contamination", None)
-        beside = "" if share is None else f", {100 * share:.1f} % wild"
-        facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
-    return facts | coloured(colour)
+    __repr__ = to_text
 
 
 def coloured(colour: float) -> dict[str, str]:
@@ -352,29 +337,13 @@ def coloured(colour: float) -> dict[str, str]:
     return {} if colour == 1.0 else {"Colored residuals": f"std times {colour:.2g}"}
 
 
-def summarized(
-    title: str,
-    facts: dict[str, str],
-    names: tuple[str, ...],
-    theta: Array,
-    std: Array,
-    level: float,
-    warning: str,
-    found: str = "",
-) -> Summary:
-    """Return the summary of parameters."""
-    lower, upper = intervals(theta, std, level)
-    z = np.divide(theta, std, out=np.full(np.shape(theta), np.nan), where=std != 0.0)
-    columns = (column.tolist() for column in (theta, std, z, lower, upper))
-    rows = tuple(Estimate(*row) for row in zip(names, *columns, strict=True))
-    return Summary(title, facts, rows, float(level), warning, found)
-
-
 class Estimated:
     """Parameters with standard deviations: a model, a tracker, physics."""
 
+    structure: Any
     theta: Any
     P: Any
+    dt: float | None = None
 
     @property
     def std(self) -> Array:
@@ -432,7 +401,15 @@ class Estimated:
         ValueError
             If level is no probability.
         """
-        return self._summarized(level)
+        names, theta, std = self._rows
+        facts, found = dict(self._facts), said(getattr(self, "findings", ()))
+        if self.dt is not None:
+            facts["Sampling period"] = f"{self.dt:.6g} s"
+        lower, upper = intervals(theta, std, level)
+        z = np.divide(theta, std, out=np.full(np.shape(theta), np.nan), where=std != 0.0)
+        columns = (column.tolist() for column in (theta, std, z, lower, upper))
+        rows = tuple(Estimate(*row) for row in zip(names, *columns, strict=True))
+        return Summary(str(self.structure), facts, rows, float(level), self._doubt, found)
 
     def to_frame(self, level: float = 0.95) -> Any:
         """Return the parameters as a pandas DataFrame, the table of `summary`.
@@ -456,17 +433,29 @@ class Estimated:
         """
         return self.summary(level).to_frame()
 
-    def _summarized(self, level: float) -> Summary:
-        """Return the table, with the facts that there are."""
-        raise NotImplementedError
+    @property
+    def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
+        """Names of what is estimated, values and standard deviations."""
+        return self.structure.names, self.theta, self.std
+
+    @property
+    def _facts(self) -> dict[str, str]:
+        """What the table says beside the parameters."""
+        return {}
+
+    @property
+    def _doubt(self) -> str:
+        """What makes the parameters doubtful; empty if nothing does."""
+        return getattr(self, "warning", "")
 
 
 class Identified(Estimated):
     """What `identify` found in a recording, whatever the kind of model: predictions, residuals, how well it fits."""
 
-    structure: Any
-    dt: float | None = None
     noise: Any
+    weights: Any
+    log_likelihood: float
+    colour: float
     findings: tuple[Finding, ...]
     warning: str
 
@@ -575,6 +564,17 @@ class Identified(Estimated):
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone."""
         raise NotImplementedError
+
+    @property
+    def _facts(self) -> dict[str, str]:
+        """What the table says of a model whose outputs have each a noise."""
+        known = int((~np.isnan(self.weights)).sum())
+        facts = {"Samples": f"{known} of {self.weights.size}", "Log-likelihood": f"{self.log_likelihood:.1f}"}
+        for j, one in enumerate(self.noise):
+            share = getattr(one.influence, "contamination", None)
+            beside = "" if share is None else f", {100 * share:.1f} % wild"
+            facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
+        return facts | coloured(self.colour)
 
     @property
     def _beside(self) -> str:

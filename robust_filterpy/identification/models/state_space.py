@@ -17,11 +17,7 @@ from robust_filterpy.identification.models.responses import Matrices, System
 from robust_filterpy.identification.models.results import (
     Finding,
     Identified,
-    Summary,
-    facts_of_outputs,
-    said,
     signals_of,
-    summarized,
 )
 from robust_filterpy.identification.models.signals import are_several, measured_outputs, recorded_input, trend_of
 from robust_filterpy.identification.models.state_space_residuals import StateSpaceResiduals
@@ -200,16 +196,17 @@ class StateSpaceModel(System, Identified):
         sizes = f"n={len(self.A)}, {m} input(s), {p} output(s)"
         return f"StateSpaceModel({sizes}, poles {poles}, noise {std}){self._beside}"
 
-    def _summarized(self, level: float) -> Summary:
-        """Return the table of all entries and the levels, with what was found beside them."""
-        facts = facts_of_outputs(self.weights, self.log_likelihood, self.noise, self.colour)
-        facts["Largest pole"] = f"{np.abs(np.linalg.eigvals(self.A)).max():.4g}"
-        if self.dt is not None:
-            facts["Sampling period"] = f"{self.dt:.6g} s"
+    @property
+    def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
+        """All entries, and the levels."""
         names = tuple(f"{name}[{i},{j}]" for name, part in self._parts.items() for i, j in np.ndindex(part.shape))
         names += tuple(f"level[{j}]" for j in range(self.level.size))
-        theta, std = np.append(self.theta, self.level), np.append(self.std, self.level_std)
-        return summarized(str(self.structure), facts, names, theta, std, level, self.warning, said(self.findings))
+        return names, np.append(self.theta, self.level), np.append(self.std, self.level_std)
+
+    @property
+    def _facts(self) -> dict[str, str]:
+        """What the table says beside the entries."""
+        return super()._facts | {"Largest pole": f"{np.abs(np.linalg.eigvals(self.A)).max():.4g}"}
 
     # The system.
 

@@ -284,9 +284,7 @@ class NoiseSpectrum(Pictured):
     dt: float
     sampled: Any
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
     def to_frame(self) -> Any:
         """Return the density and its band as a pandas DataFrame.

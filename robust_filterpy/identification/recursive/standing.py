@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models import regressor as coefficients
+from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
-from robust_filterpy.identification.models.results import Summary, summarized
 from robust_filterpy.identification.models.signals import one_input, recorded_input
 from robust_filterpy.identification.models.time_axis import recording
 from robust_filterpy.identification.recursive import setup, track
@@ -122,13 +121,15 @@ class Standing(track.Following, PolynomialSystem):
         """Standard deviations of the parameters, shape (n,); infinite until the start has found a model."""
         return super().std if self._now.begun[0] else np.full(len(self.form.own), np.inf)
 
-    def _summarized(self, level: float) -> Summary:
-        """Return the table, with what was found beside the parameters."""
-        facts = {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
-        if self.dt is not None:
-            facts["Sampling period"] = f"{self.dt:.6g} s"
-        waiting = "" if self._now.begun[0] else "the start has not found a model yet"
-        return summarized(str(self.structure), facts, self.structure.names, self.theta, self.std, level, waiting)
+    @property
+    def _facts(self) -> dict[str, str]:
+        """What the table says beside the parameters."""
+        return {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
+
+    @property
+    def _doubt(self) -> str:
+        """That there is no model yet."""
+        return "" if self._now.begun[0] else "the start has not found a model yet"
 
     def predict(self, u: ArrayLike | None = None) -> float:
         """Predict the next output, phi(k+1)' theta (paper 22), and change nothing.
@@ -182,7 +183,7 @@ class Standing(track.Following, PolynomialSystem):
         else:
             layout = Layout(self.structure)
             x, memory, level = self.theta, Memory.at_rest(layout), self.level
-        y = coefficients.simulate(self.structure, layout, memory, x, signal) + level
+        y = regressor.simulate(self.structure, layout, memory, x, signal) + level
         return axis.series(y, "simulated")
 
     @staticmethod
