@@ -27,7 +27,7 @@ from scipy.signal import fftconvolve, lfilter
 from scipy.stats import chi2, norm
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.cleaning import Cleaned, cleaned
+from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model, as_model
 from robust_filterpy.identification.models.noise import Noise
@@ -84,23 +84,23 @@ class Judged(NamedTuple):
 
 def _of_one(model: Model, y: Any, u: Any) -> Judged:
     """Return what is judged of a model with one output."""
-    measured, residual = recorded_output(y), model.residuals(y, u)
+    (prepared, measured), residual = model.prepared(y, u), model.residuals(y, u)
     known: Any = ~np.isnan(residual)
-    e = np.where(known, residual, 0.0)
-    found = cleaned(model, y, u)
+    e, found = np.where(known, residual, 0.0), cleaned(model, y, u)
     clear = _untouched(_memory(model), known[:, None], model.noise.weights(e)[:, None])[:, 0]
     clear = known & (clear if found is None else found.clear)
     tested = np.where(clear, e if found is None else found.residual, np.nan)
-    n = model.theta.size
-    P = np.zeros((n + model.has_offset, n + model.has_offset))
-    P[:n, :n] = model.P
+    n, P = model.theta.size + model.has_offset, model.P
     if model.has_offset:
-        P[:n, n] = P[n, :n] = model.offset_covariance
-        P[n, n] = model.offset_std**2
-    # The fit has seen those rows too that are not tested.
-    J = _derivatives(model, residual, y, u, found) * known[:, None]
+        beside = model.offset_covariance[:, None]
+        P = np.block([[P, beside], [beside.T, np.full((1, 1), model.offset_std**2)]])
+    # The fit has seen those rows too that are not tested; outliers in the regressor are replaced.
+    whole = model.without_outliers(prepared, measured) if found is None else found.prepared
+    J = np.zeros((residual.size, n))
+    J[whole.first :] = whole.jacobian(np.concatenate((model.theta, [model.offset], np.zeros(whole.nf))))[:, :n]
+    J *= known[:, None]
     return Judged(
-        measured[:, None], residual[:, None], tested[:, None], model.prepared(y, u)[0].u, (model.noise,),
+        recorded_output(y)[:, None], residual[:, None], tested[:, None], prepared.u, (model.noise,),
         model.weights[:, None], J[:, None], P, True,
     )  # fmt: skip
 
@@ -151,17 +151,6 @@ def _untouched(memory: Array, known: Any, weights: Array) -> Any:
     clear = reached < 0.5
     enough = (clear & known).sum(axis=0) >= _LEAST_CLEAR * known.sum(axis=0)
     return clear | ~enough
-
-
-def _derivatives(model: Model, residual: Array, y: Any, u: Any, whole: Cleaned | None) -> Array:
-    """Return the derivatives of the residuals by theta and offset, outliers in the regressor replaced."""
-    prepared, known = model.prepared(y, u)
-    n = model.theta.size
-    p = np.concatenate((model.theta, [model.offset], np.zeros(prepared.nf)))
-    prepared = whole.prepared if whole is not None else model.without_outliers(prepared, known)
-    J = np.zeros((residual.size, n + model.has_offset))
-    J[prepared.first :] = prepared.jacobian(p)[:, : n + model.has_offset]
-    return J
 
 
 class Portmanteau(NamedTuple):
