@@ -134,8 +134,9 @@ def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: 
     values = [begins[k % len(begins)].values for k in range(len(_TEMPERATURES))]
     places = [at(sections.multiplied(each)) for each in values]
     small, turns = _steps_of(sections, covariance), _STEPS // len(_TEMPERATURES)
-    total, counted = np.zeros((p.size, p.size)), 0
+    total, counted, square = np.zeros((p.size, p.size)), 0, _square(places[0], p)
     for turn in range(turns):
+        before = places[0]
         for k, temperature in enumerate(_TEMPERATURES):
             new = _next(values[k], temperature**0.5 * small, sections, rng)
             there = at(sections.multiplied(new)) if sections.are_stable(new) else None
@@ -146,8 +147,9 @@ def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: 
             if np.log(rng.random()) < (places[k].loss - places[k + 1].loss) * (colder - hotter):
                 values[k : k + 2] = values[k : k + 2][::-1]
                 places[k : k + 2] = places[k : k + 2][::-1]
+        square = square if places[0] is before else _square(places[0], p)
         if turn >= _BEGINNING * turns:
-            total, counted = total + _square(places[0], p), counted + 1
+            total, counted = total + square, counted + 1
     return total / counted
 
 
@@ -293,21 +295,20 @@ class _Loss(NamedTuple):
 
     def best(self, bent: Array) -> Place:
         """Return the least loss for these C, D and F, where it is, and how sure what is linear is there."""
-        p, weights = self.p.copy(), self.weights
+        p = self.p.copy()
         p[self.bent] = bent
         if not self.model.is_stable(p):
             return Place(np.inf, p, lambda: np.zeros((p.size, p.size)))
-        residual, X = self.model.residuals(p)[self.rows], self.model.jacobian(p)[self.rows][:, self.linear]
-        size = np.linalg.norm(X, axis=0)
+        residual, X = self.model.residuals(p)[self.rows], self.model.jacobian(p).T[self.linear][:, self.rows]
+        size = np.linalg.norm(X, axis=1)
         size = np.where(size > 0.0, size, 1.0)
-        X = X / size
-        for _ in range(_TURNS):
-            weighted = X.T * weights
-            square = weighted @ X + 1e-12 * np.eye(size.size)
+        X = X / size[:, None]
+        for turn in range(_TURNS):
+            weighted = X * (self.noise.weights(residual) if turn else self.weights)
+            square = weighted @ X.T + 1e-12 * np.eye(size.size)
             step = np.linalg.solve(square, weighted @ residual)
-            residual = residual - X @ step
+            residual = residual - step @ X
             p[self.linear] -= step / size
-            weights = self.noise.weights(residual)
 
         def spread() -> Array:
             """Return the covariance of what is linear."""
