@@ -1,7 +1,6 @@
 """The model of a whole recording, from nothing.
 
 * `identify`: the way from y and u to a model; made of
-* `recordings`: what was recorded as arrays: one recording or several, gaps in u, times that jump,
 * `limits`: parameters that are fixed, or between bounds,
 * `polynomials`, `state_space`, `grey_box`: models of one output, of states and of physics, each found by
 * `beside`, the one driver of a model beside levels that break and outliers of u: p outputs, k recordings; with `trend`:

@@ -12,15 +12,10 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
 from robust_filterpy.identification.estimation.prediction_error import evidence_of_outputs, minimised, sandwich
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
-from robust_filterpy.identification.models.grey_box_residuals import (
-    GreyRecording,
-    GreyResiduals,
-    grey_recording,
-    require_inputs,
-)
+from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals, require_inputs
 from robust_filterpy.identification.models.noise import ROUNDING, Noise, Noises
-from robust_filterpy.identification.models.results import Finding
-from robust_filterpy.identification.models.signals import are_several, fingerprint, operating_point
+from robust_filterpy.identification.models.recording import ANY_TIMES, recorded
+from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -44,10 +39,12 @@ def identified_grey_box(
     trend: str = "breaks",
 ) -> GreyBoxModel:
     """Find the parameters of a physical model."""
-    told, known, found = _recordings(y, u, t)
+    recording = recorded(ANY_TIMES, y, u, t=t)
+    outputs, inputs, spans = recording.y, recording.u, recording.spans
+    require_motion(outputs, inputs)
+    known = [~np.isnan(outputs[part]) for part in spans]
+    told = [GreyRecording(recording.times[part], np.nan_to_num(outputs[part]), inputs[part]) for part in spans]
     _require_functions(structure, told[0])
-    ends = np.cumsum([len(one.y) for one in told])
-    spans = [slice(int(end) - len(one.y), int(end)) for one, end in zip(told, ends, strict=True)]
 
     def of(y: Array, u: Array) -> list[GreyRecording]:
         return [one._replace(y=np.nan_to_num(y[part]), u=u[part]) for one, part in zip(told, spans, strict=True)]
@@ -57,9 +54,6 @@ def identified_grey_box(
         z = equations.p.free(model.theta)
         equations.settled(z)
         return np.concatenate([one.y for one in equations.recordings]) - equations.residuals(z).reshape(y.shape)
-
-    outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)])
-    inputs = np.concatenate([one.u for one in told])
 
     def find(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
         y = outputs - levels
@@ -76,7 +70,7 @@ def identified_grey_box(
         best, output, outputs - levels - output, operating_point(best.u), True, "the parameters are biased by that"
     )
     trends = tuple((fingerprint(outputs[part]), levels[part]) for part in spans if levels[part].any())
-    return replace(best.model, findings=(*found, *best.findings, *left), trends=trends)
+    return replace(best.model, findings=(*recording.findings, *best.findings, *left), trends=trends)
 
 
 def _modelled(
@@ -108,27 +102,6 @@ def _modelled(
     learnt = end.noise if influence is not None else end.noise.learnt()
     end = minimised(model, end.p, learnt, rows, rows)
     return _as_model(structure, model, end, rows)
-
-
-def _recordings(y: Any, u: Any, t: Any) -> tuple[list[GreyRecording], list[Any], tuple[Finding, ...]]:
-    """Return what was recorded, checked, and which outputs are measured."""
-    told = {"y": y, "u": u, "t": t}
-    for name, part in told.items():
-        if part is None or not are_several(y, u):
-            told[name] = [part] * (len(y) if are_several(y, u) else 1)
-        elif not isinstance(part, (list, tuple)) or len(part) != len(y):
-            got = len(part) if isinstance(part, (list, tuple)) else type(part).__name__
-            raise ValueError(f"{name}: expected a list of {len(y)} recordings like y, got {got}")
-    parts = zip(told["y"], told["u"], told["t"], strict=True)
-    checked = [grey_recording(*one, i) for i, one in enumerate(parts)]
-    for name in ("y", "u"):
-        widths = [getattr(one.recording, name).shape[1] for one in checked]
-        if len(set(widths)) > 1:
-            raise ValueError(f"{name}: expected recordings of equally many columns, got {widths}")
-    findings = tuple(found for one in checked for found in one.findings)
-    for one in checked:
-        require_motion(np.where(one.known, one.recording.y, np.nan), one.recording.u)
-    return [one.recording for one in checked], [one.known for one in checked], findings
 
 
 def _require_functions(structure: GreyBox, one: GreyRecording) -> None:

@@ -17,14 +17,15 @@ from robust_filterpy.identification.estimation.estimate import Problem
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.polynomials import identified_polynomials
-from robust_filterpy.identification.estimation.recordings import recordings
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.recording import recorded
 from robust_filterpy.identification.models.results import said
 from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["identify"]
@@ -218,19 +219,20 @@ def _of_polynomials(
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
             raise ValueError(f'trend: expected "none" with offset=False, got {_checks.shown(trend)}; leave offset out')
-    recorded = recordings(structure, y, u, groups)
-    signal = recorded.u
+    recording = recorded(structure, y, u, groups)
+    require_motion(recording.y, recording.u)
+    signal = recording.u
     offset = offset and trend != "none"
     moves = offset and not structure.takes_phi
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), influence, offset,
-        None if R is None else _checks.positive("R", R), recorded.axis.dt, begins=recorded.begins,
-        limits=limits if limits.any else None, sampled=sampled,
+        None if R is None else _checks.positive("R", R), recording.axis.dt, limits=limits if limits.any else None,
+        begins=tuple(part.start for part in recording.spans), sampled=sampled,
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
-    found = identified_polynomials(problem, recorded.y[:, None], recorded.axis.index, chosen)
-    return replace(found, findings=(*recorded.findings, *found.findings))
+    found = identified_polynomials(problem, recording.y, recording.axis.index, chosen)
+    return replace(found, findings=(*recording.findings, *found.findings))
 
 
 def _of_outputs(

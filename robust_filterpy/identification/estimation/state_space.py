@@ -18,14 +18,14 @@ from robust_filterpy.identification.estimation.prediction_error import (
     one_thread,
     sandwich,
 )
-from robust_filterpy.identification.estimation.recordings import Recordings, recordings
 from robust_filterpy.identification.estimation.starts import impulse_start, predictor_start
 from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
-from robust_filterpy.identification.models.polynomial_model import ends_of
+from robust_filterpy.identification.models.recording import Recording, recorded
 from robust_filterpy.identification.models.responses import balancing
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import Signals, StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
+from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import size_of
 
@@ -75,8 +75,9 @@ def identified_state_space(
     trend: str = "breaks",
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs."""
-    told = recordings(Signals.of(y, u), y, u, groups)
-    spans = [slice(b, e) for b, e in zip(told.begins, ends_of(told.begins, len(told.y)), strict=True)]
+    told = recorded(Signals.of(y, u), y, u, groups)
+    require_motion(told.y, told.u)
+    spans = told.spans
 
     def each(y: Array, u: Array, of: Any) -> Array:
         return np.concatenate([of(y[part], u[part]) for part in spans])
@@ -105,8 +106,8 @@ def identified_state_space(
 
 
 def _modelled(
-    told: Recordings,
-    spans: list[slice],
+    told: Recording,
+    spans: tuple[slice, ...],
     structure: StateSpace,
     influence: Influence | None,
 ) -> StateSpaceModel:
@@ -137,7 +138,7 @@ def _driven(model: StateSpaceModel, output: Array) -> Array:
     return np.asarray(dlsim(system, deviation)[1])
 
 
-def _scaled(told: Recordings, spans: list[slice]) -> tuple[Array, _Units, list[tuple[Array, Array]], list[Any]]:
+def _scaled(told: Recording, spans: tuple[slice, ...]) -> tuple[Array, _Units, list[tuple[Array, Array]], list[Any]]:
     """Return where inputs rest, the units, recordings in these, and what of them is measured."""
     rest = operating_point(told.u)
     units = _Units.of(told, spans, told.u - rest)
@@ -161,7 +162,7 @@ class _Units(NamedTuple):
     begins: tuple[int, ...]
 
     @classmethod
-    def of(cls, told: Recordings, spans: Any, u: Array) -> _Units:
+    def of(cls, told: Recording, spans: Any, u: Array) -> _Units:
         """Return the units; an output must be measured and vary."""
         centres = np.zeros((len(spans), told.y.shape[1]))
         for i, part in enumerate(spans):
@@ -179,7 +180,7 @@ class _Units(NamedTuple):
                 raise ValueError(f"y: expected outputs that vary, got the same value throughout in output {j}")
             sizes.append(size)
         rms = np.sqrt(np.mean(np.square(u), axis=0))
-        return cls(centres, np.array(sizes), np.where(rms > 0.0, rms, 1.0), told.begins)
+        return cls(centres, np.array(sizes), np.where(rms > 0.0, rms, 1.0), tuple(part.start for part in spans))
 
     def outputs(self, y: Array, part: slice) -> Array:
         """Return the outputs of a recording from their centre in their scale, 0 where they are missing."""
@@ -318,7 +319,7 @@ def _in_units(
     found: _Found,
     T: Array,
     units: _Units,
-    told: Recordings,
+    told: Recording,
     spans: Any,
     known: Any,
     rest: Array,

@@ -14,9 +14,9 @@ from robust_filterpy._checks import Array
 from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.judging.score import any_model
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
-from robust_filterpy.identification.models.grey_box_residuals import ANY_TIMES
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.recording import ANY_TIMES
 from robust_filterpy.identification.models.signals import recorded_output
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.time_axis import recording, table

@@ -7,6 +7,7 @@
   samples are no measurements.
 * `polynomial_model`: residuals of all structures and their derivatives, of one recording and of several.
 * `state_space`, `state_space_residuals`: several outputs.
+* `recording`: what was recorded, read and checked once: one or several, gaps in u, times that jump or come at will.
 * `grey_box`, `grey_box_residuals`: equations in continuous time, and their model of a recording.
 * `model`: what `identify` returns; a transfer function of python-control in its place.
 * `prediction`: predictions through outliers, and how a simulation begins.

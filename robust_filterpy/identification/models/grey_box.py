@@ -11,14 +11,9 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.grey_box_residuals import (
-    GreyRecording,
-    GreyResiduals,
-    Scale,
-    grey_recording,
-    require_inputs,
-)
+from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals, Scale, require_inputs
 from robust_filterpy.identification.models.noise import Noise, Noises
+from robust_filterpy.identification.models.recording import ANY_TIMES, recorded
 from robust_filterpy.identification.models.results import (
     Finding,
     Identified,
@@ -323,14 +318,13 @@ class GreyBoxModel(Identified):
         ValueError
             If they do not fit, or the equations overflow.
         """
-        told = grey_recording(y, u, t)
-        shape, p = told.known.shape, np.array([*self.p.values()])
+        told = recorded(ANY_TIMES, y, u, t=t)
+        shape, p = told.y.shape, np.array([*self.p.values()])
         if shape[1] != len(self.noise):
             raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
-        require_inputs(self.structure, told.recording, p)
-        rows, free = told.known.ravel(), self.structure.start == "free"
-        measured = np.where(told.known, told.recording.y, np.nan)
-        recording = told.recording._replace(y=told.recording.y - trend_of(self.trends, measured))
+        recording = GreyRecording(told.times, np.nan_to_num(told.y - trend_of(self.trends, told.y)), told.u)
+        require_inputs(self.structure, recording, p)
+        rows, free = ~np.isnan(told.y).ravel(), self.structure.start == "free"
         noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
@@ -343,7 +337,7 @@ class GreyBoxModel(Identified):
             raise ValueError(
                 "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
             )
-        return measured, recording.u, *min(ends)[2:]
+        return told.y, recording.u, *min(ends)[2:]
 
 
 def _likeliest(model: GreyResiduals, z: Array, noise: Noises, rows: Any) -> Array:
