@@ -280,6 +280,7 @@ class TrackerBank(track.Following):
         self.F = setup.matrices("F", np.eye(d) if F is None else F, n, d).copy()
         self._forgetting = setup.factors(forgetting, n)
         self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
+        self._made: Any = None
         scale = np.tile(one.now.scale, (n, 1))
         scale[:, 0] = setup.variances(1.0 if R is None else R, n)
         if R is not None:
@@ -522,8 +523,12 @@ class TrackerBank(track.Following):
         def place(k: int, i: int) -> str:
             return f"actuator {i}: " if first is None else f"sample {first + k}: actuator {i}: "
 
-        rules, F, Q = track.rules_of(self._choices), *(plain(self._matrices(name))[:, None] for name in "FQ")
-        return track.Settings(rules, F, Q, self._alpha_sq, self._enabled, self._filter, place)
+        key = [(a.shape, a.tobytes()) for a in (numbers(name, getattr(self, name)) for name in "FQ")]
+        if self._made is None or self._made[0] != key:
+            # What a sample depends on is made anew where something else has been set, in place too.
+            F, Q = (plain(self._matrices(name))[:, None] for name in "FQ")
+            self._made = key, (track.rules_of(self._choices), F, Q)
+        return track.Settings(*self._made[1], self._alpha_sq, self._enabled, self._filter, place)
 
     def _filter(self, i: int) -> Any:
         """Return a filter of one actuator, for the definition."""

@@ -382,6 +382,8 @@ def outputs(y: Any, n: int, recorded: bool) -> Array:
     if values.ndim != 1 + recorded or values.shape[-1] != n or values.size == 0:
         shape = f"(N, {n}), N >= 1," if recorded else f"({n},)"
         raise ValueError(f"y: expected shape {shape} for n={n}, got {described(values)}")
+    if not (np.abs(values) > LARGEST).any():
+        return values
     infinite = np.isinf(values)
     if infinite.any():
         raise ValueError(f"y: expected finite numbers or NaN (missing), got infinity{_where(infinite)}")
@@ -405,13 +407,14 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
         raise ValueError(
             f"u: expected shape {forms[0]} for all or {forms[1]} for {structure} and n={n}, got {described(found)}"
         )
-    bad = ~(np.abs(values) <= LARGEST).all(axis=-1)
-    if bad.any():
+    good = np.abs(values) <= LARGEST
+    if not good.all():
+        bad = ~good.all(axis=-1)
         raise ValueError(
             f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing), got "
             f"{values[bad][0]}{_where(np.broadcast_to(bad, (*time, n)))}"
         )
-    return np.broadcast_to(values, (*time, n, width))
+    return values if values.shape == (*time, n, width) else np.broadcast_to(values, (*time, n, width))
 
 
 def _where(bad: np.ndarray) -> str:

@@ -200,7 +200,7 @@ class State(NamedTuple):
 
     def copied(self) -> State:
         """Return it with copies of what a sample moves, to be written into."""
-        past = Memory(*[a.copy() for a in self.past])
+        past = Memory(*[a.copy() if a.size else a for a in self.past])
         return State(self.theta.copy(), self.P.copy(), past, self.scale.copy(), self.readings.copy(), *self[5:])
 
     def rows(self, which: np.ndarray | slice) -> State:

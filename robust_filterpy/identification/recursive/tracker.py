@@ -593,12 +593,15 @@ class ParameterTracker(Standing):
 
     def _held(self) -> tuple[Any, ...]:
         """Return what a call changes."""
-        return snapshot(self._filter), self._now, self._time, self.dt, self._unshown
+        # A filter that nobody has seen is written over when it is asked for.
+        kept = snapshot(self._filter) if self._asked or self._using().rules is None else None
+        return kept, self._now, self._time, self.dt, self._unshown
 
     def _put_back(self, before: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
         kept, self._now, self._time, self.dt, self._unshown = before
-        put_back(self._filter, kept)
+        if kept is not None:
+            put_back(self._filter, kept)
 
     # Interruption.
 
