@@ -341,7 +341,8 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         if (!tracker_correct(n, rule, tempered * nu, tempered * tempered * own + r, r, x, P, C,
                              sharp ? (tempered < 1 ? rest : g) : NULL, sample, W))
             return 0;
-        if (told != told && scale[3] > 0) {
+        /* What vanishes beside R brings no information, as while input and output rest, and teaches no noise either. */
+        if (told != told && scale[3] > 0 && S + nu * nu != r) {
             tracker_follow(scale, nu, S);
             if (s->scale[1] < TRACKER_EARLY && scale[0] > r) grown = scale[0] / r;
         }

@@ -1,6 +1,7 @@
 """One pure step: the filter's and tracker's own numbers, however the samples are cut, and nothing is written into."""
 
 import copy
+import itertools
 import pickle
 import warnings
 from dataclasses import replace
@@ -8,11 +9,12 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from support import two_sided
 from test_engines import Store
 from test_state import FILTERS, F, extended, observe, recording, signals
 
-from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, robust
+from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
 from robust_filterpy.fleet.states import _ragged
@@ -700,3 +702,28 @@ def test_the_names_and_the_order_of_before_serve_for_one_release_and_say_so():
     assert list(states) == list(now)
     with pytest.warns(DeprecationWarning, match="model first"):
         pd.testing.assert_frame_equal(filter_table(table, model), filter_table(model, table))
+
+
+@pytest.mark.parametrize("options", [{"start": 0}, {"start": 0, "regressor": "cleaned", "offset": True}])
+def test_keys_of_trackers_go_together_and_are_the_trackers(options, monkeypatch):
+    rng, keys = np.random.default_rng(8), list("abcde")
+    u = rng.choice([-1.0, 1.0], (5, 150))
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -0.6], u, axis=1) + 0.1 * rng.normal(size=u.shape)
+    y[0, 140:], y[rng.random(y.shape) < 0.05] = 1e12, np.nan
+    model, states, calls = TrackerModel(ARX(1, 2), options, measurements=["y"], inputs=["u"]), None, []
+    alone = ParameterTracker.advance
+    monkeypatch.setattr(ParameterTracker, "advance", lambda *given: calls.append(0) or alone(*given))
+    cuts = [0, 1, 40, 41, 120, 150]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for first, stop in itertools.pairwise(cuts):
+            part = {"key": np.repeat(keys, stop - first), "y": y[:, first:stop].ravel(), "u": u[:, first:stop].ravel()}
+            states, found = step(model, states, pd.DataFrame(part), key="key")
+        assert kernel.extension() is None or not calls
+        for i, key in enumerate(keys):
+            tracker = ParameterTracker(ARX(1, 2), **options)
+            result = tracker.advance(y[i], u[i][:, None], None)
+            np.testing.assert_array_equal(found[found.key == key].prediction, result.prediction[120:])
+            for name, value in tracker.state().items():
+                if name in states[key] and name != "format":
+                    np.testing.assert_array_equal(states[key][name], value, err_msg=name)

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import support
 from scipy.signal import lfilter
 
 from robust_filterpy import Contaminated
@@ -177,3 +178,23 @@ def test_gross_errors_do_not_stop_a_robust_regression():
     y = X @ np.arange(5.0) + 0.1 * rng.normal(size=400)
     y[::14] = 1e6 * rng.normal(size=y[::14].size)
     assert np.abs(robust_regression(X, y) - np.arange(5.0)).max() < 0.05
+
+
+@pytest.mark.parametrize("by_kernel", [True, False])
+@pytest.mark.parametrize("first", [0, 200])
+@pytest.mark.parametrize("structure", [ARX(2, 2), OutputError(2, 2)], ids=str)
+def test_while_input_and_output_rest_no_noise_is_learnt(structure, first, by_kernel, monkeypatch):
+    if not by_kernel:
+        support.without_kernel(monkeypatch)
+    rng = np.random.default_rng(5)
+    rests = slice(first, 3000 if by_kernel else 600)
+    u = rng.choice([-1.0, 1.0], rests.stop + 400)
+    u[rests] = 0.0
+    y = lfilter(B, A, u) + 0.2 * rng.normal(size=u.size)
+    y[first + 50 * bool(first) : rests.stop] = 0.0
+    tracker = ParameterTracker(structure, start=0)
+    tracker.run(y[: rests.stop], u[: rests.stop])
+    assert 1e-4 < tracker.R <= 1.0
+    tracker.run(y[rests.stop :], u[rests.stop :])
+    np.testing.assert_allclose(tracker.theta, [-1.5, 0.7, 1.0, 0.5], atol=0.15)
+    assert 0.02 < tracker.R < 0.5

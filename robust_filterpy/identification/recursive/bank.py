@@ -528,7 +528,8 @@ class TrackerBank(track.Following):
             # What a sample depends on is made anew where something else has been set, in place too.
             F, Q = (plain(self._matrices(name))[:, None] for name in "FQ")
             self._made = key, (track.rules_of(self._choices), F, Q)
-        return track.Settings(*self._made[1], self._alpha_sq, self._enabled, self._filter, place)
+        rules, F, Q = self._made[1]
+        return track.Settings(rules, F, Q, self._alpha_sq, self._enabled, self._filter, place)
 
     def _filter(self, i: int) -> Any:
         """Return a filter of one actuator, for the definition."""

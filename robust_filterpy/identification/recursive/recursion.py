@@ -113,7 +113,8 @@ class Recursion:
             S = variance(G, kf.P, r)
             outlying = abs(y - predicted) > CLEANED_FROM * math.sqrt(S)
             weight = _corrected(kf, G, y, predicted, R, r, self.filtered)
-            if R is None and self.scale.memory:
+            # What vanishes beside R brings no information, as while input and output rest, and teaches no noise either.
+            if R is None and self.scale.memory and S + (y - predicted) * (y - predicted) != r:
                 self.scale = _followed(kf, self.scale, r, y - predicted, S)
         if self.enabled and layout.stable:
             moved, event = restrained(np.ravel(kf.x), old, layout.stable, self.guard)

@@ -309,6 +309,22 @@ class State(NamedTuple):
 _STARTS = State._fields.index("starts")
 
 
+def padded(parts: Any) -> Array:
+    """Return arrays of different lengths as one, NaN before the shorter ones."""
+    found = np.full((len(parts), max(map(len, parts)), parts[0].shape[1]), np.nan)
+    for whole, part in zip(found, parts, strict=True):
+        whole[len(whole) - len(part) :] = part
+    return found
+
+
+def apart(whole: Array, lengths: np.ndarray) -> np.ndarray:
+    """Return the last rows of each of several arrays, so many, as an array of objects."""
+    found = np.empty(len(whole), dtype=object)
+    for i, length in enumerate(lengths.tolist()):
+        found[i] = whole[i, whole.shape[1] - length :].copy()
+    return found
+
+
 def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
     """Return the state of n actuators that have seen nothing; told: whether they are to begin without a start."""
     n, structure = len(theta), form.structure

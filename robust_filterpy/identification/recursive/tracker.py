@@ -33,8 +33,9 @@ from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor, ordinary_mean
 from robust_filterpy.identification.recursive.standing import Standing
-from robust_filterpy.identification.recursive.state import Form, State, at_rest, checked
+from robust_filterpy.identification.recursive.state import Form, State, apart, at_rest, checked, padded
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
+from robust_filterpy.identification.recursive.watch import SPAN
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.series import plain
 
@@ -543,6 +544,46 @@ class ParameterTracker(Standing):
         if news:
             self._say(news)
         return out
+
+    @property
+    def is_one_of_many(self) -> bool:
+        """Whether the kernel takes its samples, beside those of others, and its filter keeps nothing of its own."""
+        return self._using().rules is not None and not kept_beside(self._filter)
+
+    def together(self, states: Mapping[str, Any], y: Array, u: Array) -> tuple[Columns, dict[str, np.ndarray]]:
+        """Take the checked samples of several like this one, or raise; this one stays as it is.
+
+        Parameters
+        ----------
+        states : mapping of str to ndarray
+            Arrays of as many states, with an axis in front; "start" and "followed", whose lengths differ, in arrays of
+            objects.
+        y : ndarray, shape (n, N)
+            Outputs, NaN where one is missing.
+        u : ndarray, shape (n, N, n_inputs)
+            Inputs.
+
+        Returns
+        -------
+        out : Columns
+            With the axes (n, N).
+        after : dict of str to ndarray
+            The states after it.
+        """
+        n = len(y)
+        kept = np.array([len(one) for one in states["start"]])
+        found = {**states, "kept": kept, **{name: padded(states[name]) for name in ("start", "followed")}}
+        flags = np.tile(self.form.flags, (n, 1))
+        form = self.form._replace(gradient=self.form.gradient.repeat(n), guard=self.form.guard.repeat(n), flags=flags)
+        settings = {name: value.shape for name, value in setup.settings(self._filter).items() if name != "R"}
+        found = checked(found, form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
+        now = self._now.rows(np.zeros(n, dtype=int)).restored(found, found["R"].ravel())
+        using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), enabled=found["enabled"])
+        now, out, news = track.advance(form, using, now, y, u, None)
+        self._say(news)
+        after = now.arrays() | {"enabled": found["enabled"], "R": now.scale[:, :1, None]}
+        lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.followed.seen, SPAN)}
+        return out, after | {name: apart(after[name], size) for name, size in lengths.items()}
 
     @property
     def filter(self) -> Any:

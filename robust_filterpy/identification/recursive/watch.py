@@ -36,7 +36,7 @@ _MOST_GUARDED: Final = 0.25
 _OFFSET: Final = 2.0
 # Residuals are held against the past inputs in windows of so many samples, this many apart: a plant that changes is
 # in the whole of one after their sum.
-_SPAN: Final = 120
+SPAN: Final = 120
 _PERIOD: Final = 40
 # A level has moved if so many residuals in a row, or more, are so many standard deviations of their mean off zero: with
 # 30 % outliers, all on one side, quiet runs reach 5.6.
@@ -85,7 +85,7 @@ class Followed(NamedTuple):
     usual: Array
     """Of ordinary residuals the autocovariances, and how much of them follows the inputs anyway, (n, 4)."""
     rows: Array
-    """The last residuals, and the predictions and inputs of the same samples, (n, _SPAN, 1 + n_signals)."""
+    """The last residuals, and the predictions and inputs of the same samples, (n, SPAN, 1 + n_signals)."""
     scores: Array
     """Of the gain in the last blocks of _PERIOD samples, (n, gain.BLOCKS, 2)."""
 
@@ -104,7 +104,7 @@ class Followed(NamedTuple):
         -------
         Followed
         """
-        rows, scores = np.zeros((n, _SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2))
+        rows, scores = np.zeros((n, SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2))
         return cls(np.zeros(n, dtype=int), np.zeros((n, _USUAL)), rows, scores)
 
     @property
@@ -127,9 +127,9 @@ class Followed(NamedTuple):
         -------
         Followed
         """
-        whole = np.zeros((len(rows), _SPAN, rows.shape[2]))
-        last = rows[:, -_SPAN:]
-        whole[:, _SPAN - last.shape[1] :] = last
+        whole = np.zeros((len(rows), SPAN, rows.shape[2]))
+        last = rows[:, -SPAN:]
+        whole[:, SPAN - last.shape[1] :] = last
         found = cls.none(len(rows), rows.shape[2] - 1)
         every = found.numbers
         every[:, : numbers.shape[1]] = numbers
@@ -167,7 +167,7 @@ class Followed(NamedTuple):
         share : float
             How much of the residuals follows the inputs, 0 if not in most of the windows beyond chance.
         """
-        windows = [slice(k - _SPAN, k) for k in range(len(residuals), _SPAN - 1, -_SPAN)]
+        windows = [slice(k - SPAN, k) for k in range(len(residuals), SPAN - 1, -SPAN)]
         after = self.forgotten(i)
         if not windows or np.isnan(residuals).all() or _tells_nothing(residuals, rounding):
             return after, 0.0
@@ -213,13 +213,13 @@ class Followed(NamedTuple):
             Which actuators have lost their plants, in words.
         """
         seen, usual, rows, scores = (a.copy() for a in self)
-        new = np.concatenate((residuals[..., None], signals), axis=2)[:, -_SPAN:]
+        new = np.concatenate((residuals[..., None], signals), axis=2)[:, -SPAN:]
         rows[which] = np.concatenate((self.rows[which, new.shape[1] :], new), axis=1)
         seen[which] += residuals.shape[1]
         news: News = []
         for k, i in enumerate(which.tolist()):
             e, shown = rows[i, :, 0], rows[i, :, 1:]
-            if seen[i] % _PERIOD or seen[i] < _SPAN or _tells_nothing(e, float(rounding[k])):
+            if seen[i] % _PERIOD or seen[i] < SPAN or _tells_nothing(e, float(rounding[k])):
                 continue
             trouble, usual[i] = _trouble(e, shown, usual[i], has_offset)
             x = gain.driven(structure, theta[k], shown[:, 0], shown[:, 1:])
@@ -250,7 +250,7 @@ _OFF: Final = (
 
 def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -> tuple[str, Array]:
     """Return why the model is another plant's, nothing if what it leaves is usual or chance, and what is usual then."""
-    if np.isnan(residuals).sum() > _SPAN // 2:
+    if np.isnan(residuals).sum() > SPAN // 2:
         # A gap is neither unusual nor what is usual from now on.
         return "", usual
     covariances, anyway = usual[:3], usual[3]
@@ -259,7 +259,7 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     found = dependence(residuals, signals, whitening=whitening_of(covariances))
     share = max(float(found.share), 0.0)
     if found.found and share > SHARE + anyway:
-        return _ANOTHER.format(_SPAN, 100 * share), usual
+        return _ANOTHER.format(SPAN, 100 * share), usual
     moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
     if moved or (share > 0.5 * SHARE + anyway and usual[0]):
         return moved, usual
@@ -286,7 +286,7 @@ def _stretches(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _moved(residuals: Array, covariances: Array) -> str:
     """Say which residuals in a row are off zero by more than chance, nothing if none are."""
-    scale = mad_scale(residuals - np.median(residuals)) if residuals.size >= _SPAN // 2 else 0.0
+    scale = mad_scale(residuals - np.median(residuals)) if residuals.size >= SPAN // 2 else 0.0
     if not scale > 0.0:
         return ""
     sums = np.append(0.0, np.cumsum(np.clip(residuals / scale, -CLIP, CLIP)))
