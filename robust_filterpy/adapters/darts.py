@@ -102,5 +102,5 @@ class RobustKalmanModel(FilteringModel):  # type: ignore[misc, unused-ignore]
         super().filter(series)
         if self.model is None:
             self.model = SeriesModel.of(self.filter_, series.values().astype(float))
-        found = self.model.estimates(series.values().astype(float), smoothed=self.smoothed)
-        return series.with_values(found.astype(series.dtype)[:, :, None])
+        estimates = self.model.estimates(series.values().astype(float), smoothed=self.smoothed)
+        return series.with_values(estimates.astype(series.dtype)[:, :, None])

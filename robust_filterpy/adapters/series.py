@@ -112,7 +112,7 @@ class SeriesModel:
             As `checked`.
         """
         self.checked(values)
-        found, begin = [], 0
+        estimates, begin = [], 0
         for kf in self.filters:
             columns, begin = values[:, begin : begin + kf.dim_z], begin + kf.dim_z
             kf = copy.deepcopy(kf)
@@ -120,8 +120,8 @@ class SeriesModel:
                 kf.x[0, 0] = _first_level(columns[:, 0])
             x = smooth(kf, columns).x if smoothed else kf.batch_filter(columns)[0]
             x = np.reshape(x, (len(values), -1))
-            found.append(x if states else x @ np.transpose(kf.H))
-        return np.concatenate(found, axis=1)
+            estimates.append(x if states else x @ np.transpose(kf.H))
+        return np.concatenate(estimates, axis=1)
 
 
 def _finite(values: Array) -> None:

@@ -95,9 +95,9 @@ class RobustKalmanTransformer(BaseTransformer):  # type: ignore[misc, unused-ign
 
     def _transform(self, X: pd.DataFrame, y: Any = None) -> pd.DataFrame:
         """Return the estimates, with the index of X."""
-        found = self.model_.estimates(X.to_numpy(dtype=float), smoothed=self.smoothed, states=self.states)
-        columns = [f"x{i}" for i in range(found.shape[1])] if self.states else X.columns
-        return pd.DataFrame(found, index=X.index, columns=columns)
+        estimates = self.model_.estimates(X.to_numpy(dtype=float), smoothed=self.smoothed, states=self.states)
+        columns = [f"x{i}" for i in range(estimates.shape[1])] if self.states else X.columns
+        return pd.DataFrame(estimates, index=X.index, columns=columns)
 
     @classmethod
     def get_test_params(cls, parameter_set: str = "default") -> list[dict[str, Any]]:

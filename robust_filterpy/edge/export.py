@@ -107,27 +107,27 @@ def export_c(
             'float can be, got "single"'
         )
     if plain:
-        found = (described_mixture if mixes(model) else described_filter)(model, name)  # type: ignore[arg-type]
+        form = (described_mixture if mixes(model) else described_filter)(model, name)  # type: ignore[arg-type]
     elif extended:
-        found = described_extended(model, name)  # type: ignore[arg-type]
+        form = described_extended(model, name)  # type: ignore[arg-type]
     elif type(model) is ParameterTracker:
-        found = described_tracker(model, name)
+        form = described_tracker(model, name)
     else:
         raise TypeError(
             f"model: expected a RobustKalmanFilter or a ParameterTracker, got {_checks.shown(type(model).__name__)}; "
             f"{_remedy(model)}"
         )
     values = {
-        **found.values, "title": comment(found.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
+        **form.values, "title": comment(form.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
     }  # fmt: skip
     if "remark" in values:
         values["remark"] = comment(f"A component of z that is NaN is missing. {values['remark']}")
     exported = Exported(source, source.with_suffix(".h"))
-    values |= {part: rendered(text, values) for part, text in found.parts.items()}
-    texts = (_code(found, values, name, precision), _tidy(rendered(f"{found.header or found.text}.h", values)))
+    values |= {part: rendered(text, values) for part, text in form.parts.items()}
+    texts = (_code(form, values, name, precision), _tidy(rendered(f"{form.header or form.text}.h", values)))
     own = set(re.findall(rf"\b(?:{name}|{name.upper()})_\w+", re.sub(r"/\*.*?\*/", "", texts[1], flags=re.DOTALL)))
-    if taken := own.intersection(re.findall(r"\w+", _kernel(found.headers))):
+    if taken := own.intersection(re.findall(r"\w+", _kernel(form.headers))):
         raise ValueError(
             f"path: expected a name that the kernel does not use, got {source.name!r}, which makes {min(taken)}; "
             f"use my_{source.name}"
@@ -137,15 +137,15 @@ def export_c(
     return exported
 
 
-def _code(found: Described, values: dict[str, str], name: str, precision: str) -> str:
+def _code(form: Described, values: dict[str, str], name: str, precision: str) -> str:
     """Return the C file."""
     tables = (
-        table(f"const {name}_model {name}_default", found.model, precision),
-        table(f"const {name}_state {name}_start", found.start, precision),
+        table(f"const {name}_model {name}_default", form.model, precision),
+        table(f"const {name}_state {name}_start", form.start, precision),
     )
     define = "#define ROBUST_FILTERPY_FLOAT\n" if precision == "single" else ""
     start = f'/*\n * {values["title"]}\n *\n * See {name}.h.\n */\n#include "{name}.h"\n\n{define}'
-    return _tidy("\n".join([start, _kernel(found.headers), *tables, rendered(f"{found.text}.c", values)]))
+    return _tidy("\n".join([start, _kernel(form.headers), *tables, rendered(f"{form.text}.c", values)]))
 
 
 def _kernel(headers: tuple[str, ...]) -> str:

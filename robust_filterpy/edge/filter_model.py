@@ -78,15 +78,15 @@ def matrices(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> dict[str, A
     H = {"H": finite("H", kf.H, (m, n))} if isinstance(kf, RobustKalmanFilter) else {}
     Q, R = symmetric("Q", process_noise(kf.Q, None, n)), symmetric("R", noise_covariance(kf.R, None, m))
     alpha_sq = float(kf.state().get("alpha_sq", 1.0))
-    found = {"F": F, **({} if B is None else {"B": B}), "Q": Q, **H, "R": R}
-    return found if alpha_sq == 1.0 else found | {"alpha_sq": alpha_sq}
+    model = {"F": F, **({} if B is None else {"B": B}), "Q": Q, **H, "R": R}
+    return model if alpha_sq == 1.0 else model | {"alpha_sq": alpha_sq}
 
 
 def sensor_memory(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Array:
     """Return what a filter knows of its sensors, by its name in a state: nothing before the first correction."""
     nothing = kf.policy.begin(kf.dim_z)
-    known = kf.state().get(name, nothing)
-    return known if len(known) == len(nothing) else nothing
+    memory = kf.state().get(name, nothing)
+    return memory if len(memory) == len(nothing) else nothing
 
 
 def matrix_values(model: dict[str, Any], name: str) -> dict[str, str]:
@@ -184,10 +184,10 @@ def require_plain(kf: Any, name: str) -> None:
 
 def influence_fields(choices: Choices) -> dict[str, Any]:
     """Return the parameters of psi, and E[psi'] where that is asked for."""
-    found: dict[str, Any] = psi_of(choices)[1].copy()
+    fields: dict[str, Any] = psi_of(choices)[1].copy()
     if choices.information == "expected":
-        found["expected"] = float(choices.expected)
-    return found
+        fields["expected"] = float(choices.expected)
+    return fields
 
 
 def influence_declarations(choices: Choices, name: str) -> str:
@@ -216,20 +216,20 @@ def symmetric(name: str, matrix: Array) -> Array:
 
 def finite(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     """Return an array of this shape, or raise."""
-    found = _checks.numbers(name, value)
-    if found.shape != shape or not np.isfinite(found).all():
+    array = _checks.numbers(name, value)
+    if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {_checks.shown(value)}")
-    return found
+    return array
 
 
 def _control(B: Any, n: int) -> Array | None:
     """Return the control matrix, shape (n, dim_u), None if there is none."""
     if B is None or (np.ndim(B) == 0 and B == 0.0) or np.size(B) == 0:
         return None
-    found = _checks.numbers("B", B)
-    if found.size % n or (found.ndim and len(found) != n):
-        raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(found)}")
-    return finite("B", found.reshape(n, -1), (n, found.size // n))
+    control = _checks.numbers("B", B)
+    if control.size % n or (control.ndim and len(control) != n):
+        raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(control)}")
+    return finite("B", control.reshape(n, -1), (n, control.size // n))
 
 
 def psi_of(choices: Choices) -> tuple[str, dict[str, float]]:

@@ -54,15 +54,15 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
     model = matrices(kf)
     # One copy, which is x and P themselves, is not kept apart.
     one = start_of_copies(x.ravel(), P, process_scales(None))
-    kept: dict[str, Any] = {"means": one.x, "covariances": one.P, "belief": one.belief} | kf.state()
-    copies, width = len(kept["means"]), len(begin)
-    for covariance in (P, *kept["covariances"]):
+    state: dict[str, Any] = {"means": one.x, "covariances": one.P, "belief": one.belief} | kf.state()
+    copies, width = len(state["means"]), len(begin)
+    for covariance in (P, *state["covariances"]):
         symmetric("P", covariance)
     # As they stand: what is symmetric but for the last bit has to go on as it would in Python.
     start = {
-        "x": finite("x", x.ravel(), (n,)), "P": P, "means": finite("x", kept["means"], (copies, n)),
-        "covariances": np.concatenate(kept["covariances"]),
-        "belief": kept["belief"].ravel(),
+        "x": finite("x", x.ravel(), (n,)), "P": P, "means": finite("x", state["means"], (copies, n)),
+        "covariances": np.concatenate(state["covariances"]),
+        "belief": state["belief"].ravel(),
         "memory": finite("memory", sensor_memory(kf, "learnt"), (m, width)),
     }  # fmt: skip
     stay, jump, remembered, r_remembered = rule[2:6]
@@ -108,9 +108,9 @@ def is_extended(model: Any) -> bool:
 
 def described_extended(kf: RobustExtendedKalmanFilter, name: str) -> Described:
     """Return what the C of an extended filter is made of, or raise."""
-    found = _mixed(kf, name) if mixes(kf) else _bounded(kf, name)
+    base = _mixed(kf, name) if mixes(kf) else _bounded(kf, name)
     moves = type(kf).predict_x is not RobustExtendedKalmanFilter.predict_x or "predict_x" in vars(kf)
-    has_control = bool(found.values["inputs_define"])
+    has_control = bool(base.values["inputs_define"])
     values = {
         "sensor_field": "", "innovation": "residual(z, h(x))",
         "example_motion": ", &motion" if moves else ", NULL", "example_sensor": ", &sensor",
@@ -121,41 +121,41 @@ def described_extended(kf: RobustExtendedKalmanFilter, name: str) -> Described:
         f"NULL{', and then with the control input u, unless that is NULL' if has_control else ''}. */",
         "motion_needed": _NEEDED.format(name.upper()) if moves else "",
         "control_too": " || (u != NULL)" if has_control else "",
-        "remark": f"{found.values['remark']} h, f and their Jacobians are yours: see {name}_sensor and {name}_motion.",
+        "remark": f"{base.values['remark']} h, f and their Jacobians are yours: see {name}_sensor and {name}_motion.",
     }  # fmt: skip
     return replace(
-        found, text="extended", header="filter", parts={**found.parts, "functions": "functions.h"},
-        values={**found.values, **values},
+        base, text="extended", header="filter", parts={**base.parts, "functions": "functions.h"},
+        values={**base.values, **values},
     )  # fmt: skip
 
 
 def _bounded(kf: RobustExtendedKalmanFilter, name: str) -> Described:
     """Return what a correction by psi needs."""
-    found = described_filter(kf, name)
+    base = described_filter(kf, name)
     needs = """$grouping
     correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $joint};
     correction c;
     real work[update_moments_work(N, M)] = {0};
     int seen = 0;"""
     return replace(
-        found, headers=(*found.headers, "moments"),
-        parts={**found.parts, "correction": "bounded.c"},
-        values={**found.values, "classes": "", "correction_needs": Template(needs).substitute(found.values)},
+        base, headers=(*base.headers, "moments"),
+        parts={**base.parts, "correction": "bounded.c"},
+        values={**base.values, "classes": "", "correction_needs": Template(needs).substitute(base.values)},
     )  # fmt: skip
 
 
 def _mixed(kf: RobustExtendedKalmanFilter, name: str) -> Described:
     """Return what a correction by the score of a mixture needs: one copy, which is x and P themselves."""
-    found = described_mixture(kf, name)
+    base = described_mixture(kf, name)
     needs = """    learnt_state s;
     real work[learnt_correct_work(N, M, 1, CLASSES)] = {0};
     real weights[M], outlying[M], belief[3 * N] = {0}, likelihood = 0;"""
     return replace(
-        found, headers=("real", "prediction", "repeats", "learnt"), parts={**found.parts, "correction": "mixed.c"},
-        start={field: found.start[field] for field in ("x", "P", "memory")},
+        base, headers=("real", "prediction", "repeats", "learnt"), parts={**base.parts, "correction": "mixed.c"},
+        start={field: base.start[field] for field in ("x", "P", "memory")},
         values={
-            **found.values, "correction_needs": needs, "rule": "", "refusal": "", "copies_fields": "",
-            "memory_field": memory_field(found.start["memory"].shape, name),
+            **base.values, "correction_needs": needs, "rule": "", "refusal": "", "copies_fields": "",
+            "memory_field": memory_field(base.start["memory"].shape, name),
         },
     )  # fmt: skip
 

@@ -147,7 +147,7 @@ def bootstrap_interval(
     source = "rng" if "rng" in inspect.signature(stats.bootstrap).parameters else "random_state"
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
         warnings.filterwarnings("ignore", category=stats.DegenerateDataWarning)
-        found = stats.bootstrap(
+        interval = stats.bootstrap(
             arrays,
             function,
             paired=True,
@@ -159,10 +159,10 @@ def bootstrap_interval(
             **{source: default_rng(rng)},
         )
         estimate = np.asarray(_apply(function, arrays))
-    low, high = (np.array(end, dtype=float) for end in found.confidence_interval)
-    constant = found.standard_error == 0
+    low, high = (np.array(end, dtype=float) for end in interval.confidence_interval)
+    constant = interval.standard_error == 0
     low, high = np.where(constant, estimate, low), np.where(constant, estimate, high)
-    fields = (estimate, low, high, np.asarray(found.standard_error))
+    fields = (estimate, low, high, np.asarray(interval.standard_error))
     return Interval(*(field if field.ndim else float(field) for field in fields))
 
 

@@ -58,11 +58,11 @@ def assert_consistent(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1
     ...
     AssertionError: NIS mean 6.8, expected 2 (1.57 to 2.5) over 500 steps: S is about 3.4 times too small: ...
     """
-    found, factor = as_runs(runs), at_least_one(factor)
-    instants = _instants(found) if _has_errors(found) else []
+    tested, factor = as_runs(runs), at_least_one(factor)
+    instants = _instants(tested) if _has_errors(tested) else []
     alpha = probability(false_alarm) / (1 + len(instants))
-    errors = [text for k in instants if (text := _nees(found, k, factor, alpha))]
-    fail([_nis(found, factor, alpha), *errors[-1:]])
+    errors = [text for k in instants if (text := _nees(tested, k, factor, alpha))]
+    fail([_nis(tested, factor, alpha), *errors[-1:]])
 
 
 def assert_unbiased(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-6) -> None:
@@ -82,15 +82,15 @@ def assert_unbiased(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-
     AssertionError
         If not; it tells which state is off, and by how much.
     """
-    found, factor = as_runs(runs), at_least_one(factor)
-    instants, failures = _instants(found), []
+    tested, factor = as_runs(runs), at_least_one(factor)
+    instants, failures = _instants(tested), []
     for k in instants:
-        errors = np.array([run.standardized_error(k) for run in found])
+        errors = np.array([run.standardized_error(k) for run in tested])
         M, n = errors.shape
         squared = float(np.sum(errors.sum(axis=0) ** 2) / M)
         if not squared <= factor * stats.chi2.isf(probability(false_alarm) / len(instants), n):
-            raw = np.array([run.error[k] for run in found])
-            deviation = np.mean([np.sqrt(run.P[k].diagonal()) for run in found if run.P is not None], axis=0)
+            raw = np.array([run.error[k] for run in tested])
+            deviation = np.mean([np.sqrt(run.P[k].diagonal()) for run in tested if run.P is not None], axis=0)
             off = raw.mean(axis=0) / deviation
             i = int(np.argmax(np.abs(off)))
             failures.append(
@@ -125,12 +125,12 @@ def assert_innovations_white(runs: Runs, *, lags: int = 5, tolerance: float = 0.
     different classes. Given one class, the sum of e(k) e(k+j) is normal in the other, and its ratio to its estimated
     deviation follows Student's t exactly, whatever the scale of S.
     """
-    found, lags = as_runs(runs), _checks.count("lags", lags, 1)
-    sensors = found[0].y.shape[1]
+    tested, lags = as_runs(runs), _checks.count("lags", lags, 1)
+    sensors = tested[0].y.shape[1]
     alpha, failures = probability(false_alarm) / (lags * sensors), []
     for lag in range(1, lags + 1):
         for i in range(sensors):
-            t, r, pairs, samples = _correlation([run.whitened[:, i] for run in found], lag)
+            t, r, pairs, samples = _correlation([run.whitened[:, i] for run in tested], lag)
             if samples < 3:
                 continue
             limit = float(stats.t.isf(alpha / 2, samples - 1)) + tolerance * np.sqrt(pairs)

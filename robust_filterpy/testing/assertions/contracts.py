@@ -72,7 +72,7 @@ REFUSALS = (ValueError, TypeError, np.linalg.LinAlgError)
 
 def visible(estimator: Any, names: Iterable[str] | None = None) -> dict[str, Any]:
     """Return copies of the numbers and arrays that an estimator shows: public attributes and properties."""
-    found = {}
+    shown = {}
     for name in dir(estimator) if names is None else names:
         if name.startswith("_") and names is None:
             continue
@@ -82,8 +82,8 @@ def visible(estimator: Any, names: Iterable[str] | None = None) -> dict[str, Any
         except Exception:
             continue
         if array is not None and (array.dtype.kind in "biuf" or _of_none_and_numbers(array)):
-            found[name] = array
-    return found
+            shown[name] = array
+    return shown
 
 
 def _of_none_and_numbers(array: np.ndarray) -> bool:

@@ -159,15 +159,15 @@ def assert_efficient(
     Errors are squared in units of the reference's P, so that no state outweighs another. The test is Student's, on
     at_least * error - reference over the runs, which share their noise.
     """
-    found, reference = as_runs(runs_), as_runs(relative_to)
-    if len(found) != len(reference) or [len(run) for run in found] != [len(run) for run in reference]:
+    tested, reference = as_runs(runs_), as_runs(relative_to)
+    if len(tested) != len(reference) or [len(run) for run in tested] != [len(run) for run in reference]:
         raise ValueError(
-            f"relative_to: expected a run of the same length for each of the {len(found)} runs, got {len(reference)}"
+            f"relative_to: expected a run of the same length for each of the {len(tested)} runs, got {len(reference)}"
         )
     scales = [np.einsum("kii->ki", _required(run.P)) for run in reference]
     errors, best = (
         [float(np.mean(run.error**2 / np.where(s > 0, s, np.inf))) for run, s in zip(which, scales, strict=True)]
-        for which in (found, reference)
+        for which in (tested, reference)
     )
     fail([ratio_of_errors(np.array(errors), np.array(best), at_least, false_alarm)])
 
@@ -322,22 +322,22 @@ def _factors(name: str, given: ArrayLike | None, default: Array) -> Array:
     """Return factors > 0 of the right number or raise."""
     if given is None:
         return default
-    found = _checks.finite_vector(name, given)
-    if found.size != default.size or not (found > 0).all():
-        raise ValueError(f"{name}: expected {default.size} factors > 0, got {found}")
-    return found
+    factors = _checks.finite_vector(name, given)
+    if factors.size != default.size or not (factors > 0).all():
+        raise ValueError(f"{name}: expected {default.size} factors > 0, got {factors}")
+    return factors
 
 
 def _states(make: Make, scenario: Scenario) -> list[tuple[Array, Array]]:
     """Return x and P of a new filter after each prediction and each correction."""
-    model, found = scenario.model, []
+    model, states = scenario.model, []
     kf = runs.load(make(*model.dims[:2]), model)
     for k, z in enumerate(scenario.z):
         runs.predict(kf, None if scenario.u is None else scenario.u[k])
-        found.append(runs.state(kf))
+        states.append(runs.state(kf))
         runs.measure(kf, runs.or_none(z), model)
-        found.append(runs.state(kf))
-    return found
+        states.append(runs.state(kf))
+    return states
 
 
 def _same(

@@ -35,9 +35,9 @@ def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: f
     AssertionError
         If not; it names the parameter that is furthest off, and says whether another order or sign would fit.
     """
-    found, failures = as_tracker_runs(runs), []
-    limit = at_least_one(factor) * float(stats.chi2.isf(probability(false_alarm) / len(found), found[0].theta.shape[1]))
-    for i, run in enumerate(found):
+    tried, failures = as_tracker_runs(runs), []
+    limit = at_least_one(factor) * float(stats.chi2.isf(probability(false_alarm) / len(tried), tried[0].theta.shape[1]))
+    for i, run in enumerate(tried):
         P = run.known.reference.P
         if P is None:
             raise ValueError("scenario: expected a reference with P")
@@ -92,13 +92,13 @@ def assert_tracks(
     AssertionError
         If not.
     """
-    found = as_tracker_runs(runs)
-    best = [run.known.reference for run in found] if relative_to is None else as_tracker_runs(relative_to)
+    tested = as_tracker_runs(runs)
+    best = [run.known.reference for run in tested] if relative_to is None else as_tracker_runs(relative_to)
     skip = _checks.count("skip", skip)
-    if [len(run.theta) for run in best] != [len(run.theta) for run in found]:
-        raise ValueError(f"relative_to: expected a run of the same length for each of the {len(found)} runs")
+    if [len(run.theta) for run in best] != [len(run.theta) for run in tested]:
+        raise ValueError(f"relative_to: expected a run of the same length for each of the {len(tested)} runs")
     errors, reference = (
-        np.array([np.mean(np.sum(run.error[skip:] ** 2, axis=1)) for run in which]) for which in (found, best)
+        np.array([np.mean(np.sum(run.error[skip:] ** 2, axis=1)) for run in which]) for which in (tested, best)
     )
     fail([ratio_of_errors(errors, reference, at_least, false_alarm)])
 
@@ -148,19 +148,19 @@ def assert_interval_coverage(
     AssertionError
         If not; it names the parameter and the share that was covered.
     """
-    found = as_tracker_runs(runs)
+    tested = as_tracker_runs(runs)
     if not 0.0 < _checks.real("level", level) < 1.0:
         raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")
-    if any(run.std is None for run in found):
+    if any(run.std is None for run in tested):
         raise ValueError("runs: expected runs with std, of a tracker that has P")
     half = float(stats.norm.isf((1.0 - level) / 2))
-    inside = np.array([np.abs(run.error[-1]) <= half * run.std[-1] for run in found if run.std is not None])
+    inside = np.array([np.abs(run.error[-1]) <= half * run.std[-1] for run in tested if run.std is not None])
     M, n = inside.shape
     alpha = probability(false_alarm) / (2 * n)
     low = stats.binom.ppf(alpha, M, max(level - tolerance, 0.0))
     high = stats.binom.isf(alpha, M, min(level + tolerance, 1.0))
     hits, failures = inside.sum(axis=0), []
-    for name, count in zip(found[0].known.structure.names, hits, strict=True):
+    for name, count in zip(tested[0].known.structure.names, hits, strict=True):
         if not low <= count <= high:
             word = "too short: P is too small" if count < low else "too long: P is too large"
             failures.append(

@@ -168,14 +168,14 @@ class ChecksFailed(AssertionError):
             if result.status == "failed":
                 reasons.setdefault(result.message.removeprefix(f"{result.name}: "), []).append(result.name)
         lines = [f"{sum(map(len, reasons.values()))} of {len(results)} checks failed"]
-        found = set()
+        claims_needed = set()
         for why, names in reasons.items():
             needed = {claim for name in names for claim in (claims or {}).get(name, ())}
-            found |= needed
+            claims_needed |= needed
             several = f"{why} ({len(names)} checks: {', '.join(names)})"
             lines.append(several if len(names) > 1 else f"{names[0]}: {why}")
             lines[-1] += f" [{', '.join(sorted(needed))}]" if needed else ""
-        if found:
+        if claims_needed:
             lines.append("In brackets: the claim that is tested; not_claimed=(..) takes names that are not claimed")
         super().__init__("\n".join(lines))
 

@@ -20,13 +20,13 @@ STATISTICS: list[Promise] = []
 def estimates_handed_out_stay_as_they_were(subject: FilterSubject) -> None:
     """What the estimator showed, kept in a list after each call, is not changed by later calls."""
     new, steps = subject.work()
-    estimator, kept = new(), []
+    estimator, shown_before = new(), []
     # As often as it takes for a buffer of past estimates to be written over.
     for step in OLD // len(steps) * list(steps):
         step(estimator)
         shown = {name: getattr(estimator, name) for name in subject.shown if hasattr(estimator, name)}
-        kept += [(name, value, np.array(value, dtype=float)) for name, value in shown.items()]
-    for name, value, then in kept:
+        shown_before += [(name, value, np.array(value, dtype=float)) for name, value in shown.items()]
+    for name, value, then in shown_before:
         if not np.array_equal(value, then, equal_nan=True):
             raise AssertionError(f"a {name} that was kept from an earlier step has changed: it is written in place")
 

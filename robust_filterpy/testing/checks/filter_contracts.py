@@ -63,9 +63,9 @@ def arguments_are_not_written_to(subject: FilterSubject) -> None:
     for name, value in given.items():
         setattr(kf, name, value)
     for z in subject.recording(model, 3):
-        kept = z.copy()
+        original = z.copy()
         runs.step(kf, z, model)
-        if not np.array_equal(z, kept):
+        if not np.array_equal(z, original):
             raise AssertionError("update wrote into z")
     written = [name for name, value in given.items() if not np.array_equal(value, before[name])]
     if written:
@@ -95,13 +95,13 @@ def integers_are_numbers_like_any_other(subject: FilterSubject) -> None:
     model = subject.model().with_(
         x=np.array([0.0, 1.0, 0.0, 2.0]), P=2.0 * np.eye(4), F=np.eye(4, k=1) + np.eye(4), H=np.eye(2, 4)
     )
-    zs, found = subject.recording(model, 5), []
+    zs, states = subject.recording(model, 5), []
     for kind in (float, int):
         kf = subject.new(model)
         for name in ("x", "P", "F", "H"):
             setattr(kf, name, np.array(getattr(kf, name)).astype(kind))
-        found.append(state(subject.advance(kf, zs, model)))
-    (x, P), (x2, _) = found
+        states.append(state(subject.advance(kf, zs, model)))
+    (x, P), (x2, _) = states
     if furthest(x2 - x, P) > 1e-9:
         raise AssertionError(
             f"x differs by {furthest(x2 - x, P):.2g} of its standard deviations: it is rounded to integers"

@@ -37,12 +37,12 @@ def prediction_moves_the_state_by_F(subject: FilterSubject) -> None:
 def prediction_moves_the_covariance_by_F(subject: FilterSubject) -> None:
     """P_prior of two covariances P_1 and P_2 differ by F (P_1 - P_2) F'."""
     model = subject.model()
-    found = []
+    pairs = []
     for P in (model.P, model.P + np.diag(np.arange(1.0, 5.0))):
         kf = subject.new(model.with_(P=P))
         kf.predict()
-        found.append((P, state(kf)[1]))
-    (P1, one), (P2, two) = found
+        pairs.append((P, state(kf)[1]))
+    (P1, one), (P2, two) = pairs
     wanted, got = model.F @ (P2 - P1) @ model.F.T, two - one
     _compare(got, wanted, "F P F'", _alike(got, model.F.T @ (P2 - P1) @ model.F, "F' P F"))
 

@@ -177,15 +177,15 @@ class FilterSubject:
         """Return P where rounding that is not damped from both sides grows at each step by the unstable pole."""
         F = np.array([[1.3, 0.3], [0.0, 0.98]])
         model = StateModel(np.zeros(2), np.eye(2), F, np.array([[1.0, 0.5]]), 0.01 * np.eye(2), np.eye(1))
-        kept = []
+        covariances = []
         for start in (1.0, 1e6):
             kf = self.new(model.with_(P=start * np.eye(2)))
             for _ in range(300):
                 kf.predict()
                 x, P = runs.state(kf)
                 runs.measure(kf, model.H @ x, model)
-                kept += [P, runs.state(kf)[1]]
-        return kept
+                covariances += [P, runs.state(kf)[1]]
+        return covariances
 
     def corrected(self, e: float, age: int = 0, R_ratio: float = 1.0) -> Corrected:
         """Correct by e deviations of each sensor; in an old filter H and R are others from then on."""
@@ -207,10 +207,10 @@ class FilterSubject:
     def assert_efficient(self, contamination: Kinds) -> None:
         """Compare with the filter that is told every label, over many recordings."""
         clean = contamination == "none"
-        scenarios, found = self.many(contamination, _RUNS if clean else 2 * _RUNS)
+        scenarios, tested = self.many(contamination, _RUNS if clean else 2 * _RUNS)
         at_least = (0.9999 if self.is_exact else 0.6) if clean else 0.5
         best = [scenario.reference for scenario in scenarios]
-        assert_efficient(found, at_least=at_least, relative_to=best, false_alarm=self.false_alarm)
+        assert_efficient(tested, at_least=at_least, relative_to=best, false_alarm=self.false_alarm)
 
 
 def _bad_call(model: StateModel, name: str | None, value: Any, kf: Any) -> None:

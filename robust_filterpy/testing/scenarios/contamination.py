@@ -152,24 +152,24 @@ def of_noise(kind: Contamination) -> bool:
 
 def objects(kinds: Kinds) -> list[Contamination]:
     """Return what is meant as functions that spoil measurements, or raise if a name or an option is unknown."""
-    found: list[Contamination] = []
+    contaminations: list[Contamination] = []
     several: Any = (kinds,) if isinstance(kinds, str) or callable(kinds) else kinds
     for kind in several:
         if callable(kind):
-            found.append(kind)
+            contaminations.append(kind)
         elif not isinstance(kind, str):
             raise TypeError(f"contamination: expected a name or something to call, got {_checks.shown(kind)}")
         elif _checks.option("contamination", kind, ("none", *CONTAMINATIONS)) != "none":
-            found.append(_named(kind, kinds[kind] if isinstance(kinds, Mapping) else {}))
-    return found
+            contaminations.append(_named(kind, kinds[kind] if isinstance(kinds, Mapping) else {}))
+    return contaminations
 
 
 def _named(name: str, options: Mapping[str, float]) -> Contamination:
     """Return what spoils measurements in the way of this name."""
     function: Any = partial(CONTAMINATIONS[name], **options)
-    known = inspect.signature(CONTAMINATIONS[name]).parameters.values()
+    parameters = inspect.signature(CONTAMINATIONS[name]).parameters.values()
     for option in options:
-        _checks.option(f"contamination {name!r}", option, [p.name for p in known if p.kind is p.KEYWORD_ONLY])
+        _checks.option(f"contamination {name!r}", option, [p.name for p in parameters if p.kind is p.KEYWORD_ONLY])
     function.of_noise = name in _OF_NOISE
     return function  # type: ignore[no-any-return]
 

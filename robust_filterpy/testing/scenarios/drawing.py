@@ -190,19 +190,19 @@ class _LabelKnowing:
 
     def predict(self, u: Array | None = None) -> None:
         """Predict, and look at the labels of the sample that comes."""
-        known, model = self.scenario, self.scenario.model
+        scenario, model = self.scenario, self.scenario.model
         self.k += 1
-        self.x, self.P = filterpy.kalman.predict(self.x, self.P, model.F, known.Qs[self.k])
+        self.x, self.P = filterpy.kalman.predict(self.x, self.P, model.F, scenario.Qs[self.k])
         if u is not None and model.B is not None:
             self.x = self.x + model.B @ u
-        ratio = known.noise_ratio[self.k]
+        ratio = scenario.noise_ratio[self.k]
         scale = np.where(np.isfinite(ratio), ratio, 1.0)
         self.R = np.outer(scale, scale) * model.R if (scale != 1.0).any() else model.R
 
     def update(self, z: Array | None) -> None:
         """Correct by what tells something."""
-        known, model = self.scenario, self.scenario.model
-        use = np.flatnonzero(np.isfinite(known.noise_ratio[self.k]) & ~known.is_missing[self.k])
+        scenario, model = self.scenario, self.scenario.model
+        use = np.flatnonzero(np.isfinite(scenario.noise_ratio[self.k]) & ~scenario.is_missing[self.k])
         if z is not None and use.size:
             H = model.jacobian(self.x)
             # Linearised at x: z - h(x) + H x is what a linear sensor would have said.

@@ -140,9 +140,9 @@ class PlantScenario:
         """The Kalman tracker that starts at the truth, with P = I, and is told every label and every jump."""
         start = 0.0 if self.theta is None else self.theta[0]
         tracker = self.load(ParameterTracker(self.structure, influence=Linear(), theta=start, P=1.0))
-        told = np.isfinite(self.noise_ratio)
-        y = np.where(told, self.y, np.nan)
-        variance = self.R * np.where(told, self.noise_ratio, 1.0) ** 2
+        measured = np.isfinite(self.noise_ratio)
+        y = np.where(measured, self.y, np.nan)
+        variance = self.R * np.where(measured, self.noise_ratio, 1.0) ** 2
         if self.theta is None or not self.is_jump.any():
             result = tracker.run(y, self.u, variance)
             return TrackerRun(result.theta, result.std, tracker.P, self.theta, self)

@@ -120,12 +120,12 @@ def as_runs(runs: Runs) -> list[FilterRun]:
     if isinstance(runs, FilterRun):
         return [runs]
     if is_saver(runs):
-        kept = of_saver(runs)
-        return [FilterRun(kept.y, kept.S)]
+        saved = of_saver(runs)
+        return [FilterRun(saved.y, saved.S)]
     if isinstance(runs, Iterable) and not isinstance(runs, (str, bytes, np.ndarray)):
-        found = [run for part in runs for run in as_runs(part)]
-        if found:
-            return found
+        parts = [run for part in runs for run in as_runs(part)]
+        if parts:
+            return parts
     raise TypeError(f"runs: expected a FilterRun, a Saver or a list of these, got {_checks.shown(runs)}")
 
 
@@ -137,9 +137,9 @@ def load(kf: Any, model: StateModel) -> Any:
             raise TypeError(
                 f"kf: expected a filter with x, P, predict() and update(z), {type(kf).__name__} has no {name}"
             )
-    found = (np.size(kf.x), getattr(kf, "dim_z", m))
-    if found != (n, m):
-        raise ValueError(f"kf: expected dim_x={n}, dim_z={m} for this model, got dim_x={found[0]}, dim_z={found[1]}")
+    sizes = (np.size(kf.x), getattr(kf, "dim_z", m))
+    if sizes != (n, m):
+        raise ValueError(f"kf: expected dim_x={n}, dim_z={m} for this model, got dim_x={sizes[0]}, dim_z={sizes[1]}")
     values = {name: getattr(model, name).copy() for name in ("P", "F", "H", "Q", "R")}
     for name, value in (values | {"x": model.x.reshape(np.shape(kf.x)).copy()}).items():
         try:
@@ -300,10 +300,10 @@ class TrackerRun:
 
 def as_tracker_runs(runs: Any) -> list[TrackerRun]:
     """Return a list of runs from a run or several."""
-    found = [runs] if isinstance(runs, TrackerRun) else list(runs) if isinstance(runs, Iterable) else []
-    if not found or not all(isinstance(run, TrackerRun) for run in found):
+    parts = [runs] if isinstance(runs, TrackerRun) else list(runs) if isinstance(runs, Iterable) else []
+    if not parts or not all(isinstance(run, TrackerRun) for run in parts):
         raise TypeError(f"runs: expected a TrackerRun or a list of these, got {_checks.shown(runs)}")
-    return found
+    return parts
 
 
 def run_tracker(tracker: Any, scenario: PlantScenario, sample: Callable[[int], Any] | None = None) -> TrackerRun:
