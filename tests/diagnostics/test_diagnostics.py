@@ -58,10 +58,6 @@ def healthy(seed):
     return robust(), world(seed)[1]
 
 
-def healthy_single(seed):
-    return robust(1), world(seed, 1)[1]
-
-
 def clean(seed):
     return robust(), world(seed, contamination=0.0)[1]
 
@@ -70,12 +66,28 @@ def R_too_small(seed):
     return robust(1, R_factor=1 / 9), world(seed, 1)[1]
 
 
-def R_too_small_of_both(seed):
-    return robust(R_factor=1 / 25), world(seed)[1]
-
-
 def R_too_large(seed):
     return robust(R_factor=25.0), world(seed)[1]
+
+
+def altered(alter, **options):
+    """A set-up whose measurements are not those of the model."""
+
+    def setup(seed):
+        z = world(seed, **options)[1]
+        return robust(z.shape[1]), alter(z)
+
+    return setup
+
+
+def with_H(row):
+    """A set-up whose second sensor is taken for another one."""
+    return lambda seed: (robust(H=np.array([H[0], row])), world(seed)[1])
+
+
+def wrong(sensors=2, **factors):
+    """A set-up whose R or Q is not that of the recording."""
+    return lambda seed: (robust(sensors, **factors), world(seed, sensors)[1])
 
 
 def R_of_one_too_small(seed):
@@ -84,114 +96,43 @@ def R_of_one_too_small(seed):
     return kf, world(seed)[1]
 
 
-def Q_too_small(seed):
-    return robust(Q_factor=1e-3), world(seed)[1]
+def shifted(z):
+    return z + np.outer(np.arange(N) >= 200, [0.0, 4.0])
 
 
-def Q_too_small_single(seed):
-    return robust(1, Q_factor=1e-3), world(seed, 1)[1]
-
-
-def Q_too_large(seed):
-    return robust(Q_factor=1e3), world(seed)[1]
-
-
-def R_and_Q_too_small(seed):
-    return robust(R_factor=1 / 25, Q_factor=1 / 25), world(seed)[1]
-
-
-def wrong_row(seed):
-    wrong = H.copy()
-    wrong[1] = [1.0, 0.0]
-    return robust(H=wrong), world(seed)[1]
-
-
-def wrong_sign(seed):
-    wrong = H.copy()
-    wrong[1, 1] = -1.0
-    return robust(H=wrong), world(seed)[1]
-
-
-def millimetres(seed):
-    return robust(), world(seed)[1] * [1000.0, 1.0]
-
-
-def kilometres_an_hour(seed):
-    return robust(), world(seed)[1] * [1.0, 3.6]
-
-
-def millimetres_single(seed):
-    return robust(1), world(seed, 1)[1] * 1000.0
-
-
-def sensor_shifts(seed):
-    z = world(seed)[1]
-    z[200:, 1] += 4.0
-    return robust(), z
-
-
-def sensor_biased(seed):
-    return robust(), world(seed)[1] + [0.0, 3.0]
-
-
-def state_jumps(seed):
-    return robust(), world(seed, jump=30.0)[1]
-
-
-def state_jumps_single(seed):
-    return robust(1), world(seed, 1, jump=30.0)[1]
-
-
-def saturating(seed):
-    z = world(seed)[1]
-    return robust(), np.minimum(z, np.quantile(z, 0.7, axis=0))
-
-
-def frozen(seed):
-    z = world(seed)[1]
+def frozen(z):
     z[100:160, 0] = z[100, 0]
-    return robust(), z
+    return z
 
 
-def correlated(seed):
-    return robust(), world(seed, memory=0.9)[1]
-
-
-def coupled(seed):
-    return robust(), world(seed, coupling=0.8)[1]
-
-
-def contaminated(seed):
-    return robust(), world(seed, contamination=0.3)[1]
-
-
+#: Of each set-up: what makes it of a seed, the cause to be named first, and the sensor.
 SETUPS = {
     "healthy": (healthy, None, None),
-    "healthy, one sensor": (healthy_single, None, None),
+    "healthy, one sensor": (wrong(1), None, None),
     "clean": (clean, None, None),
     "R too small": (R_too_small, "R too small", None),
-    "R too small, both": (R_too_small_of_both, "R too small", None),
+    "R too small, both": (wrong(R_factor=1 / 25), "R too small", None),
     "R too large": (R_too_large, "R too large", None),
     "R of one sensor too small": (R_of_one_too_small, "R too small", 1),
-    "Q too small": (Q_too_small, "Q too small", None),
-    "Q too small, one sensor": (Q_too_small_single, "Q too small", None),
-    "Q too large": (Q_too_large, "Q too large", None),
-    "R and Q too small": (R_and_Q_too_small, "R and Q too small", None),
-    "wrong row of H": (wrong_row, "wrong H", 1),
+    "Q too small": (wrong(Q_factor=1e-3), "Q too small", None),
+    "Q too small, one sensor": (wrong(1, Q_factor=1e-3), "Q too small", None),
+    "Q too large": (wrong(Q_factor=1e3), "Q too large", None),
+    "R and Q too small": (wrong(R_factor=1 / 25, Q_factor=1 / 25), "R and Q too small", None),
+    "wrong row of H": (with_H([1.0, 0.0]), "wrong H", 1),
     # Which row has the wrong sign is a matter of the sign of the state.
-    "wrong sign in H": (wrong_sign, "wrong H", None),
-    "mm instead of m": (millimetres, "lost units", 0),
-    "km/h instead of m/s": (kilometres_an_hour, "lost units", 1),
-    "mm instead of m, one sensor": (millimetres_single, "lost units", None),
-    "one sensor shifts": (sensor_shifts, "level shift", 1),
-    "one sensor biased": (sensor_biased, "bias", 1),
-    "state jumps": (state_jumps, "level shift", 0),
-    "state jumps, one sensor": (state_jumps_single, "level shift", 0),
-    "saturating sensor": (saturating, "saturation", 0),
-    "frozen sensor": (frozen, "frozen sensor", 0),
-    "correlated noise": (correlated, "correlated noise", None),
-    "coupled noise": (coupled, "coupled noise", None),
-    "30 % outliers": (contaminated, "more outliers", None),
+    "wrong sign in H": (with_H([0.0, -1.0]), "wrong H", None),
+    "mm instead of m": (altered(lambda z: z * [1000.0, 1.0]), "lost units", 0),
+    "km/h instead of m/s": (altered(lambda z: z * [1.0, 3.6]), "lost units", 1),
+    "mm instead of m, one sensor": (altered(lambda z: z * 1000.0, sensors=1), "lost units", None),
+    "one sensor shifts": (altered(shifted), "level shift", 1),
+    "one sensor biased": (altered(lambda z: z + [0.0, 3.0]), "bias", 1),
+    "state jumps": (altered(np.array, jump=30.0), "level shift", 0),
+    "state jumps, one sensor": (altered(np.array, sensors=1, jump=30.0), "level shift", 0),
+    "saturating sensor": (altered(lambda z: np.minimum(z, np.quantile(z, 0.7, axis=0))), "saturation", 0),
+    "frozen sensor": (altered(frozen), "frozen sensor", 0),
+    "correlated noise": (altered(np.array, memory=0.9), "correlated noise", None),
+    "coupled noise": (altered(np.array, coupling=0.8), "coupled noise", None),
+    "30 % outliers": (altered(np.array, contamination=0.3), "more outliers", None),
 }
 
 
