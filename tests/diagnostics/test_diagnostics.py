@@ -147,8 +147,9 @@ def assert_named(name, seed):
         assert d.findings[0].sensor == sensor
 
 
+# R that is too small or too large is diagnosed below.
 QUICK = (
-    "healthy", "R too small", "R too large", "Q too small, one sensor", "wrong row of H", "mm instead of m, one sensor",
+    "healthy", "Q too small, one sensor", "wrong row of H", "mm instead of m, one sensor",
     "state jumps, one sensor", "saturating sensor", "frozen sensor", "correlated noise",
 )  # fmt: skip
 
@@ -243,7 +244,7 @@ def test_words_name_the_factor_and_what_it_does():
     assert text.startswith("R is about ") and "times too small" in text and "clips good data" in text
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", by_night(range(3), 0))
 def test_factor_of_R_is_found_within_a_third(seed):
     (finding,) = diagnose(*R_too_small(seed)).findings
     assert 9 / 1.34 < finding.value < 9 * 1.34

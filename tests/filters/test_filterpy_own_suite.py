@@ -19,7 +19,7 @@ pytestmark = pytest.mark.core
 
 # Each archive, and the package in it.
 SUITES = [
-    pytest.param(("filterpy==1.4.5", "filterpy"), id="filterpy-1.4.5"),
+    pytest.param(("filterpy==1.4.5", "filterpy"), id="filterpy-1.4.5", marks=pytest.mark.nightly),
     pytest.param(("filterpy==2.0.0", "filterpy"), id="filterpy-2.0.0", marks=pytest.mark.slow),
     pytest.param(("bayesian-filters", "bayesian_filters"), id="bayesian-filters", marks=pytest.mark.slow),
 ]

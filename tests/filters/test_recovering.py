@@ -62,7 +62,7 @@ def test_a_run_shorter_than_the_patience_does_not_capture(monkeypatch, run, size
     # The kernel has no recovering filter; to the last bit only the definition equals itself.
     without_kernel(monkeypatch)
     peaks, plain = [], []
-    for seed in range(10):
+    for seed in range(4):
         x, zs = recording(seed, run=run, size=size)
         kf = level()
         peaks.append(np.abs(advance(kf, zs) - x)[50:].max())

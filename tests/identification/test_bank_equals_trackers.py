@@ -114,18 +114,3 @@ def test_a_bank_is_its_trackers_whatever_is_drawn(seed):
     ahead = rng.normal(size=(N, structure.n_inputs))
     theirs = [tracker.predict(ahead[i] if structure.n_inputs else None) for i, tracker in enumerate(trackers)]
     np.testing.assert_allclose(bank.predict(ahead if structure.n_inputs else None), theirs, rtol=1e-6, atol=1e-7)
-
-
-@pytest.mark.nightly
-def test_a_sample_at_a_time_is_the_recording_and_says_the_same():
-    rng = np.random.default_rng([25, 1000])
-    y, u = recording(rng, OutputError(2, 2))
-    y[:, 0] = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u[:, 0, 0]) * np.where(np.arange(LENGTH) < 350, 1.0, -1.0)
-    y[:, 0] += 0.3 * rng.normal(size=LENGTH)
-    one, other = TrackerBank(N, OutputError(2, 2), start=200), TrackerBank(N, OutputError(2, 2), start=200)
-    news, again = [[] for _ in range(N)], [[] for _ in range(N)]
-    told(one, news, lambda: one.run(y, u))
-    for k in range(LENGTH):
-        told(other, again, lambda k=k: other.update(y[k], u[k]))
-    np.testing.assert_allclose(other.theta, one.theta, rtol=1e-6)
-    assert again == news and news[0]

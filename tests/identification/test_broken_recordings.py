@@ -33,11 +33,9 @@ def recording(seed, length=1000, share=0.1):
 # Fill values.
 
 
-@pytest.mark.parametrize("structure", [
-    OutputError(2, 2),
-    ARX(2, 2),
-    *(pytest.param(one, marks=pytest.mark.nightly) for one in (ARMAX(2, 2, 2), BoxJenkins(2, 1, 1, 2))),
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize("structure", support.by_night(
+    [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 1, 2)], OutputError(2, 2)
+), ids=str)  # fmt: skip
 def test_fill_values_are_gaps_in_any_structure(structure):
     rng, y, u = recording(1, 300)
     places = rng.random(y.size) < 0.1

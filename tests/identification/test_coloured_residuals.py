@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from support import by_night
 
 from robust_filterpy.identification import ARX, LinearRegression, OutputError, identify
 from robust_filterpy.identification.estimation.prediction_error import colour_of
@@ -18,7 +19,7 @@ def quiet(y, u, structure, **options):
         return identify(y, u, structure, progress=False, **options)
 
 
-@pytest.mark.parametrize("trend", [None, "line"])
+@pytest.mark.parametrize("trend", by_night([None, "line"], None))
 def test_a_trend_leaves_a_slow_input_what_it_explains(trend):
     rng, t = np.random.default_rng([9, 0]), np.arange(1000)
     binary = rng.choice([-1.0, 1.0], 1000).repeat(10)[:1000]

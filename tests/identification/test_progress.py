@@ -17,7 +17,7 @@ def clock(monkeypatch):
     monkeypatch.setattr(_progress.time, "monotonic", lambda: float(next(times)))
 
 
-def recorded(length=300):
+def recorded(length=150):
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], length)
     return lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + 0.3 * rng.normal(size=length), u
@@ -58,9 +58,8 @@ def test_a_fusion_that_watches_tells_the_stamp_it_is_at(clock, capsys):
     assert "Fusion.run: " in (said := capsys.readouterr().err) and " of 20" in said
 
 
-@pytest.mark.parametrize("progress", [None, False])
-def test_a_short_call_says_nothing(progress, capsys):
-    identify(*recorded(), OutputError(2, 2), progress=progress)
+def test_a_short_call_says_nothing(capsys):
+    identify(*recorded(), OutputError(2, 2))
     assert capsys.readouterr().err == ""
 
 
@@ -75,10 +74,12 @@ def test_progress_asked_for_is_shown_from_the_beginning(capsys):
     assert "identify: 0 s, search from" in capsys.readouterr().err
 
 
-def test_only_the_outer_call_speaks(clock, capsys):
+def test_only_the_outer_call_speaks_and_says_how_many_structures_there_are_to_be(clock, capsys):
     select_structure(*recorded(), na=[1, 2], nk=[1])
     lines = capsys.readouterr().err.splitlines()
     assert lines and all(line.startswith("select_structure: ") for line in lines)
+    counts = [line.split(", ")[1].split() for line in lines]
+    assert all(of == "of" and int(done) <= int(total) for done, of, total, _ in counts)
 
 
 def test_an_error_ends_the_stages(clock, capsys):
@@ -103,12 +104,6 @@ def test_without_a_standard_error_nothing_is_said(clock, monkeypatch):
     monkeypatch.setattr("sys.stderr", None)
     identify(*recorded(), OutputError(2, 2))
     progress_bar(3, None, "run", "study").update()
-
-
-def test_a_comparison_says_how_many_structures_there_are_to_be(clock, capsys):
-    select_structure(*recorded(), na=[1, 2], nk=[1])
-    counts = [line.split(", ")[1].split() for line in capsys.readouterr().err.splitlines()]
-    assert counts and all(of == "of" and int(done) <= int(total) for done, of, total, _ in counts)
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def same(a, b):
 # One sample or a recording
 
 
-@pytest.mark.pairwise
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize(
     "options", [{}, {"Q": 1e-4}, {"forgetting": 0.97}, {"influence": Hampel()}, {"scaling": "bounded"}]
 )
