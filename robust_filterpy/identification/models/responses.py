@@ -336,6 +336,8 @@ class System(Estimated):
 
     def _numbered(self, name: str, value: Any) -> int:
         """Return the number of an input or output or raise."""
+        if isinstance(value, float):
+            raise TypeError(f"{name}: expected an integer, got {value}; level= goes by its name")
         most = self._sizes[name == "input"]
         if _checks.count(name, value) >= most:
             raise ValueError(f"{name}: expected 0 to {most - 1}, got {value}")
@@ -380,6 +382,8 @@ class PolynomialSystem(System):
         import control
 
         period, whole = regressor.period(dt, self.dt), regressor.denominator(self.structure, self.theta)
+        if self.structure.takes_phi:
+            regressor.coefficients(self.structure, self.theta)
         self._require("transfer function")
         number = isinstance(period, (int, float, np.integer, np.floating)) and not isinstance(period, bool)
         if period is not True and not (number and 0.0 < period < np.inf):
