@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,18 +18,6 @@ from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel.series import Kept as Rows
 
 
-class Given(NamedTuple):
-    """What a recording has for each step, named as in `RobustKalmanFilter.batch_filter`; None: as the filter has it."""
-
-    zs: Any
-    Fs: Any
-    Qs: Any
-    Hs: Any
-    Rs: Any
-    Bs: Any
-    us: Any
-
-
 class RecordingMixin(Shell):
     """Advance a linear filter through a recording: by the compiled loops where they can, else by its own methods."""
 
@@ -40,20 +28,20 @@ class RecordingMixin(Shell):
     _alpha_sq: float
 
     def _filter_recording(
-        self, given: Given, update_first: bool, saver: Any, by_kernel: bool, scales: Array | None
+        self, given: dict[str, Any], update_first: bool, saver: Any, by_kernel: bool, scales: Array | None
     ) -> tuple[Array, Array, Array, Array]:
         """Return what `RobustKalmanFilter.batch_filter` does; whatever is raised, the filter is then as it was."""
         if saver is not None and not callable(getattr(saver, "save", None)):
             raise TypeError(
                 f"saver: expected an object with save(), such as filterpy.common.Saver(kf), got {type(saver).__name__}"
             )
-        given = Given(*(entries(name, values) for name, values in given._asdict().items()))
+        given = {name: entries(name, values) for name, values in given.items()}
         columns = _columns(given)
-        n, dim_x = len(given.zs), self.dim_x
+        n, dim_x = len(given["zs"]), self.dim_x
         shape = (n, dim_x) if np.ndim(self.x) == 1 else (n, dim_x, 1)
         means, means_p = np.zeros(shape), np.zeros(shape)
         covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
-        rows = self._read(given) if by_kernel and n else None
+        rows = self._read(**given) if by_kernel and n else None
         # The filter's own are the last step and the last with a measurement: what they leave in it stays.
         own: Iterable[int] = range(n)
         if rows is not None:
@@ -87,9 +75,8 @@ class RecordingMixin(Shell):
                 k += 1
             return means, covariances, means_p, covariances_p
 
-    def _read(self, given: Given) -> Problem | None:
+    def _read(self, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any) -> Problem | None:
         """Return a recording as arrays, None if the call is for the filter's own methods."""
-        zs, Fs, Qs, Hs, Rs, Bs, us = given
         kf: Any = self
         # Sensors of an H that is passed are known by its rows, which the filter's own methods look up.
         if Hs is not None and self._policy.learns:
@@ -153,14 +140,14 @@ def _innovations(rows: Problem, shown: Rows, update_first: bool, first: int, las
     return rows.zs[first:last] - np.einsum("kij,kj->ki", H, means)
 
 
-def _columns(given: Given) -> list[Any]:
+def _columns(given: dict[str, Any]) -> list[Any]:
     """Return the columns, each with an entry for every step, or None."""
     try:
-        n = len(given.zs)
+        n = len(given["zs"])
     except TypeError:
-        raise TypeError(f"zs: expected a sequence of measurements, got {shown(given.zs)}") from None
+        raise TypeError(f"zs: expected a sequence of measurements, got {shown(given['zs'])}") from None
     columns = []
-    for name, values in given._asdict().items():
+    for name, values in given.items():
         if values is not None and (not hasattr(values, "__len__") or len(values) < n):
             found = len(values) if hasattr(values, "__len__") else shown(values)
             raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {found}")

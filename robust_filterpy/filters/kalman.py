@@ -29,7 +29,7 @@ from robust_filterpy._warning import warn
 from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._parts import Part, Parts
-from robust_filterpy.filters._recording import Given, RecordingMixin
+from robust_filterpy.filters._recording import RecordingMixin
 from robust_filterpy.filters.driver import without_rounding
 from robust_filterpy.filters.policies import Bounded, Options, finite_product, with_options
 from robust_filterpy.filters.shell import is_own
@@ -588,7 +588,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         if Qs is None and self.dim_x > 1 and np.ndim(self.Q) == 0 and hasattr(zs, "__len__"):
             # As filterpy passes it to each prediction: a number means times I there, an array without axes does not.
             Qs = [self.Q if np.isscalar(self.Q) else self._noise_of_number(None)] * len(zs)
-        found = self._filter_recording(Given(zs, Fs, Qs, Hs, Rs, Bs, us), update_first, saver, by_kernel, scales)
+        given = {"zs": zs, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs, "Bs": Bs, "us": us}
+        found = self._filter_recording(given, update_first, saver, by_kernel, scales)
         self._process_scales = scales
         return found
 

@@ -36,7 +36,6 @@ from robust_filterpy.correction.definition import (
     nothing_observed,
 )
 from robust_filterpy.correction.learning import NoiseClasses, describe, usual
-from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import (
     Contaminated,
@@ -180,11 +179,6 @@ class Bounded:
         C = C if H is None else P @ H.T
         jump = jump_of(last, C, S - R if H is None else H @ C)
         return (last, kept) if jump is None else (last._replace(P=last.P + jump), kept.recovered())
-
-    def weighed(self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array) -> tuple[Any, ...]:
-        """Return x, P, memory, weights and what is kept after a correction that nobody looks at."""
-        found, kept = self.corrected(known, x, P, z, H, R, None, None)
-        return found.x, found.P, found.memory, found.weights, kept
 
     def current(self, kept: Any, x: Array, P: Array) -> Kept:
         """Return the one copy that there is."""
@@ -335,7 +329,11 @@ class Mixture:
         self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
     ) -> tuple[Correction | Mixed, Kept | None]:
         """Return the correction of every copy, merged."""
-        found, kept, after = self._corrected(known, x, P, z, H, R, M, inv)
+        kept = self.current(known.kept, x, P)
+        # Raises where H x is not finite.
+        finite_product(H, x)
+        found, *merged_to = half_step.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, M, inv)
+        after = Kept(*found.copies, *merged_to)
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
@@ -344,21 +342,6 @@ class Mixture:
             None if M is None else M.copy(), z, known.memory, together=self._named,
         )  # fmt: skip
         return record, None if known.kept is None else after
-
-    def _corrected(
-        self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, *also: Any
-    ) -> tuple[Corrected, Kept, Kept]:
-        """Return what every copy makes of z, and the copies before and after it."""
-        kept = self.current(known.kept, x, P)
-        # Raises where H x is not finite.
-        finite_product(H, x)
-        found, *merged_to = half_step.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, *also)
-        return found, kept, Kept(*found.copies, *merged_to)
-
-    def weighed(self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array) -> tuple[Any, ...]:
-        """Return x, P, memory, weights and what is kept after a correction that nobody looks at."""
-        found, _, after = self._corrected(known, x, P, z, H, R)
-        return after.x, after.P, found.memory, found.weights, None if known.kept is None else after
 
     def corrected_by_moments(
         self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,

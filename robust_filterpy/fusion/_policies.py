@@ -18,6 +18,7 @@ import numpy as np
 from robust_filterpy._arrays import require_finite_prediction
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales, noise_policy, process_policy
+from robust_filterpy.filters.driver import run
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.policies import Policy
 from robust_filterpy.fusion.sensors import Layout
@@ -133,34 +134,23 @@ def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: 
     seen = ~np.isnan(z)
     if not seen.any():
         return state, np.full(len(z), np.nan)
-    x, P, memory, weights, kept = policy.weighed(state, state.x, state.P, z, H, R)
+    found, kept = policy.corrected(state, state.x, state.P, z, H, R, None, None)
+    memory = found.memory
     if memory is None:
         memory = state.memory
     elif learns is not True or policy.noise is None:
         keeps = np.broadcast_to(learns, len(z)) & (seen | (policy.noise is not None))
         memory = np.where(keeps[:, None], memory, state.memory)
-    return State(x, P, memory, kept, *state[4:]), weights
+    return State(found.x, found.P, memory, kept, *state[4:]), found.weights
 
 
 def series(
     policy: Policy, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array
 ) -> tuple[Array, Array, Array, State]:
-    """Return x, P, weights of many steps, and the last state; by the kernel, each step that it declines by the policy.
-    """
-    (N, n), model, first = (len(zs), len(state.x)), (F, Q, H, R, drift), 0
+    """Return x, P, weights of many steps, and the last state."""
+    N, n = len(zs), len(state.x)
     xs, Ps, weights = np.empty((N, n)), np.empty((N, n, n)), np.empty(zs.shape)
-    into = Kept(xs, Ps.reshape(N, n * n), weights=weights)
-    while first < N:
-        stands = policy.standing(state.kept, state.x, state.P, state.memory)
-        stands.x[:], stands.P[:] = state.x, state.P
-        reached = policy.advance(stands, zs, model, into, first=first)
-        if reached > first:
-            kept = policy.kept_of(state.kept, stands)
-            state = state._replace(x=stands.x, P=stands.P, memory=stands.learnt, kept=kept)
-        else:
-            F_k, Q_k, H_k, R_k, drift_k = (part[first % len(part)] for part in model)
-            moved = predicted(policy, state, F_k, Q_k, drift_k)
-            state, weights[first] = weighed(policy, moved, zs[first], H_k, R_k, True)
-            xs[first], Ps[first], reached = state.x, state.P, first + 1
-        first = reached
-    return xs, Ps, weights, state
+    stands = policy.standing(state.kept, state.x, state.P, state.memory)
+    run(policy, stands, zs, (F, Q, H, R, drift), Kept(xs, Ps.reshape(N, n * n), weights=weights), of="Fusion")
+    kept = policy.kept_of(state.kept, stands)
+    return xs, Ps, weights, state._replace(x=stands.x, P=stands.P, memory=stands.learnt, kept=kept)
