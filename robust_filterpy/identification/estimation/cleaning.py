@@ -23,8 +23,6 @@ from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["Cleaned", "Outliers", "cleaned", "found_outliers"]
-
 #: Standard deviations that make an outlier, at the least and at the most.
 THRESHOLDS: Final = (2.5, 3.6)
 # Odds of an ordinary sample, times the size of outliers, for which each threshold t is the even one: see `_even`.

@@ -159,24 +159,26 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     """Find the model of an output; its ``warning`` says what is doubtful."""
     structure, offset, known = problem.structure, problem.offset, problem.R
     signal, missing = problem.u - problem.rest, np.isnan(y)
-    units = _Units.of(y, signal, offset, problem.spans)
-    model = problem.residuals_of(units.normal_output(y), signal / units.u)
+    units = Units.of(y[:, None], signal, problem.spans, offset)
+    units = units._replace(y=np.where(units.y > 0.0, units.y, 1.0))
+    unit = float(units.y[0])
+    model = problem.residuals_of(units.normal(y[:, None])[:, 0], signal / units.u)
     _require_samples(problem, missing, model.first)
     require_informative(model, missing)
     with one_thread():
         told = problem.limits
         limits = None if told is None else told.times(1.0 / units.factor(structure))
-        R, least = None if known is None else known / units.y**2, least_variance(y, units.y)
+        R, least = None if known is None else known / unit**2, least_variance(y, unit)
         at = None if begin is None else units.forth(model, begin)
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
-    best = _exact(ranked[0].end, least_variance(y, units.y, in_steps=False))
+    best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))
     output = _output(model, best)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
     # What the noise makes of the output of any model with so many parameters.
     unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
     doubt = _without_noise(model, best) or _doubt(best, endings, max(_APART, 2.0 * unsure))
-    recorded = problem.residuals_of(best.y * units.y + units.centre, signal)
+    recorded = problem.residuals_of(best.y * unit + units.centre[:, 0], signal)
     # Where an outlier stood in the regressor: what was measured, less what stands there now.
     replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
     p, held = units.back(model, best.p), np.zeros(model.n, dtype=bool)
@@ -187,7 +189,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
     others = [(excess, units.back(model, end.p)) for end, excess in ranked[1:]]
     whole = recorded if columns is None else Levelled(recorded, columns)
-    found = _as_model(problem, whole, best._replace(p=p), units.y, missing, replaced, held, others)
+    found = _as_model(problem, whole, best._replace(p=p), unit, missing, replaced, held, others)
     found = replace(found, dt=problem.dt, endings=endings, warning=doubt)
     sizes, p = p[recorded.n :], p[: recorded.n]
     recorded = recorded if columns is None else recorded.with_output(recorded.y - columns @ sizes)
@@ -214,36 +216,39 @@ def _with_levels(
     return whole, [best._replace(end=end), *others]
 
 
-class _Units(NamedTuple):
-    """Where y has its zero, and how large y and each input are."""
+class Units(NamedTuple):
+    """Where outputs have their zero, shape (N, p), and how large each of them and each input is."""
 
     centre: Array
-    y: float
+    y: Array
     u: Array
     begins: tuple[int, ...]
 
     @classmethod
-    def of(cls, y: Array, u: Array, offset: bool, spans: tuple[slice, ...]) -> _Units:
-        """Return the units of recordings, each with its own zero; 1 for a signal that is always 0."""
-        centre = np.zeros(y.size)
-        for part in spans:
-            own = y[part][~np.isnan(y[part])]
-            centre[part] = np.median(own) if offset and own.size else 0.0
-        values = (y - centre)[~np.isnan(y)]
-        if values.size == 0:
-            values = np.zeros(1)
-        size = np.sqrt(np.mean(np.square(u), axis=0))
-        return cls(centre, size_of(values) or 1.0, np.where(size > 0.0, size, 1.0), tuple(part.start for part in spans))
+    def of(cls, y: Array, u: Array, spans: tuple[slice, ...], offset: bool = True) -> Units:
+        """Return the units of recordings, each with its own zero; an output that is always there has the size 0."""
+        centre = np.zeros(y.shape)
+        for part in spans if offset else ():
+            for j, own in enumerate(y[part].T):
+                if not np.isnan(own).all():
+                    centre[part, j] = np.nanmedian(own)
+        sizes = [size_of(own[~np.isnan(own)]) if not np.isnan(own).all() else 0.0 for own in (y - centre).T]
+        rms = np.sqrt(np.mean(np.square(u), axis=0))
+        return cls(centre, np.array(sizes), np.where(rms > 0.0, rms, 1.0), tuple(part.start for part in spans))
 
-    def normal_output(self, y: Array) -> Array:
-        """Return y from its centre in its scale, 0 where it is missing."""
+    def normal(self, y: Array) -> Array:
+        """Return outputs from their centres in their scales, 0 where they are missing."""
         return np.clip(np.nan_to_num((y - self.centre) / self.y, nan=0.0), -_LARGEST, _LARGEST)
+
+    def levels(self) -> Array:
+        """Return the centres of each recording, shape (k, p)."""
+        return self.centre[list(self.begins)]
 
     def factor(self, structure: Structure) -> Array:
         """Return what makes parameters those of the recording as it was measured, shape (n_theta,)."""
         found = np.ones(structure.n_theta)
         for place, size in zip(structure.polynomials.b, self.u, strict=True):
-            found[place] = self.y / size
+            found[place] = self.y[0] / size
         return found
 
     def back(self, model: PolynomialModel, p: Array) -> Array:
@@ -251,9 +256,9 @@ class _Units(NamedTuple):
         places, n = model.structure.polynomials, model.structure.n_theta
         p = p.copy()
         p[:n] *= self.factor(model.structure)
-        p[n:] *= self.y
+        p[n:] *= self.y[0]
         if model.offset:
-            p[n : n + len(self.begins)] += self.centre[list(self.begins)] * (1.0 + p[places.a].sum())
+            p[n : n + len(self.begins)] += self.levels()[:, 0] * (1.0 + p[places.a].sum())
         return p
 
     def forth(self, model: PolynomialModel, p: Array) -> Array:
@@ -261,9 +266,9 @@ class _Units(NamedTuple):
         places, n = model.structure.polynomials, model.structure.n_theta
         p = p.copy()
         if model.offset:
-            p[n : n + len(self.begins)] -= self.centre[list(self.begins)] * (1.0 + p[places.a].sum())
+            p[n : n + len(self.begins)] -= self.levels()[:, 0] * (1.0 + p[places.a].sum())
         p[:n] /= self.factor(model.structure)
-        p[n:] /= self.y
+        p[n:] /= self.y[0]
         return p
 
 

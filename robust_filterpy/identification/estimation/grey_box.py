@@ -19,8 +19,6 @@ from robust_filterpy.identification.models.signals import fingerprint, operating
 from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence
 
-__all__ = ["identified_grey_box"]
-
 _FIRST_STEPS: Final = 30
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
 _UNTOLD: Final = 0.5

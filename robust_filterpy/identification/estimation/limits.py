@@ -12,8 +12,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.structures import Structure
 
-__all__ = ["Limits"]
-
 # Denominators that are drawn where that of a start is not stable within the limits.
 _DRAWS: Final = 3000
 

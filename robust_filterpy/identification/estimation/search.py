@@ -33,8 +33,6 @@ from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["End", "Ranked", "ends", "known_part", "searched_again"]
-
 # An outlier in the regressor changes the residuals, and these show which samples are outliers.
 # Where few of them are known yet, parameters that follow the others go astray: the first steps are few.
 # Residuals may move by less than this share between two turns of weights and parameters.

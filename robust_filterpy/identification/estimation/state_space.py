@@ -11,6 +11,7 @@ from scipy.signal import dlsim
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
+from robust_filterpy.identification.estimation.estimate import Units
 from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.prediction_error import (
     evidence_of_outputs,
@@ -27,9 +28,6 @@ from robust_filterpy.identification.models.state_space import Signals, StateSpac
 from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
 from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence
-from robust_filterpy.influence.regression import size_of
-
-__all__ = ["identified_state_space"]
 
 _LENGTHS: Final = (25, 60, 150)
 _REACHES: Final = (6, 15)
@@ -138,12 +136,17 @@ def _driven(model: StateSpaceModel, output: Array) -> Array:
     return np.asarray(dlsim(system, deviation)[1])
 
 
-def _scaled(told: Recording, spans: tuple[slice, ...]) -> tuple[Array, _Units, list[tuple[Array, Array]], list[Any]]:
-    """Return where inputs rest, the units, recordings in these, and what of them is measured."""
+def _scaled(told: Recording, spans: tuple[slice, ...]) -> tuple[Array, Units, list[tuple[Array, Array]], list[Any]]:
+    """Return where inputs rest, the units, recordings in these, and what of them is measured; outputs must vary."""
     rest = operating_point(told.u)
-    units = _Units.of(told, spans, told.u - rest)
-    parts = [(units.outputs(told.y, part), (told.u[part] - rest) / units.u) for part in spans]
-    return rest, units, parts, [~np.isnan(told.y[part]) for part in spans]
+    for i, part in enumerate(spans):
+        for j in np.flatnonzero(np.isnan(told.y[part]).all(axis=0)):
+            raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
+    units = Units.of(told.y, told.u - rest, spans)
+    for j in np.flatnonzero(units.y <= 1e-12 * np.abs(units.centre).max(axis=0)):
+        raise ValueError(f"y: expected outputs that vary, got the same value throughout in output {j}")
+    y, u = units.normal(told.y), (told.u - rest) / units.u
+    return rest, units, [(y[part], u[part]) for part in spans], [~np.isnan(told.y[part]) for part in spans]
 
 
 def _first_noise(model: StateSpaceResiduals, rows: Any, influence: Influence | None) -> Noises:
@@ -151,41 +154,6 @@ def _first_noise(model: StateSpaceResiduals, rows: Any, influence: Influence | N
     which = np.concatenate([np.tile(np.arange(model.outputs), len(y)) for y, _ in model.recordings])[rows]
     outputs = np.concatenate([y for y, _ in model.recordings]).T
     return Noises(tuple(Noise(influence or Huber(), 1.0, False, least_variance(y, 1.0)) for y in outputs), which)
-
-
-class _Units(NamedTuple):
-    """Zero of each output in each recording, the size of each output and input."""
-
-    centres: Array
-    y: Array
-    u: Array
-    begins: tuple[int, ...]
-
-    @classmethod
-    def of(cls, told: Recording, spans: Any, u: Array) -> _Units:
-        """Return the units; an output must be measured and vary."""
-        centres = np.zeros((len(spans), told.y.shape[1]))
-        for i, part in enumerate(spans):
-            for j, column in enumerate(told.y[part].T):
-                own = column[~np.isnan(column)]
-                if not own.size:
-                    raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
-                centres[i, j] = np.median(own)
-        sizes = []
-        for j in range(told.y.shape[1]):
-            values = np.concatenate([told.y[part, j] - centres[i, j] for i, part in enumerate(spans)])
-            values = values[~np.isnan(values)]
-            size = size_of(values)
-            if size <= 1e-12 * float(np.abs(centres[:, j]).max()):
-                raise ValueError(f"y: expected outputs that vary, got the same value throughout in output {j}")
-            sizes.append(size)
-        rms = np.sqrt(np.mean(np.square(u), axis=0))
-        return cls(centres, np.array(sizes), np.where(rms > 0.0, rms, 1.0), tuple(part.start for part in spans))
-
-    def outputs(self, y: Array, part: slice) -> Array:
-        """Return the outputs of a recording from their centre in their scale, 0 where they are missing."""
-        centre = self.centres[self.begins.index(part.start)]
-        return np.clip(np.nan_to_num((y[part] - centre) / self.y), -1e10, 1e10)
 
 
 def _enough(structure: StateSpace, parts: Any, known: Any, n: int) -> bool:
@@ -318,7 +286,7 @@ def _weigh(found: _Found, known: Any) -> None:
 def _in_units(
     found: _Found,
     T: Array,
-    units: _Units,
+    units: Units,
     told: Recording,
     spans: Any,
     known: Any,
@@ -334,7 +302,7 @@ def _in_units(
         inverse @ one.A @ T, inverse @ one.B * Su, Sy[:, None] * (one.C @ T), Sy[:, None] * one.D * Su,
         inverse @ one.K / Sy, one.start, one.level,
     )  # fmt: skip
-    levels = own[:, :p] * Sy + units.centres
+    levels = own[:, :p] * Sy + units.levels()
     starts = own[:, p:] @ inverse.T
     parts = [(np.nan_to_num(told.y[part]), told.u[part] - rest) for part in spans]
     model = StateSpaceResiduals(n, parts, structure.feedthrough, structure.disturbance)

@@ -21,8 +21,6 @@ from robust_filterpy.identification.estimation.starts import robust_regression
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.influence.regression import mad_scale, resolution
 
-__all__ = ["LAGS_OF_IMPULSES", "PRICE", "Break", "Trend", "impulse_output", "piecewise_level"]
-
 #: A break must explain so many times log N, in units of twice the log-likelihood.
 PRICE: Final = 6.0
 _MOST_BREAKS: Final = 4
