@@ -497,7 +497,7 @@ class ParameterTracker(Standing):
         rules = track.rules_of((kf.choices,)) if setup.is_plain(kf, self.form.layout.n) else None
         F, Q = (_NONE if rules is None else plain(getattr(kf, name))[None, None] for name in "FQ")
         using = track.Settings(
-            rules, F, Q, np.array([float(kf._alpha_sq)]), np.array([enabled]), lambda i: kf,
+            rules, F, Q, np.array([float(vars(kf)["_alpha_sq"])]), np.array([enabled]), lambda i: kf,
             lambda k, i: "" if first is None else f"sample {first + k}: ",
         )  # fmt: skip
         self._used = (first, enabled), using
@@ -687,7 +687,17 @@ class ParameterTracker(Standing):
         self.enabled, self._time, self._used, self._unshown = bool(found["enabled"]), None, None, []
 
     def go_on(self, settings: Mapping[str, Array], initial: State, now: State, enabled: bool) -> None:
-        """Go on from now, and back to initial when it is reset, both with these settings of the filter."""
+        """Go on from now, and back to initial when it is reset.
+
+        Parameters
+        ----------
+        settings : mapping of str to ndarray
+            Q, F and alpha_sq of the filter in both.
+        initial, now : State
+            Of one actuator.
+        enabled : bool
+            Whether it adapts.
+        """
         setup.apply_settings(self._loaded(), settings)
         self._now, self._used, self._unshown = initial, None, []
         self._initial = self.state()
