@@ -11,7 +11,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = ["NANO", "as_numpy", "column", "read", "seconds"]
+__all__ = ["NANO", "as_numpy", "column", "frame", "read", "seconds"]
 
 NANO = 1_000_000_000
 # Numbers as large as this are no seconds since 1970, but milliseconds or smaller parts of one.
@@ -83,6 +83,19 @@ def column(values: Any, loose: bool = False) -> tuple[np.ndarray, dict[int, str]
     if kinds == {int}:
         return np.array([key or 0 for key in found], dtype=np.int64), wrong
     return np.array(found, dtype=object if int in kinds else float), wrong
+
+
+def frame(table: Any, mend: str = "pass one of pandas, polars or pyarrow") -> Any:
+    """Return a table in memory as a data frame of narwhals, or raise."""
+    try:
+        import narwhals as nw
+    except ImportError:
+        raise ImportError('tables are read by narwhals; pip install "robust_filterpy[fleet]"') from None
+    try:
+        return nw.from_native(table, eager_only=True)
+    except TypeError:
+        kind = type(table).__name__
+        raise TypeError(f"table: expected a data frame or an Arrow table in memory, got {kind}; {mend}") from None
 
 
 def as_numpy(series: Any) -> np.ndarray:

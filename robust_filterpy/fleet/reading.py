@@ -89,7 +89,7 @@ def _as_array(batch: Any, widths: list[int]) -> tuple[np.ndarray, Reasons]:
 
 def read_table(table: Any, model: Any, key: str | None) -> Rows:
     """Return the samples of a table with columns by name, or raise if it lacks one."""
-    nw, frame, back = _frame(table)
+    frame, back = _frame(table)
     names = frame.columns
     given = list(model.inputs or ())
     chosen = model.measurements
@@ -113,6 +113,8 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
 
     def like(rows: np.ndarray, columns: dict[str, Any]) -> Any:
         """Return columns as a table of the kind of the batch, with its keys and times."""
+        import narwhals as nw
+
         kept = frame.select(copied) if len(rows) == len(frame) else frame.select(copied)[rows]
         if not copied and hasattr(table, "index"):
             kept = nw.from_native(table[[]].iloc[rows], eager_only=True)
@@ -123,44 +125,33 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
             )
             for name, values in columns.items()
         ]  # fmt: skip
-        return back(kept.with_columns(series) if len(kept.columns) or hasattr(table, "index") else _put(nw, series))
+        if len(kept.columns) or hasattr(table, "index"):
+            return back(kept.with_columns(series))
+        return back(nw.concat([one.to_frame() for one in series], how="horizontal"))
 
     return Rows(keys, times, z, u, said, like, stamps is not None and _are_instants(stamps))
 
 
 def reasons(table: Any, key: str) -> tuple[list[tuple[Any, str]], list[Any]]:
     """Return keys and what the column ``error`` says of the rows that have one, and the keys of all rows."""
-    _, frame, _ = _frame(table)
+    frame, _ = _frame(table)
     bad = frame.filter(~frame["error"].is_null())
     keys = frame[key].to_list() if len(bad) else []
     return list(zip(bad[key].to_list(), bad["error"].to_list(), strict=True)), keys
 
 
-def _put(nw: Any, series: list[Any]) -> Any:
-    """Return series side by side as a frame."""
-    return nw.concat([one.to_frame() for one in series], how="horizontal")
-
-
-def _frame(table: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
-    """Return narwhals, the table as its data frame, and the way back; or raise."""
-    try:
-        import narwhals as nw
-    except ImportError:
-        raise ImportError('robust_filterpy reads tables by narwhals; pip install "robust_filterpy[fleet]"') from None
-    if type(table).__name__ == "RecordBatch":
-        import pyarrow as pa
-
-        def record_batch(frame: Any) -> Any:
-            """Return an Arrow record batch."""
-            return frame.to_native().combine_chunks().to_batches()[0] if len(frame) else frame.to_native().to_batches()
-
-        return nw, nw.from_native(pa.Table.from_batches([table]), eager_only=True), record_batch
-    try:
-        return nw, nw.from_native(table, eager_only=True), lambda frame: frame.to_native()
-    except TypeError:
-        kind = type(table).__name__
+def _frame(table: Any) -> tuple[Any, Callable[[Any], Any]]:
+    """Return a table as the data frame of narwhals, and the way back; or raise."""
+    if type(table).__name__ != "RecordBatch":
         mend = "pandas.read_parquet(..) reads a file" if isinstance(table, (str, PathLike)) else "collect what is lazy"
-        raise TypeError(f"table: expected a data frame or an Arrow table in memory, got {kind}; {mend}") from None
+        return _stamps.frame(table, mend), lambda frame: frame.to_native()
+    import pyarrow as pa
+
+    def record_batch(frame: Any) -> Any:
+        """Return an Arrow record batch."""
+        return frame.to_native().combine_chunks().to_batches()[0] if len(frame) else frame.to_native().to_batches()
+
+    return _stamps.frame(pa.Table.from_batches([table])), record_batch
 
 
 def _keys(key: str, column: Any, said: Reasons) -> Sequence[Any]:

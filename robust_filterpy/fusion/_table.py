@@ -148,18 +148,7 @@ def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]
     if isinstance(table, Mapping):
         there, column = list(table), lambda name: np.asarray(table[name])
     else:
-        try:
-            import narwhals as nw
-        except ImportError:
-            raise ImportError(
-                'tables are read by narwhals; pip install "robust_filterpy[fleet]", or pass a dict of columns'
-            ) from None
-        try:
-            frame = nw.from_native(table, eager_only=True)
-        except TypeError:
-            raise TypeError(
-                f"table: expected a data frame in memory, or a dict of columns, got {type(table).__name__}"
-            ) from None
+        frame = _stamps.frame(table, "or pass a dict of columns")
         there, column = frame.columns, lambda name: as_numpy(frame[name])
     names = [time, sensor, *(value if np.ndim(value) == 1 else [value])]
     if len(names) < 3 or not all(isinstance(name, (str, int)) for name in names):

@@ -288,46 +288,32 @@ def _integrators(dim: int, q: ArrayLike, names: tuple[str, ...], controlled: boo
         raise ValueError(f"q: expected a number or {dim} of them, got {_checks.described(density)}")
     if not ((density > 0.0) & np.isfinite(density)).all():
         raise ValueError(f"q: expected a finite number > 0, got {_checks.shown(q)}")
-    scale, k = np.diag(np.broadcast_to(density, dim).copy()), len(names)
-    ahead = np.subtract.outer(range(k), range(k)).T
-    rest = np.arange(k)[::-1]
-    factorial = np.array([math.factorial(i) for i in range(k + 1)], dtype=float)
-    upper = np.where(ahead >= 0, 1.0 / factorial[np.maximum(ahead, 0)], 0.0)
-    powers = np.add.outer(rest, rest) + 1
-    grown = 1.0 / (powers * np.multiply.outer(factorial[rest], factorial[rest]))
-    pushed = 1.0 / factorial[rest + 1]
-
-    together = _Chains(upper, np.maximum(ahead, 0), scale, grown, powers, pushed, rest + 1, dim if controlled else 0)
-    axes = "xyz"[:dim] if dim <= 3 else [str(i) for i in range(dim)]
-    spelt = tuple(f"{axis}.{name}" for axis in axes for name in names)
-    return Motion(dim * k, together.matrices, dim if controlled else 0, names=spelt, together=together.stacks)
+    k = len(names)
+    # Of one axis x' = A x + L w, u entering where w does; A to the power of k is 0, so that all series end.
+    axes, A, L = np.eye(dim), np.eye(k, k=1), np.eye(k)[:, -1:]
+    powers = [np.kron(axes, np.linalg.matrix_power(A, i) / math.factorial(i)) for i in range(k)]
+    driven, B = np.kron(np.diag(np.broadcast_to(density, dim)), L @ L.T), np.kron(axes, L)[:, : dim * controlled]
+    together = partial(_series, powers, driven, B)
+    spelt = tuple(f"{axis}.{name}" for axis in ("xyz"[:dim] if dim <= 3 else range(dim)) for name in names)
+    return Motion(dim * k, partial(_one, together), B.shape[1], names=spelt, together=together)
 
 
-class _Chains(NamedTuple):
-    """Integrators of which each drives the next, one chain for each axis: coefficients and powers of dt."""
+def _series(powers: list[Array], driven: Array, B: Array, dts: Array) -> tuple[Array, Array, Array]:
+    """Return F, Q and B of each stretch, by the powers of A over their factorials."""
+    dt, ks = dts[:, None, None], list(enumerate(powers))
+    F, moved = np.zeros((2, len(dts), *driven.shape))
+    Q = np.zeros_like(F)
+    for i, a in ks:
+        F, moved = F + a * dt**i, moved + a * dt ** (i + 1) / (i + 1)
+        for j, b in ks:
+            Q = Q + (a @ driven @ b.T) * dt ** (i + j + 1) / (i + j + 1)
+    return F, Q, moved @ B
 
-    upper: Array
-    ahead: np.ndarray
-    scale: Array
-    grown: Array
-    powers: np.ndarray
-    pushed: Array
-    reach: np.ndarray
-    dim_u: int
 
-    def stacks(self, dts: Array) -> tuple[Array, Array, Array]:
-        """Return F, Q and B of all axes, for each stretch."""
-        dt, axes = dts[:, None, None], np.eye(len(self.scale))
-        F = np.einsum("ab,tij->taibj", axes, self.upper * dt**self.ahead)
-        Q = np.einsum("ab,tij->taibj", self.scale, self.grown * dt**self.powers)
-        B = np.einsum("ab,tij->taibj", axes, self.pushed[:, None] * dt ** self.reach[:, None])
-        N, n = len(dts), len(axes) * len(self.upper)
-        return F.reshape(N, n, n), Q.reshape(N, n, n), B.reshape(N, n, len(axes))[:, :, : self.dim_u]
-
-    def matrices(self, dt: float) -> tuple[Array, Array, Array]:
-        """Return F, Q and B of all axes."""
-        F, Q, B = self.stacks(np.array([dt]))
-        return F[0], Q[0], B[0]
+def _one(together: Callable[[Array], tuple[Array, Array, Array]], dt: float) -> tuple[Array, Array, Array]:
+    """Return F, Q and B of one stretch."""
+    F, Q, B = together(np.array([dt]))
+    return F[0], Q[0], B[0]
 
 
 def _grown(Q: Any, n: int, dim_u: int, dt: float) -> tuple[Array, Array, Array]:

@@ -96,9 +96,7 @@ class Sensor:
     every: float | None = None
     group: str | None = None
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
     def __post_init__(self) -> None:
         """Check what does not depend on the state."""
