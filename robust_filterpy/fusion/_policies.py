@@ -34,11 +34,6 @@ _NEEDED, _MEDIAN = 5, 0.4549
 TRIAL = _SQUARES + _NEEDED
 
 
-def none_yet(size: int) -> Array:
-    """Return what is remembered before the first reading."""
-    return np.zeros((size, TRIAL))
-
-
 def compared(trial: Array, sizes: Array, seconds: float, values: Array) -> tuple[Array, Array]:
     """Return what is remembered after another moment, and the variances that are known by now."""
     unknown = np.isnan(sizes)
@@ -106,7 +101,7 @@ def _require_told(layout: Layout, why: str) -> None:
 def start(policy: Policy, x: Array, P: Array, sizes: Array, u: Array) -> State:
     """Return the state before anything has happened."""
     M = len(sizes)
-    return State(x, P, policy.begin(M), policy.start(x, P, M), sizes, u, none_yet(M))
+    return State(x, P, policy.begin(M), policy.start(x, P, M), sizes, u, np.zeros((M, TRIAL)))
 
 
 def arrays(policy: Policy, state: State) -> tuple[Array, ...]:

@@ -53,8 +53,8 @@ def begun(setup: Setup, x: Array, P: Array) -> Moment:
     layout, policy = setup.layout, setup.policy
     sizes = np.where(layout.untold, np.nan, 1.0)
     state = start(policy, x, P, sizes, np.zeros(setup.motion.dim_u))
-    classes = len(policy.shares(state.memory)[0])
-    return Moment(state, fresh(layout.n, layout.size, len(layout.parties), classes) if setup.watches else None)
+    scales = policy.shares(state.memory)[0]
+    return Moment(state, fresh(layout.n, layout.size, len(layout.parties), scales) if setup.watches else None)
 
 
 def moved(setup: Setup, state: State, seconds: float) -> State:
@@ -96,14 +96,12 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     after, weights = weighed(policy, state, used, seen.H, R, learns)
     if not looks:
         return Moment(after, watch, seen.failed)
-    factors = policy.factors(state.memory)
     if watch is not None:
-        noise = factors, *policy.shares(state.memory), policy.slack(state.kept)
-        watch = looked_at(watch, Looked(z, y, seen.H, state.P, R.diagonal(), weights, *noise), layout.party)
+        watch = looked_at(watch, Looked(z, y, seen.H, R.diagonal(), weights, policy, state), layout.party)
     if setup.reacquire is None:
         return Moment(after, watch, seen.failed)
     spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
-    e = np.abs(np.where(np.isnan(used), 0.0, y)) / np.sqrt(spread + factors * R.diagonal())
+    e = np.abs(np.where(np.isnan(used), 0.0, y)) / np.sqrt(spread + policy.factors(state.memory) * R.diagonal())
     return Moment(after, watch, seen.failed, None, int(layout.owner[np.argmax(e)]) if e.max() > FAR else -1)
 
 

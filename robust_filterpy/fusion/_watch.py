@@ -62,6 +62,8 @@ _SURE, _SOON = 0.95, 0.05
 _FAR_BELOW = 12.0
 # Readings from which noise is learnt before a test speaks, and over which what was learnt is averaged.
 _FIRST, _AVERAGED = 60.0, 300.0
+# Readings after which what was learnt is asked for again.
+_SELDOM = 4.0
 # A correlation of n readings is no colour up to this over sqrt(n): 1.5 standard deviations of pi/2 times the mean sign.
 _BY_CHANCE = 2.4
 # Readings over which recovery is judged, and where innovations are clipped for that.
@@ -80,6 +82,8 @@ class Watch(NamedTuple):
     """Score and information about its size, (2, M * 2 * onsets)."""
     age: Array
     """1, and seconds since each onset, (M, 2, onsets)."""
+    scales: Array
+    """Of the classes of noise, (C,)."""
     score: Array
     """Logarithm of the odds of a fault, (M,)."""
     recent: Array
@@ -113,12 +117,13 @@ class Watch(NamedTuple):
         return (self.fault >= 2.0) & (self.fault <= 4.0)
 
 
-def fresh(states: int, components: int, sensors: int, classes: int) -> Watch:
+def fresh(states: int, components: int, sensors: int, scales: Array) -> Watch:
     """Return that nothing is the matter."""
-    known, age = np.zeros((components, _CLASSES + 2 * classes + 1)), np.zeros((components, 2, _ONSETS))
+    known, age = np.zeros((components, _CLASSES + 2 * len(scales) + 1)), np.zeros((components, 2, _ONSETS))
     known[:, _LAST], known[:, SLOW], known[:, _CLASSES], age[:, 0] = np.nan, 1.0, 1.0, 1.0
     return Watch(
-        known, np.zeros((states, age.size)), np.zeros((2, age.size)), age, np.full(components, _PRIOR),
+        known, np.zeros((states, age.size)), np.zeros((2, age.size)), age, scales,
+        np.full(components, _PRIOR),
         np.zeros((components, 4)), np.ones(components), np.zeros(sensors), np.ones(sensors), np.zeros(sensors),
         (None,) * sensors, np.zeros(sensors), np.full(sensors + 1, _ALARM), 1.0, 0.0, None, None,
     )  # fmt: skip
@@ -133,20 +138,13 @@ class Looked(NamedTuple):
     """Innovations, (M,)."""
     H: Array
     """(M, n)"""
-    P: Array
-    """Of the state before it, (n, n)."""
     R: Array
     """Variance of noise as told, (M,)."""
     weights: Array
     """How much each was believed, NaN where it was not used, (M,)."""
-    factors: Array
-    """Of the variance of noise, as learnt, (M,)."""
-    scales: Array
-    """Of the classes of noise, (C,)."""
-    shares: Array
-    """(M, C)"""
-    slack: float
-    """Factor of Q that is thought likely."""
+    policy: Any
+    state: Any
+    """Before it (`_policies.State`)."""
 
 
 def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
@@ -160,8 +158,11 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     """Return what is known after the readings of one moment."""
     here = np.flatnonzero(now.y == now.y)
     H, y, known, recent, due = now.H[here], now.y[here], watch.known.copy(), watch.recent, watch.due.copy()
-    PH, rows, scales, quiet = now.P @ H.T, known[here], now.scales.tolist(), watch.score < _QUIET
-    S = H @ PH
+    PH, rows, quiet, learnt = now.state.P @ H.T, known[here], watch.score < _QUIET, None
+    S, slack, scales = H @ PH, watch.slack, watch.scales.tolist()
+    if (rows[:, _COUNT] % _SELDOM == 0.0).any():
+        memory, slack = now.state.memory, now.policy.slack(now.state.kept)
+        learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
     said = zip(here.tolist(), rows.tolist(), now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
     kept, counts = [], []
     for c, row, z, innovation, spread in said:
@@ -174,26 +175,28 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
             recent[c, 3] += 1.0
             recent[c, :3] += ([was, was * was, abs(was) >= _CLIP] - recent[c, :3]) / min(recent[c, 3], _RECENT)
         counts.append(_worth(_colour(row)) if row[_COUNT] >= _FIRST else 0.0)
-        usual = [float(now.factors[c]), *now.shares[c].tolist()] if quiet[c] and not ill else []
-        kept.append(_after(row, z, innovation, spread, R, scales, usual))
+        usual = learnt[c] if learnt and quiet[c] and not ill and row[_COUNT] % _SELDOM == 0.0 else []
+        kept.append(_after(row, z, innovation, spread, R, scales, usual, bool(quiet[c] and not ill)))
     known[here] = kept
     limit = watch.limit + (_ALARM - watch.limit) / _AVERAGED
-    if now.slack > _SLACK:
+    if slack > _SLACK:
         # A model that is known to be wrong is not looked at again before Q is thought right, one in doubt is soon.
         pace = _SOON if watch.model < _SURE else 0.0
         limit[-1] = watch.limit[-1] + pace * (_ALARM - watch.limit[-1])
-    watch = watch._replace(known=known, recent=recent, due=due, limit=limit, slack=now.slack)
-    S.flat[:: len(y) + 1] += rows[:, SLOW] * now.R[here] / np.fmax(now.weights[here], _LEAST)
+    watch = watch._replace(known=known, recent=recent, due=due, limit=limit, slack=slack)
+    for i, w in enumerate(now.weights[here].tolist()):
+        S[i, i] += rows[i, SLOW] * now.R[here[i]] / (w if w > _LEAST else _LEAST)
     return _scored(watch, here.tolist(), y, H, PH, np.linalg.inv(S), counts, now.R)
 
 
 def _after(
-    row: list[float], z: float, y: float, spread: float, R: float, scales: list[float], usual: list[float]
+    row: list[float], z: float, y: float, spread: float, R: float, scales: list[float], usual: list[float], quiet: bool
 ) -> list[float]:
-    """Return what is known of a component after a reading; usual: what is learnt of its noise, if it may be usual."""
+    """Return what is known of a component after a reading; usual: what is learnt of its noise, if that is looked at."""
     C, old, e2, sign = len(scales), row[_COUNT] >= _FIRST, -0.5 * y * y, math.copysign(1.0, y)
     shares, sums = row[_CLASSES : _CLASSES + C], row[_CLASSES + C :]
-    if old:
+    # Nothing is below 0, where what is nearer than a standard deviation leaves it.
+    if old and (-2.0 * e2 > spread + row[SLOW] * R or any(sums)):
         f = [
             [math.exp(e2 / v) / math.sqrt(v) + 1e-300 for v in [spread + factor * row[SLOW] * R * s for s in scales]]
             for factor in _FACTORS
@@ -211,8 +214,9 @@ def _after(
     run = -repeats * math.log(min(max(often, 0.02), 0.98)) if repeats >= 4.0 else 0.0
     slow, keeps = row[SLOW], row[_KEEPS]
     if usual:
-        pace = 1.0 / _AVERAGED if old else 1.0
+        pace = _SELDOM / _AVERAGED if old else 1.0
         slow, *shares = (a + pace * (b - a) for a, b in zip([slow, *shares], usual, strict=True))
+    if quiet:
         keeps += (sign * row[_SIGN] - keeps) / min(count, _AVERAGED)
     return [slow, count, sign, keeps, repeats, often, z, max(*sums, run), *shares, *sums]
 

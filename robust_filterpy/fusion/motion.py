@@ -291,8 +291,9 @@ def _integrators(dim: int, q: ArrayLike, names: tuple[str, ...], controlled: boo
     k = len(names)
     # Of one axis x' = A x + L w, u entering where w does; A to the power of k is 0, so that all series end.
     axes, A, L = np.eye(dim), np.eye(k, k=1), np.eye(k)[:, -1:]
-    powers = [np.kron(axes, np.linalg.matrix_power(A, i) / math.factorial(i)) for i in range(k)]
-    driven, B = np.kron(np.diag(np.broadcast_to(density, dim)), L @ L.T), np.kron(axes, L)[:, : dim * controlled]
+    powers: list[Any] = [np.kron(axes, np.linalg.matrix_power(A, i) / math.factorial(i)) for i in range(k)]
+    B: Any = np.kron(axes, L)[:, : dim * controlled]
+    driven = np.kron(np.diag(np.broadcast_to(density, dim)), L @ L.T)
     together = partial(_series, powers, driven, B)
     spelt = tuple(f"{axis}.{name}" for axis in ("xyz"[:dim] if dim <= 3 else range(dim)) for name in names)
     return Motion(dim * k, partial(_one, together), B.shape[1], names=spelt, together=together)

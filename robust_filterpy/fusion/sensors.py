@@ -96,7 +96,9 @@ class Sensor:
     every: float | None = None
     group: str | None = None
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
     def __post_init__(self) -> None:
         """Check what does not depend on the state."""

@@ -16,21 +16,11 @@ import numpy as np
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion import _faults
+from robust_filterpy.fusion import _faults, _watch
 from robust_filterpy.fusion._faults import Found, Stretch
 from robust_filterpy.fusion._stepping import Moment, covariance
 from robust_filterpy.fusion._table import Clock, written
-from robust_filterpy.fusion._watch import (
-    FAULTS,
-    SLOW,
-    Watch,
-    alarmed,
-    begun_anew,
-    cleared,
-    recovered,
-    suspected,
-    worths,
-)
+from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch
 from robust_filterpy.fusion.reacquisition import doubted
 from robust_filterpy.fusion.sensors import Layout
 
@@ -80,7 +70,9 @@ class Verdict(NamedTuple):
     remedy: str
     """What helps, in words."""
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 def described(fault: str, since: Any = None, probability: float = 1.0, size: float = float("nan")) -> Verdict:
@@ -103,19 +95,20 @@ def watched(line: Any, i: int, moment: Moment) -> Moment:
     if moment.doubt is not None and moment.doubt.served >= 0 and not moment.doubt.sure:
         # First it is decided whether a sensor or the state was wrong.
         return moment
-    well = recovered(before, owner)
-    watch = begun_anew(_set_free(before, well, owner), well, owner) if well.any() else before
-    alarm = alarmed(watch, owner)
+    well = _watch.recovered(before, owner)
+    watch = _watch.begun_anew(_set_free(before, well, owner), well, owner) if well.any() else before
+    alarm = _watch.alarmed(watch, owner)
     alarm[:-1] &= watch.fault == _HEALTHY
     followed = ((watch.fault > _HEALTHY) | (watch.odds < 1.0 - _DOUBTED)) & (watch.due <= 0.0)
     if alarm.any() or followed.any():
         seen = alarm | np.append(followed, False)
-        watch = _after_a_look(line, i, cleared(watch, seen, owner), alarm, followed)
+        watch = _after_a_look(line, i, _watch.cleared(watch, seen, owner), alarm, followed)
     if watch is before:
         return moment
-    left, was = watch.out, before.out
-    if (left & ~was).any() or (left & was & _moved(watch, before)).any():
-        watch = begun_anew(watch, left, owner)._replace(mended=line.keys[i])
+    left = watch.out
+    since = np.array([a != b for a, b in zip(watch.since, before.since, strict=True)])
+    if (left & (since | ~before.out)).any():
+        watch = _watch.begun_anew(watch, left, owner)._replace(mended=line.keys[i])
         as_if = _mended(line, i, watch)
         return moment._replace(watch=watch, state=as_if.state, doubt=as_if.doubt)
     return moment._replace(watch=watch)
@@ -154,8 +147,8 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
         first = next((k + 1 for k in range(i - 1, first - 1, -1) if line.entries[k].moment.anew), first)
         if first >= i:
             return watch
-        suspects = suspected(watch, (alarm[:-1] | followed | departs) & ~gone, party) & ~gone[party]
-        found = _faults.judged(_stretch(line, first, i, worths(watch)), gone[party], suspects)
+        suspects = _watch.suspected(watch, (alarm[:-1] | followed | departs) & ~gone, party) & ~gone[party]
+        found = _faults.judged(_stretch(line, first, i, _watch.worths(watch)), gone[party], suspects)
         best = _by_sensor(found, party)
         (who, fault), probability = max(best.items(), key=lambda one: one[1])
         doubts = [sum(p for (s, _), p in best.items() if s == one) for one in range(len(departs))]
@@ -243,11 +236,6 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
         np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.known[:, SLOW] * R, scales, shares,
         worth,
     )  # fmt: skip
-
-
-def _moved(watch: Watch, before: Watch) -> np.ndarray:
-    """Return whose onset is another one than before."""
-    return np.array([a != b for a, b in zip(watch.since, before.since, strict=True)])
 
 
 def _mended(line: Any, i: int, watch: Watch) -> Moment:
