@@ -29,8 +29,9 @@ _COVARIANCES: Final[dict[str, dict[str, float]]] = {
 
 # Numbers that a state held of a sensor's spread before it held more, which then follow.
 _FORMER: Final = (10, 15)
-# What is learnt of a sensor's noise had nothing of jumps once; these stand before the last ten.
-_OF_JUMPS, _BEHIND = 5, 10
+# What is learned of a sensor's noise had nothing of typical innovations once, nor of jumps: so many numbers, which stand
+# before so many.
+_OF_NOISE: Final = ((5, 10), (17, 17))
 
 
 # Arrays of as many sensors, or numbers, as there are.
@@ -130,8 +131,9 @@ def widened(name: str, value: Array, width: int | None) -> Array:
         return value
     if name.endswith("spread") and value.shape[-1] in _FORMER:
         return np.concatenate((value, np.zeros((*value.shape[:-1], missing))), axis=-1)
-    if name.endswith(("learnt", "memory")) and missing == _OF_JUMPS and value.shape[-1] > _BEHIND:
-        return np.insert(value, [value.shape[-1] - _BEHIND] * missing, 0.0, axis=-1)
+    for count, behind in _OF_NOISE:
+        if name.endswith(("learnt", "memory")) and missing in (count, 22) and value.shape[-1] > behind:
+            value, missing = np.insert(value, [value.shape[-1] - behind] * count, 0.0, axis=-1), missing - count
     return value
 
 

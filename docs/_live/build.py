@@ -51,7 +51,7 @@ def numbers() -> str:
     kf, noise, process = live_filter(robust_filterpy.RobustKalmanFilter), NoiseClasses(), Scales()
     begun = copies.start(kf.x.ravel(), kf.P, process)
     arrays = {"F": kf.F, "Q": kf.Q, "H": kf.H, "START": kf.P, "PROCESS": process.scales}
-    arrays |= {"SCALES": noise.scales, "BELIEF": begun.belief}
+    arrays |= {"SCALES": noise.scales, "BELIEF": begun.packed[2]}
     arrays["BEGIN"] = learning.start(len(noise.scales), noise.probabilities)
     defined = {"Q": len(process.scales), "K": len(noise.scales), "STAY": process.stay, "JUMP": process.jump}
     defined |= {"MEMORY": noise.memory, "R_MEMORY": noise.r_memory}

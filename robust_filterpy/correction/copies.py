@@ -26,6 +26,7 @@ from scipy.sparse.csgraph import connected_components
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.factor import Given, scaled
 
 __all__ = ["Copies", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
 
@@ -91,6 +92,11 @@ class Scales:
         return len(self.scales) + (1 if self.jump > 0.0 else 0)
 
     @property
+    def rows(self) -> int:
+        """How many recursions there are, that as given among them."""
+        return self.count + (len(self.scales) > 1 and self.probabilities is None)
+
+    @property
     def stay(self) -> float:
         """Probability that the scale stays."""
         return 1.0 - 1.0 / self.dwell if len(self.scales) > 1 else 1.0
@@ -128,6 +134,8 @@ class Copies(NamedTuple):
     belief: Array
     """Shape (q + 2, n): for each state the probabilities of the copies in its part, the chance that the part has jumped
     since its last measurement, and the first state of the part."""
+    given: Given | None = None
+    """The recursion as given, where P, Q and R may have one wrong factor."""
 
     @property
     def probabilities(self) -> Array:
@@ -144,6 +152,20 @@ class Copies(NamedTuple):
         """The first state of each state's part, shape (n,)."""
         return np.asarray(self.belief[-1])
 
+    @classmethod
+    def unpacked(cls, x: Array, P: Array, belief: Array) -> Copies:
+        """Return the copies of which these are the arrays, with those of the recursion as given in the last rows."""
+        if len(belief) == len(x) + 2:
+            return cls(x, P, belief)
+        return cls(x[:-1], P[:-1], belief[:-3], Given(x[-1], P[-1], *belief[-3:]))
+
+    @property
+    def packed(self) -> tuple[Array, Array, Array]:
+        """The copies as three arrays."""
+        if self.given is None:
+            return self[:3]
+        return tuple(map(np.concatenate, zip(self[:3], (self.given.x[None], self.given.P[None], self.given[2:]))))
+
 
 def start(x: Array, P: Array, process: Scales) -> Copies:
     """Return the copies before the first step, all at the same place."""
@@ -153,7 +175,10 @@ def start(x: Array, P: Array, process: Scales) -> Copies:
     belief[-2] = _START if process.jump > 0.0 else 0.0
     # A process that draws its scale anew in each step draws one for all.
     belief[-1] = np.arange(n) if process.probabilities is None else 0.0
-    return coupled(Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief), P, process)
+    given = None
+    if process.rows > count:
+        given = Given(x, P, *np.array([[0.0], [0.0], [1.0]]) * np.ones(n))
+    return coupled(Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given), P, process)
 
 
 def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
@@ -184,12 +209,12 @@ def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
         belief[:q, states] = ((1.0 - jumped) * likely / likely.sum())[:, None]
         belief[q:-2, states] = jumped
         belief[-2, states], belief[-1, states] = belief[-2, heads].max(), heads[0]
-    return Copies(x, P, belief)
+    return Copies(x, P, belief, copies.given)
 
 
-def require_belief(name: str, belief: Array) -> None:
-    """Raise if this is no `Copies.belief`, or several in front of each other."""
-    probabilities, unseen, parts = belief[..., :-2, :], belief[..., -2, :], belief[..., -1, :]
+def require_belief(name: str, belief: Array, process: Scales) -> None:
+    """Raise if this is no packed `Copies.belief`, or several in front of each other."""
+    probabilities, unseen, parts = np.split(belief[..., : process.count + 2, :], [-2, -1], axis=-2)
     if not ((probabilities >= 0.0).all() and np.allclose(probabilities.sum(axis=-2), 1.0)):
         raise ValueError(f"{name}: expected probabilities >= 0 of the copies that sum to 1 for each state")
     if not ((unseen >= 0.0) & (unseen <= 1.0)).all():
@@ -198,6 +223,9 @@ def require_belief(name: str, belief: Array) -> None:
     first = np.isin(parts, np.arange(n)) & (parts <= np.arange(n))
     if not (first.all() and (np.take_along_axis(parts, parts.astype(int), -1) == parts).all()):
         raise ValueError(f"{name}: expected the first state of each state's part, got {parts}")
+    given = belief[..., process.count + 2 :, :]
+    if not ((given >= 0.0).all() and (given[..., 2:, :] > 0.0).all()):
+        raise ValueError(f"{name}: expected evidence and readings >= 0 and a factor > 0 for each state, got {given}")
 
 
 def slow(copies: Copies, process: Scales) -> Array:
@@ -210,7 +238,9 @@ def predict(
     copies: Copies, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
 ) -> Copies:
     """Return the copies after a prediction: mixed as the scale may have changed, then moved."""
-    x, P, belief = copies = coupled(copies, (F != 0.0) | (Q != 0.0), process)
+    x, P, belief, given = copies = coupled(copies, (F != 0.0) | (Q != 0.0), process)
+    if given is not None:
+        given, Q = given.moved(F, Q, Bu, alpha_sq), scaled(Q, given.factor)
     q, scales = len(process.scales), np.array(process.scales)[:, None] * np.ones(len(F))
     belief = belief.copy()
     # Row j: where copy j comes from.
@@ -231,6 +261,7 @@ def predict(
         moved if Bu is None else moved + Bu,
         alpha_sq * (F @ mixed_P @ F.T) + root[:, :, None] * root[:, None, :] * Q,
         belief,
+        given,
     )
 
 
@@ -240,7 +271,7 @@ def decided(
     """Return the copies once a reading that is far from a candidate and from all others has decided between them."""
     # With it, which states are of a part that may have a new candidate, and of one whose candidate has been believed;
     # `chances` is how often a reading of each sensor has begun a jump.
-    (x, P, belief), q, parts = copies, len(process.scales), copies.parts
+    (x, P, belief, _), q, parts = copies, len(process.scales), copies.parts
     new, believed = np.zeros((2, len(parts)), dtype=bool)
     if process.jump == 0.0:
         return copies, new, believed
@@ -271,7 +302,7 @@ def with_candidates(
 ) -> tuple[Copies, Begun]:
     """Return the copies, a candidate in each new part where an innovation asks for one, and who asked."""
     # The copies are coupled as H has it; noise (m,) is the variance of ordinary noise.
-    (x, P, belief), q, parts = copies, len(process.scales), copies.parts
+    (x, P, belief, given), q, parts = copies, len(process.scales), copies.parts
     begun = Begun(np.zeros(len(z)), np.ones(len(z)), np.zeros(len(z), dtype=bool))
     if process.jump == 0.0:
         return copies, begun
@@ -300,6 +331,7 @@ def with_candidates(
         np.concatenate([x[:q], np.where(new, at, x[q])[None]]),
         np.concatenate([P[:q], np.where(within, spread, P[q])[None]]),
         belief,
+        given,
     ), begun
 
 
@@ -355,10 +387,21 @@ def _from_candidate(copies: Copies, states: np.ndarray, process: Scales) -> Copi
     """Return the copies, all of the parts that have these states where the candidate is."""
     if not states.any():
         return copies
-    (x, P, belief), q = copies, len(process.scales)
+    (x, P, belief, given), q = copies, len(process.scales)
     belief = belief.copy()
     belief[:q, states], belief[q, states] = slow(copies, process)[:, states], 0.0
-    return Copies(np.where(states, x[q], x), np.where(states[:, None] & states, P[q], P), belief)
+    return Copies(np.where(states, x[q], x), np.where(states[:, None] & states, P[q], P), belief, given)
+
+
+def begun_again(copies: Copies, states: np.ndarray, process: Scales) -> Copies:
+    """Return the copies, all of the parts that have these states where the recursion as given is, times its factor."""
+    x, P, belief, given = copies
+    belief, q = belief.copy(), len(process.scales)
+    belief[:-1, states] = 0.0
+    belief[:q, states] = process.begin[:q, None]
+    return Copies(
+        np.where(states, given.x, x), np.where(states[:, None] & states, scaled(given.P, given.factor), P), belief, given
+    )
 
 
 def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
@@ -367,7 +410,12 @@ def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
     if process.jump > 0.0:
         hidden = np.concatenate([slow(copies, process), np.zeros((1, p.shape[1]))])
         p = np.where(p[q] > 0.5, p, hidden)
-    return collapse(p, x, P, copies.parts)
+    x, P = collapse(p, x, P, copies.parts)
+    if copies.given is None or not copies.given.shown.any():
+        return x, P
+    shown = copies.given.shown
+    apart = shown[:, None] != shown
+    return np.where(shown, copies.given.x, x), np.where(apart, 0.0, np.where(shown, copies.given.P, P))
 
 
 def collapse(probabilities: Array, means: Array, covariances: Array, parts: Array) -> tuple[Array, Array]:

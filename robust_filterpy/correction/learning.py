@@ -50,7 +50,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import repeats
+from robust_filterpy.correction import repeats, spread
 from robust_filterpy.correction.options import Grouping, checked_grouping
 
 __all__ = [
@@ -78,8 +78,10 @@ _MOST = 8.0 / 6.0
 # Standard deviations beyond which a reading is as far as any other.
 _WILDEST = 1e6
 # Numbers of a row that tell of failing together, of parity, of changes and readings.
-_TOGETHER, _LESS, _JUMPS, _PARITY, _TAIL = -17, -16, slice(-15, -10), slice(-10, -6), 17
+_TOGETHER, _LESS, _JUMPS, _PARITY, _TAIL = -17, -16, slice(-15, -10), slice(-10, -6), 17 + spread.NUMBERS
 _READINGS, _COUNT = slice(-repeats.WIDTH, None), -3
+#: Numbers of a row that tell of typical innovations.
+GIVEN = slice(-_TAIL, _TOGETHER)
 # Of jumps: the chance that a reading begins one, the last one and at which reading it was believed, what a candidate
 # began with, and how many outliers there were since.
 _CHANCE, _SIZE, _AT, _BEGAN, _OUTLIERS = range(5)

@@ -22,7 +22,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction import learning
+from robust_filterpy.correction import factor, learning
 from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Grouping
@@ -119,13 +119,45 @@ def correct(
     readings: Array | None = None,
 ) -> Corrected:
     """Correct copies of a filter by one measurement and learn the noise from it."""
+    given = copies.given
+    if given is None or not noise.learns or noise.grouping != "component":
+        return _corrected(copies, memory, z, H, R, noise, process, M, inv, readings)[0]
+    # What is learned of a sensor is in units of R; of the state's factor only what is inside here knows.
+    seen = np.argmax(H != 0.0, axis=1)
+    memory, root = memory.copy(), np.sqrt(given.factor)
+    memory[:, 0] /= given.factor[seen]
+    N = factor.scaled(R, given.factor[seen])
+    told, logs = _corrected(
+        copies, memory, z, H, N, noise, process, M if M is None else M * root[:, None] * root[seen], inv, readings
+    )
+    (copies, memory), parts = told[:2], told.copies.parts
+    memory = memory.copy()
+    if given.looks[parts[seen[~np.isnan(logs)]].astype(int)].any():
+        before = given.factor
+        given, memory[:, learning.GIVEN] = factor.judged(
+            given._replace(P=_limited(given.P[None], H, R.diagonal())[0]), memory[:, learning.GIVEN], z, H, R, M,
+            logs, parts,
+        )
+        copies, new = copies._replace(given=given), given.factor != before
+        if new.any():
+            copies = side_by_side.begun_again(copies, new, process)
+            memory[new[seen]] = noise.start(1)
+    memory[:, 0] *= given.factor[seen]
+    return told._replace(copies=copies, memory=memory)
+
+
+def _corrected(
+    copies: Copies, memory: Array, z: Array, H: Array, R: Array, noise: NoiseClasses, process: Scales,
+    M: Array | None, inv: Inverse | None, readings: Array | None,
+) -> tuple[Corrected, Array]:  # fmt: skip
+    """Return what `correct` does with R as it is, and the log densities of the readings, shape (m,)."""
     # Groups are taken one after the other, the most plausible first by the moments of all copies together, so that the
     # order of the sensors in z does not matter. What H does not see says nothing, and nothing is learnt from it. An
     # innovation beyond 8 standard deviations of the widest class is shortened to 8, it has no place in the model; not
     # that of a sensor without noise.
     m, joint = len(z), noise.grouping == "joint"
     alike = noise.learns and noise.grouping == "component"
-    weights, outlying = np.full(m, np.nan), np.zeros(m)
+    weights, outlying, logs = np.full(m, np.nan), np.zeros(m), np.full(m, np.nan)
     part = np.flatnonzero(~np.isnan(z) & H.any(axis=1))
     follows, readings = noise.learns and not joint, z if readings is None else readings
     if follows:
@@ -137,7 +169,7 @@ def correct(
             again = again[outlier | side_by_side.far_off(copies, z[again], H[again], r, process)]
             part, weights[again], outlying[again] = np.setdiff1d(part, again), 0.0, 1.0
     if part.size == 0:
-        return Corrected(copies, memory, 0.0, weights, outlying)
+        return Corrected(copies, memory, 0.0, weights, outlying), logs
     z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
     r = memory[rows, 0]
@@ -177,7 +209,7 @@ def correct(
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
         found = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, inv, joint, shared)
         own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
-        shares, log_total = _weighed(
+        shares, log_total, logs[part[group]] = _weighed(
             now.probabilities[:, group[0]], found.log_densities, len(process.scales), fresh, float(chances[group[0]]),
             alike and learning.is_known(memory[own[0]]),
         )  # fmt: skip
@@ -193,7 +225,7 @@ def correct(
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, found, shares)
         belief[:-2, copies.parts == own_part] = shares[:, None]
-    corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief)
+    corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief, copies.given)
     corrected, believed = side_by_side.settled(corrected, np.isin(copies.parts, now.parts), process)
     if alike:
         memory[part] = learning.jumped(memory[part], believed[seen], noise)
@@ -202,7 +234,7 @@ def correct(
     if follows:
         at = _slow(corrected, process)[0]
         memory[part] = learning.left_over(memory[part], z - H @ at, R)
-    return Corrected(corrected, memory, log_density, weights, outlying)
+    return Corrected(corrected, memory, log_density, weights, outlying), logs
 
 
 def _groups(part: np.ndarray, grouping: Grouping) -> list[np.ndarray]:
@@ -321,11 +353,12 @@ def _scores(
 
 def _weighed(
     probabilities: Array, log_densities: Array, q: int, fresh: bool, like_before: float, sensor_is_known: bool
-) -> tuple[Array, float]:
-    """Return the probabilities of the copies given a group, and log p(y); q of them are for scales of Q."""
+) -> tuple[Array, float, float]:
+    """Return the probabilities of the copies given a group, and log p(y), as far as one is trusted and in full."""
+    # q of the copies are for scales of Q.
     shares, log_total = _normalized(np.log(np.maximum(probabilities[:q], 1e-300)) + log_densities[:q])
     if len(probabilities) == q:
-        return shares, log_total
+        return shares, log_total, log_total
     candidate, slow = float(probabilities[q]), np.maximum(probabilities[:q], 1e-300)
     log_total -= math.log(float(slow.sum()))
     # What tells for a jump so much tells nothing of the scale of Q.
@@ -333,11 +366,12 @@ def _weighed(
         shares = slow / slow.sum()
     # A candidate is made to fit what it begins with, which is no evidence for it, unless that is like the jumps before.
     own = log_total if fresh else min(float(log_densities[q]), log_total + _LOG_EVIDENCE)
+    chances = math.log(max(1.0 - candidate, 1e-300)), math.log(max(candidate, 1e-300))
+    full = float(np.logaddexp(chances[0] + log_total, chances[1] + (own if fresh else float(log_densities[q]))))
     if like_before > 0.0 and candidate > 0.0:
         own = float(np.logaddexp(own, math.log((1.0 - candidate) / candidate * like_before) - 0.5 * _LOG_2PI))
-    parts = np.array([math.log(max(1.0 - candidate, 1e-300)) + log_total, math.log(max(candidate, 1e-300)) + own])
-    (slow_share, jumped), log_total = _normalized(parts)
-    return np.append(slow_share * shares, jumped if candidate > 0.0 else 0.0), log_total
+    (slow_share, jumped), log_total = _normalized(np.array([chances[0] + log_total, chances[1] + own]))
+    return np.append(slow_share * shares, jumped if candidate > 0.0 else 0.0), log_total, full
 
 
 def _taken(now: _Part, group: np.ndarray, found: _Scores, shares: Array) -> _Part:

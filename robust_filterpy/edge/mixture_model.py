@@ -28,6 +28,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 
 # Numbers of a rule before its scales: copies, classes, stay, jump, two memories, whether it learns.
 _HEAD = 9
+_HEADERS = "real", "psi", "correction", "spread", "update", "repeats", "learnt"
 
 
 def mixes(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> bool:
@@ -53,8 +54,8 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
     process, scales, begin = np.split(rule[_HEAD:], [q, q + K])
     model = matrices(kf)
     # One copy, which is x and P themselves, is not kept apart.
-    one = start_of_copies(x.ravel(), P, process_scales(None))
-    state: dict[str, Any] = {"means": one.x, "covariances": one.P, "belief": one.belief} | kf.state()
+    one = start_of_copies(x.ravel(), P, process_scales(None)).packed
+    state: dict[str, Any] = dict(zip(("means", "covariances", "belief"), one, strict=True)) | kf.state()
     copies, width = len(state["means"]), len(begin)
     for covariance in (P, *state["covariances"]):
         symmetric("P", covariance)
@@ -68,7 +69,7 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
     stay, jump, remembered, r_remembered = rule[2:6]
     return Described(
         f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), noise={kf.noise!r}, process={kf.process!r}",
-        ("real", "repeats", "learnt"), "mixture",
+        _HEADERS, "mixture",
         matrix_values(model, name)
         | {
             "copies": str(copies), "q": str(q), "K": str(K), "process": _numbers(process), "scales": _numbers(scales),
@@ -79,7 +80,7 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
                 f"    {name}_real {declared};"
                 for declared in (
                     f"means[{copies} * {n}]", f"covariances[{copies} * {n} * {n}]",
-                    f"belief[{copies + 2} * {n}]; /* for each state: how likely each copy, a jump; its part */",
+                    f"belief[{len(state['belief'])} * {n}]; /* for each state: how likely each copy, a jump; its part */",
                 )
             ).replace("*/;", "*/") + "\n" + memory_field((m, width), name),
             "remark": f"A step that Python leaves to its definition is refused, {name.upper()}_SINGULAR.",
@@ -151,7 +152,7 @@ def _mixed(kf: RobustExtendedKalmanFilter, name: str) -> Described:
     real work[learnt_correct_work(N, M, 1, CLASSES)] = {0};
     real weights[M], outlying[M], belief[3 * N] = {0}, likelihood = 0;"""
     return replace(
-        base, headers=("real", "prediction", "repeats", "learnt"), parts={**base.parts, "correction": "mixed.c"},
+        base, headers=("real", "prediction", *_HEADERS[1:]), parts={**base.parts, "correction": "mixed.c"},
         start={field: base.start[field] for field in ("x", "P", "memory")},
         values={
             **base.values, "correction_needs": needs, "rule": "", "refusal": "", "copies_fields": "",

@@ -84,7 +84,7 @@ class Kept(NamedTuple):
     @property
     def copies(self) -> Copies:
         """The copies alone."""
-        return Copies(*self[:3])
+        return Copies.unpacked(*self[:3])
 
 
 @dataclass(frozen=True)
@@ -299,7 +299,7 @@ class Mixture:
 
     def start(self, x: Array, P: Array, sensors: int) -> Kept | None:
         """Return the copies, all at x, P; None where there is but one."""
-        return Kept(*side_by_side.start(x, P, self.scales), x.copy(), P.copy()) if self.scales.count > 1 else None
+        return Kept(*side_by_side.start(x, P, self.scales).packed, x.copy(), P.copy()) if self.scales.count > 1 else None
 
     def current(self, kept: Kept | None, x: Array, P: Array) -> Kept:
         """Return the copies; all of them at x, P if these have been assigned from outside."""
@@ -307,13 +307,15 @@ class Mixture:
             return alone(x, P)
         if x.tobytes() == kept.x.tobytes() and P.tobytes() == kept.P.tobytes():
             return kept
-        count, belief, scales = len(kept.means), kept.belief.copy(), len(self.scales.scales)
+        now, scales = kept.copies, len(self.scales.scales)
+        count, belief = len(now.x), now.belief.copy()
         # Where the program puts the state there is no candidate.
         belief[scales:count] = 0.0
-        belief[:scales] = side_by_side.slow(kept.copies, self.scales)
+        belief[:scales] = side_by_side.slow(now, self.scales)
         x, P = x.copy(), P.copy()
-        copies = Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief)
-        return Kept(*side_by_side.coupled(copies, P, self.scales), x, P)
+        given = now.given and now.given._replace(x=x, P=P)
+        copies = Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given)
+        return Kept(*side_by_side.coupled(copies, P, self.scales).packed, x, P)
 
     def predicted(
         self, kept: Kept | None, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
@@ -322,7 +324,7 @@ class Mixture:
         control = None if Bu is None else Bu.ravel()
         now = self.current(kept, x.ravel(), P).copies
         copies, *merged_to = half_step.predict(now, F, Q, self.scales, control, alpha_sq)
-        after = Kept(*copies, *merged_to)
+        after = Kept(*copies.packed, *merged_to)
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if kept is None else after
 
     def corrected(
@@ -333,7 +335,7 @@ class Mixture:
         # Raises where H x is not finite.
         finite_product(H, x)
         found, *merged_to = half_step.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, M, inv)
-        after = Kept(*found.copies, *merged_to)
+        after = Kept(*found.copies.packed, *merged_to)
         if np.isnan(found.weights).all():
             ordinary = ordinary_noise(R, known.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
@@ -417,7 +419,9 @@ class Mixture:
         """Return the mean factor of each state's Q."""
         if kept is None:
             return np.ones(n)
-        return np.asarray(np.array(self.scales.scales) @ side_by_side.slow(kept.copies, self.scales))
+        given = kept.copies.given
+        mean = np.asarray(self.scales.scales @ side_by_side.slow(kept.copies, self.scales))
+        return mean if given is None else mean * given.factor
 
     def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""
@@ -430,7 +434,7 @@ class Mixture:
         """Return the copies of a state, if their probabilities are some."""
         if self.scales.count == 1:
             return None
-        side_by_side.require_belief("state: belief", found["belief"])
+        side_by_side.require_belief("state: belief", found["belief"], self.scales)
         return Kept(found["means"], found["covariances"], found["belief"], x.copy(), P.copy())
 
 

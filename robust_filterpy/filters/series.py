@@ -161,12 +161,12 @@ def began(policy: Any, given: SeriesArguments, learnt: ArrayLike | None) -> dict
         stands["spread"] = np.tile(policy.begin(m), (series, 1, 1))
     if is_mixture and policy.scales.count > 1:
         patterns, which = np.unique(given.P != 0.0, axis=0, return_inverse=True)
-        beliefs = [copies.start(np.zeros(n), pattern, policy.scales).belief for pattern in patterns]
+        beliefs = [copies.start(np.zeros(n), pattern, policy.scales).packed[2] for pattern in patterns]
+        rows = policy.scales.rows
         stands |= {
-            "means": np.repeat(given.x[:, None], policy.scales.count, axis=1),
-            "covariances": np.repeat(given.P[:, None], policy.scales.count, axis=1),
+            "means": np.repeat(given.x[:, None], rows, axis=1), "covariances": np.repeat(given.P[:, None], rows, axis=1),
             "belief": np.array(beliefs)[which.ravel()],
-        }
+        }  # fmt: skip
     if policy.learns and is_mixture:
         stands["learnt"] = _learnt(policy.classes, learnt, series, m)
     return stands
@@ -190,7 +190,7 @@ def continued(policy: Any, given: SeriesArguments, state: Mapping[str, Any]) -> 
             )
         stands[name] = value
     if "belief" in stands:
-        copies.require_belief("state['belief']", stands["belief"])
+        copies.require_belief("state['belief']", stands["belief"], policy.scales)
     if "learnt" in stands:
         stands["learnt"] = _learnt(policy.classes, stands["learnt"], len(given.x), given.z.shape[2])
     if not np.isfinite(stands.get("spread", 0.0)).all():

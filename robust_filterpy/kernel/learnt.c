@@ -36,8 +36,8 @@ npy_intp known_rows(const learnt_rule *rule, npy_intp m) { return rule->joint ? 
 /* The copies and what is known of m sensors; m < 0: of none. Return whether the arrays are that. */
 static int take_copies(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
                       PyObject *p, PyObject *memory) {
-    const npy_intp copies = learnt_copies(rule), means[2] = {copies, n}, covariances[3] = {copies, n, n};
-    const npy_intp beliefs[2] = {copies + 2, n}, known[2] = {known_rows(rule, m), learnt_width(rule->K)};
+    const npy_intp rows = learnt_rows(rule), means[2] = {rows, n}, covariances[3] = {rows, n, n};
+    const npy_intp beliefs[2] = {learnt_beliefs(1, rule), n}, known[2] = {known_rows(rule, m), learnt_width(rule->K)};
     s->x = writable(x, 2, means), s->P = writable(P, 3, covariances), s->p = writable(p, 2, beliefs);
     s->memory = m < 0 ? NULL : writable(memory, 2, known);
     return s->x && s->P && s->p && (m < 0 || s->memory) && learnt_has_parts((int)n, rule, s);
@@ -72,7 +72,7 @@ static void keep(const learnt_job *job, npy_intp row, double *means, double *cov
 /* Take steps until one is out of the ordinary; return the first that was not taken. */
 INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
     const learnt_rule rule = job->rule;
-    const int copies = learnt_copies(&rule), known = (int)known_rows(&rule, m) * learnt_width(rule.K), beliefs = learnt_beliefs(n, &rule);
+    const int copies = learnt_rows(&rule), known = (int)known_rows(&rule, m) * learnt_width(rule.K), beliefs = learnt_beliefs(n, &rule);
     double *const kept = work, *const p = kept + copies * (n * n + n), *const memory = p + beliefs;
     double *const x = memory + known, *const P = x + n, *const weights = P + n * n;
     double *const outlying = weights + m, *const spare = outlying + m;
@@ -118,6 +118,7 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
             for (int i = 0; job->scale && i < n; i++) {
                 double slow = 0, total = 0;
                 for (int c = 0; c < rule.q; c++) slow += s->p[c * n + i], total += s->p[c * n + i] * rule.process[c];
+                if (learnt_gives(&rule)) total *= learnt_given(n, &rule, s, LEARNT_FACTOR)[i];
                 job->scale[row * n + i] = total / slow;
             }
         }
@@ -174,7 +175,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
     job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.width = width;
     const int copies = learnt_copies(&job.rule), K = job.rule.K;
     const size_t step = correct_work(&job.rule, n, m) + learnt_predict_work(job.n, copies);
-    const size_t kept = (size_t)((copies + 1) * (n * n + n) + (copies + 2) * n + m * learnt_width(K) + 2 * m);
+    const size_t kept = (size_t)((copies + 2) * (n * n + n) + (copies + 5) * n + m * learnt_width(K) + 2 * m);
     double *const work = PyMem_Malloc((step + kept) * sizeof(double));
     if (!work) return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS;

@@ -3,12 +3,12 @@
    q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
    and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
-   [r, n, shares (K), last (K), counts (K, K), together, less, jumps (5), parity (4), change (4), reading (2)]. */
+   [r, n, shares (K), last (K), counts (K, K), spread (17), together, less, jumps (5), parity (4), change (4), reading (2)]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
-#include "real.h"
 #include "repeats.h"
+#include "update.h"
 
 #define LEARNT_REACH REAL(8.0)        /* standard deviations of the widest class that an innovation counts for */
 #define LEARNT_LOG_2PI REAL(1.8378770664093454836)
@@ -37,6 +37,12 @@
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
 #define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped, or is this where parts join */
 
+#define LEARNT_DECIDES REAL(50.0)      /* readings of a part from which on its factor may be taken, */
+#define LEARNT_DECIDED REAL(100.0)     /* and after which it is 1 if it is near 1 */
+#define LEARNT_BETTER REAL(6.9077552789821371) /* so much likelier, in logarithms, its readings must have been */
+#define LEARNT_LOG_BEYOND REAL(5.7037824746562009) /* half a decade beyond what the scales of Q reach */
+#define LEARNT_LOG_FARTHEST REAL(27.631021115928547)
+
 #define LEARNT_RARE REAL(0.2)          /* of a sensor with more outliers than that a run of them may be no jump */
 
 /* The chance that a reading begins a jump; the last jump in standard deviations of R, and at which reading it was believed;
@@ -60,16 +66,28 @@ typedef struct {
     const real *leads;   /* (named) .. whose place this is */
 } learnt_rule;
 
+/* Probability of copy c before the first step. */
+INLINE real learnt_begins(const learnt_rule *const rule, const int c) {
+    return (c > 0 ? 1 - rule->stay : 1) / (1 + (real)(rule->q - 1) * (1 - rule->stay));
+}
+
 /* The copies, and what is known of each sensor. */
 typedef struct {
-    real *x;      /* (copies, n) */
-    real *P;      /* (copies, n, n) */
+    real *x;      /* (copies, n), and that of the recursion as given */
+    real *P;      /* (copies, n, n), likewise */
     real *p;      /* (copies + 2, n): for each state the probabilities of the copies in its part, the chance that the part
-                     has jumped since its last measurement, and the first state of the part */
+                     has jumped since its last measurement, and the first state of the part; of the recursion as given its
+                     evidence, how many readings there were, the factor of P, Q and R, (3, n) */
     real *memory; /* (m, width) */
 } learnt_state;
 
 INLINE int learnt_copies(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
+
+/* Whether P, Q and R may have one wrong factor, so that the recursion as given goes on beside the copies. */
+INLINE int learnt_gives(const learnt_rule *const rule) { return rule->q > 1 && !rule->drawn; }
+
+/* Rows of a state's x. */
+INLINE int learnt_rows(const learnt_rule *const rule) { return learnt_copies(rule) + learnt_gives(rule); }
 
 /* The first sensor of those that fail with sensor i. */
 INLINE int learnt_lead(const learnt_rule *const rule, const int i) {
@@ -77,7 +95,9 @@ INLINE int learnt_lead(const learnt_rule *const rule, const int i) {
 }
 
 /* Numbers of a state's p. */
-INLINE int learnt_beliefs(const int n, const learnt_rule *const rule) { return (learnt_copies(rule) + 2) * n; }
+INLINE int learnt_beliefs(const int n, const learnt_rule *const rule) {
+    return (learnt_copies(rule) + 2 + 3 * learnt_gives(rule)) * n;
+}
 
 INLINE real *learnt_unseen(const int n, const learnt_rule *const rule, const learnt_state *const s) {
     return s->p + learnt_copies(rule) * n;
@@ -87,7 +107,13 @@ INLINE real *learnt_part(const int n, const learnt_rule *const rule, const learn
     return s->p + (learnt_copies(rule) + 1) * n;
 }
 
-#define learnt_width(K) (2 + 2 * (K) + (K) * (K) + LEARNT_TAIL)
+/* What the recursion as given has shown of each state's part. */
+enum { LEARNT_FOR_FACTOR, LEARNT_READINGS, LEARNT_FACTOR };
+INLINE real *learnt_given(const int n, const learnt_rule *const rule, const learnt_state *const s, const int which) {
+    return s->p + (learnt_copies(rule) + 2 + which) * n;
+}
+
+#define learnt_width(K) (2 + 2 * (K) + (K) * (K) + SPREAD_NUMBERS + LEARNT_TAIL)
 
 /* What is known of sensor i. */
 INLINE real *learnt_known(const learnt_rule *const rule, const learnt_state *const s, const int i) {
@@ -182,21 +208,41 @@ INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt
         learnt_normalize(n, i, copies, work);
     }
     learnt_collapse(n, copies, work, s->x, s->P, learnt_part(n, rule, s), x, P);
+    for (int i = 0; learnt_gives(rule) && i < n; i++) {
+        /* What the recursion as given foretells better is shown as it has it. */
+        const real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const given = s->P + copies * n * n;
+        const real *const better = learnt_given(n, rule, s, LEARNT_FOR_FACTOR);
+        if (!(readings[i] < LEARNT_DECIDED && better[i] >= LEARNT_BETTER)) continue;
+        x[i] = s->x[copies * n + i];
+        for (int j = 0; j < n; j++) {
+            const int too = readings[j] < LEARNT_DECIDED && better[j] >= LEARNT_BETTER;
+            P[i * n + j] = P[j * n + i] = too ? given[i * n + j] : 0;
+        }
+    }
     for (int i = 0; i < n; i++) check += real_abs(x[i]) + real_abs(P[i * n + i]);
     return real_is_finite(check);
 }
 
-#define learnt_predict_work(n, copies) ((size_t)((copies) * ((n) * (3 + (n))) + (n) * (n)))
+#define learnt_predict_work(n, copies) ((size_t)(((copies) + 1) * ((n) * (3 + (n))) + (n) * (n)))
 
 /* Predict: mixed as the scale of the process may have changed, then moved. control is B u, or NULL. */
 INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_state *const s, const real *RESTRICT F,
                            const real *RESTRICT Q, const real *control, const real alpha_sq, real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule);
     const real other = (1 - rule->stay) / (real)(q > 1 ? q - 1 : 1);
-    int moved = q;
+    int moved = q, wrong = 0, looks = 0;
     real *RESTRICT p = work, *RESTRICT origin = p + copies * n, *RESTRICT x = origin + copies * n;
-    real *RESTRICT P = x + copies * n, *RESTRICT FP = P + copies * n * n;
+    real *RESTRICT P = x + (copies + 1) * n, *RESTRICT FP = P + (copies + 1) * n * n;
     real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
+    const real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
+    for (int i = 0; learnt_gives(rule) && i < n; i++) {
+        wrong |= factor[i] != 1;
+        looks |= learnt_given(n, rule, s, LEARNT_READINGS)[i] < LEARNT_DECIDED;
+    }
+    if (looks) {
+        real_copy(n, s->x + copies * n, x + copies * n);
+        real_copy(n * n, s->P + copies * n * n, P + copies * n * n);
+    }
     for (int i = 0; i < n; i++)
         for (int k = 0; k < n; k++)
             if (part[i] != part[k] && (F[i * n + k] != 0 || Q[i * n + k] != 0)) learnt_join(n, rule, s, i, k);
@@ -224,7 +270,8 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
         unseen[i] += rule->jump * (1 - unseen[i]);
     }
     real_copy(copies * n, p, s->p);
-    for (int j = 0; j < moved; j++) {
+    for (int j = 0; j <= copies; j++) {
+        if (j < copies ? j >= moved : !looks) continue;
         const real *RESTRICT mean = x + j * n, *RESTRICT from = P + j * n * n;
         real *RESTRICT to = s->P + j * n * n;
         for (int i = 0; i < n; i++) {
@@ -242,8 +289,9 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
                 real sum = 0;
                 for (int o = 0; o < n; o++) sum += FP[i * n + o] * F[k * n + o];
                 /* Parts differ in their scales, and no Q is between them. */
-                to[i * n + k] = to[k * n + i] =
-                    alpha_sq * sum + (j < q ? rule->process[j] : origin[i] * origin[k]) * Q[i * n + k];
+                real times = j == copies ? 1 : j < q ? rule->process[j] : origin[i] * origin[k];
+                if (wrong && j < copies) times *= real_sqrt(factor[i]) * real_sqrt(factor[k]);
+                to[i * n + k] = to[k * n + i] = alpha_sq * sum + times * Q[i * n + k];
             }
     }
 }
@@ -314,7 +362,7 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
         real below = shares[0];
         int k = 0;
         while (below < REAL(0.5) && k < K - 1) below += shares[++k];
-        real_copy(width - LEARNT_TAIL, rule->begin, known);
+        real_copy(width - LEARNT_TAIL - SPREAD_NUMBERS, rule->begin, known);
         known[0] = size * rule->scales[k];
     }
 }
@@ -494,7 +542,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
     }
 }
 
-#define learnt_correct_work(n, m, copies, K) \
+#define learnt_weigh_work(n, m, copies, K) \
     ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 6 * (m) + 5 * (K) + (m) * (m)) + \
      learnt_parity_work(m))
 
@@ -1070,14 +1118,11 @@ CALLED void learnt_group_taken(const int n, const int m, const learnt_rule *cons
     }
 }
 
-/* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the sensors said, where z is only
-   how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and
-   0 where a component told nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
-   -1 if the step is out of the ordinary; the state is spoilt then. */
-INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                          const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
-                          const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,
-                          real *const log_density, real *RESTRICT work) {
+/* What `learnt_correct` does with R as it is. logs (m): log density of each reading, NaN where there is none. */
+INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                        const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
+                        const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,
+                        real *const log_density, real *RESTRICT logs, real *RESTRICT work) {
     const int follows = rule->learns && !rule->joint, grouped = rule->joint || rule->named > 0;
     const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
     const real *const part = learnt_part(n, rule, s);
@@ -1109,7 +1154,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
     w.weights = w.after + K;
     w.shared = w.weights + K;
     w.together = 0;
-    w.members = work + learnt_correct_work(n, m, copies, K);
+    w.members = work + learnt_weigh_work(n, m, copies, K);
     w.scores = w.members + m;
     w.informations = w.scores + copies * m;
     w.energies = w.informations + copies * m * m;
@@ -1121,7 +1166,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         int seen = 0;
         for (int k = 0; k < n; k++) seen |= H[i * n + k] != 0;
         w.left[i] = seen && z[i] == z[i] ? 1 : 0;
-        weights[i] = (real)NAN;
+        weights[i] = logs[i] = (real)NAN;
         outlying[i] = 0;
         if (w.left[i] > 0 && follows &&
             learnt_stuck(n, rule, w.at, w.spread, z[i], readings[i], H + i * n, R[i * m + i], s->memory + i * width)) {
@@ -1147,7 +1192,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         const real *const p = s->p + (int)w.head[i];
         const real noise = w.r[i] * R[i * m + i];
         real *RESTRICT known = learnt_known(rule, s, i);
-        real total = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, noisy = 0, weight = 0;
+        real total = 0, full = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, noisy = 0, weight = 0;
         group = 1;
         if (grouped) {
             group = 0;
@@ -1176,6 +1221,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
                                    known[width - REPEATS_WIDTH + REPEATS_COUNT] > LEARNT_FIRST_CHANGES;
             for (int c = 0; c < q && known_well && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence; c++)
                 w.logs[c] = evidence;
+            full = others * evidence + p[q * n] * (w.fresh[i] > 0 ? evidence : w.logs[q]);
             w.logs[q] = w.fresh[i] > 0 ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
             if (w.alike[i] > 0 && p[q * n] > 0) w.logs[q] += (1 - p[q * n]) / p[q * n] * w.alike[i];
         }
@@ -1185,6 +1231,7 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         }
         if (!(total > REAL(1e-290))) return -1;
         apart += real_log(total) - REAL(0.5) * LEARNT_LOG_2PI;
+        logs[i] = real_log(copies > q ? full : total) - REAL(0.5) * LEARNT_LOG_2PI;
         for (int k = 0; k < K; k++) w.after[k] = 0;
         for (int c = 0; c < copies; c++) {
             const real share = w.shares[c] / total;
@@ -1258,6 +1305,134 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         }
     }
     return count + held;
+}
+
+/* The first state that sensor i sees. */
+INLINE int learnt_sees(const int n, const real *RESTRICT H, const int i) {
+    for (int k = 0; k < n; k++)
+        if (H[i * n + k] != 0) return k;
+    return 0;
+}
+
+#define learnt_judge_work(n, m) (update_work(n, m) + (size_t)((3 + 2 * SPREAD_NUMBERS) * (m)))
+
+/* Go on with the recursion as given, and let the copies of a part begin again from it where it tells a factor of P, Q and R.
+   logs: of the readings by the copies; z is NaN where there is none. Return whether all is ordinary. */
+CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                        const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R, const real *M,
+                        const real *RESTRICT logs, real *RESTRICT work) {
+    static const correction_rule usual = {{PSI_HUBER, REAL(1.345), 0, 0, NULL, NULL}, SCALING_LEARNT,
+                                          INFORMATION_REALIZED, 1, 0, NULL};
+    const int copies = learnt_copies(rule), width = learnt_width(rule->K);
+    const real *const part = learnt_part(n, rule, s);
+    real *const evidence = learnt_given(n, rule, s, LEARNT_FOR_FACTOR), *const x = s->x + copies * n;
+    real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const P = s->P + copies * n * n;
+    real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
+    real *RESTRICT y = work, *RESTRICT S = y + m, *RESTRICT here = S + m;
+    spread_memory *const before = (spread_memory *)(here + m), *const after = before + m;
+    correction c;
+    work = (real *)(after + m);
+    for (int i = 0; i < m; i++) {
+        const real *const known = s->memory + (i + 1) * width - LEARNT_TAIL - SPREAD_NUMBERS;
+        real_copy(SPREAD_NUMBERS, known, (real *)(before + i));
+        after[i] = before[i];
+        here[i] = logs[i] == logs[i] ? z[i] : (real)NAN;
+    }
+    correction_begin(n, m, M != NULL, &c, work);
+    if (!innovate(n, m, here, x, P, H, R, M, &c)) return 0;
+    for (int i = 0; i < m; i++) {
+        y[i] = c.y[i], S[i] = c.S[i * m + i];
+        if (here[i] == here[i] && R[i * m + i] > 0 && S[i] > LEARNT_WIDEST * R[i * m + i]) return 0;
+    }
+    if (!update(n, m, &usual, here, H, R, M, after, x, P, &c, NULL, work)) return 0;
+    for (int i = 0; i < m; i++)
+        real_copy(SPREAD_NUMBERS, (const real *)(after + i), s->memory + (i + 1) * width - LEARNT_TAIL - SPREAD_NUMBERS);
+    for (int i = 0; i < m; i++) {
+        const int head = (int)part[learnt_sees(n, H, i)];
+        real log_c = 0, told = 0, count;
+        int first = here[i] == here[i] && readings[head] < LEARNT_DECIDED, any = 0, beyond;
+        for (int j = 0; j < m && first; j++) {
+            real size;
+            if (here[j] != here[j] || (int)part[learnt_sees(n, H, j)] != head) continue;
+            if (j < i) first = 0;
+            /* A factor is common to all sensors of a part: that of the one which shows least of it. */
+            size = real_max(before[j].spread, spread_coarse(before + j, real_sqrt(S[j])));
+            size = before[j].weight > 0 ? 2 * real_log(real_max(size, REAL(1e-150))) : 0;
+            size = real_min(real_max(size, -LEARNT_LOG_FARTHEST), LEARNT_LOG_FARTHEST);
+            if (!any || real_abs(size) < real_abs(log_c)) log_c = size;
+            any = 1;
+        }
+        if (!first) continue;
+        beyond = real_abs(log_c) > LEARNT_LOG_BEYOND;
+        for (int j = i; j < m && beyond; j++) {
+            real log_unit, by_it;
+            /* One that repeats the reading before is no sample of noise. */
+            if (here[j] != here[j] || here[j] == before[j].last || (int)part[learnt_sees(n, H, j)] != head) continue;
+            log_unit = REAL(0.5) * (real_log(S[j]) + log_c);
+            by_it = -psi_rho(&usual.psi, y[j] / real_exp(log_unit)) - log_unit - REAL(0.5) * LEARNT_LOG_2PI;
+            told += real_min(real_max(by_it - logs[j], -real_log(LEARNT_EVIDENCE)), real_log(LEARNT_EVIDENCE));
+        }
+        told = beyond ? real_min(real_max(evidence[head] + told, 0), 2 * LEARNT_BETTER) : 0;
+        count = readings[head] + 1;
+        if (beyond) count = real_min(count, LEARNT_DECIDED - 1);
+        /* What was told before the copies have had their time to learn counts for one half. */
+        if (count == LEARNT_DECIDES) told = real_min(told, LEARNT_BETTER);
+        any = count > LEARNT_DECIDES && told == 2 * LEARNT_BETTER;
+        for (int o = 0; o < n; o++) {
+            if ((int)part[o] != head) continue;
+            evidence[o] = told, readings[o] = any ? LEARNT_DECIDED : count;
+            if (any) factor[o] = real_exp(log_c);
+        }
+        for (int o = 0; o < n && any; o++) {
+            if ((int)part[o] != head) continue;
+            for (int l = 0; l < copies; l++) {
+                real *const to = s->P + l * n * n;
+                s->x[l * n + o] = x[o];
+                s->p[l * n + o] = l < rule->q ? learnt_begins(rule, l) : 0;
+                for (int k = 0; k < n; k++)
+                    if ((int)part[k] == head) to[o * n + k] = real_sqrt(factor[o]) * real_sqrt(factor[k]) * P[o * n + k];
+            }
+            learnt_unseen(n, rule, s)[o] = 0;
+        }
+        for (int j = 0; j < m && any; j++)
+            if ((int)part[learnt_sees(n, H, j)] == head) real_copy(width, rule->begin, s->memory + j * width);
+    }
+    return 1;
+}
+
+#define learnt_correct_work(n, m, copies, K) \
+    (learnt_weigh_work(n, m, copies, K) + learnt_judge_work(n, m) + (size_t)((m) * (1 + (n) + (m))))
+
+/* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the sensors said, where z is only
+   how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and
+   0 where a component told nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
+   -1 if the step is out of the ordinary; the state is spoilt then. */
+INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
+                          const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
+                          const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,
+                          real *const log_density, real *RESTRICT work) {
+    const int gives = learnt_gives(rule) && learnt_jumps(rule, s, 0), width = learnt_width(rule->K);
+    const real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
+    const real *const before = learnt_given(n, rule, s, LEARNT_READINGS);
+    real *const logs = work, *const N = logs + m, *const scaled = N + m * m;
+    int count, wrong = 0, looks = 0;
+    work = scaled + m * n;
+    for (int k = 0; gives && k < n; k++) wrong |= factor[k] != 1;
+    for (int i = 0; wrong && i < m; i++) {
+        const real own = factor[learnt_sees(n, H, i)];
+        s->memory[i * width] /= own;
+        for (int j = 0; j < m; j++)
+            N[i * m + j] = R[i * m + j] * (real_sqrt(own) * real_sqrt(factor[learnt_sees(n, H, j)]));
+        for (int k = 0; M && k < n; k++) scaled[k * m + i] = M[k * m + i] * real_sqrt(factor[k]) * real_sqrt(own);
+    }
+    count = learnt_weigh(n, m, rule, s, z, readings, H, wrong ? N : R, wrong && M ? scaled : M, weights, outlying,
+                         log_density, logs, work);
+    if (!gives || count < 0) return count;
+    for (int i = 0; i < m; i++)
+        looks |= logs[i] == logs[i] && before[(int)learnt_part(n, rule, s)[learnt_sees(n, H, i)]] < LEARNT_DECIDED;
+    if (looks && !learnt_judge(n, m, rule, s, z, H, R, M, logs, work)) return -1;
+    for (int i = 0; i < m; i++) s->memory[i * width] *= factor[learnt_sees(n, H, i)];
+    return count;
 }
 
 #endif

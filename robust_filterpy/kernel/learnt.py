@@ -43,7 +43,7 @@ def rule(noise: NoiseClasses, process: Scales) -> Array:
 def begin(copies: Copies, memory: Array) -> State:
     """Return copies of the arrays as a state, with room for the mean and the covariance of all."""
     n = copies.x.shape[1]
-    x, P, belief = copies
+    x, P, belief = copies.packed
     return State(x.copy(), P.copy(), belief.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)))
 
 
@@ -78,7 +78,7 @@ def predict(
     state = begin(copies, _SENSOR)
     model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
     if run(state, np.full((1, 1), np.nan), model, _NOISE, process, Kept(), alpha_sq=alpha_sq, which=PREDICTION):
-        return Copies(*state[:3]), state.x, state.P
+        return Copies.unpacked(*state[:3]), state.x, state.P
     moved = side_by_side.predict(copies, F, Q, process, Bu, alpha_sq)
     return moved, *side_by_side.merged(moved, process)
 
@@ -103,7 +103,7 @@ def correct(
         into = Kept(weights=weights, outlying=outlying, log_likelihood=likelihood)
         said = None if readings is None else readings[None]
         if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said, M=M):
-            found = Corrected(Copies(*state[:3]), state.learnt, float(likelihood[0]), weights[0], outlying[0])
+            found = Corrected(Copies.unpacked(*state[:3]), state.learnt, float(likelihood[0]), weights[0], outlying[0])
             return found, state.x, state.P
     found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv, readings)
     return found, *side_by_side.merged(found.copies, process)

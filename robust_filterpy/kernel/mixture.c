@@ -33,8 +33,8 @@ static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixtu
     npy_intp copies, n, shape[3], beliefs[2];
     if (!take_rule(&f->rule, rule) || !take_filter(given[0], given[1], given[2], &f->now) || f->now.n > 1000) return 0;
     n = shape[1] = shape[2] = f->now.n;
-    copies = shape[0] = learnt_copies(&f->rule);
-    beliefs[0] = copies + 2, beliefs[1] = n;
+    copies = shape[0] = learnt_rows(&f->rule);
+    beliefs[0] = learnt_beliefs(1, &f->rule), beliefs[1] = n;
     f->kept = given[3];
     if (f->kept == Py_None) {
         if (copies != 1) return 0;
@@ -55,7 +55,7 @@ static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixtu
     }
     f->means = array_of(h, 2, copies, n, 0);
     f->covariances = f->means ? array_of(h, 3, copies, n, n) : NULL;
-    f->p = f->covariances ? array_of(h, 2, copies + 2, n, 0) : NULL;
+    f->p = f->covariances ? array_of(h, 2, beliefs[0], n, 0) : NULL;
     f->x_next = f->p ? array_of(h, 1, n, 0, 0) : NULL;
     f->P_next = f->x_next ? array_of(h, 2, n, n, 0) : NULL;
     f->x_set = f->P_next ? array_of(h, f->now.ndim, n, 1, 0) : NULL;
@@ -66,7 +66,7 @@ static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixtu
     real_copy((int)(copies * n), means, f->s.x);
     real_copy((int)(copies * n * n), covariances, f->s.P);
     /* Of one copy there is one part. */
-    for (npy_intp i = 0; i < (copies + 2) * n; i++) f->s.p[i] = p ? p[i] : i < n;
+    for (npy_intp i = 0; i < beliefs[0] * n; i++) f->s.p[i] = p ? p[i] : i < n;
     return learnt_has_parts((int)n, &f->rule, &f->s);
 }
 

@@ -135,10 +135,10 @@ def test_nothing_that_is_passed_is_changed():
     problem, noise, process = random_problem(4, 3, 2), NoiseClasses(), Scales()
     copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2)
     copies = side_by_side.predict(copies, problem.F, problem.Q, process)
-    before = [np.copy(a) for a in (*copies, memory)]
+    before = [np.copy(a) for a in (*copies.packed, memory)]
     found = correct(copies, memory, rng.normal(size=2) + 40.0, problem.H, problem.R, noise, process)
     side_by_side.predict(found.copies, problem.F, problem.Q, process), side_by_side.merged(found.copies, process)
-    for was, now in zip(before, (*copies, memory), strict=True):
+    for was, now in zip(before, (*copies.packed, memory), strict=True):
         np.testing.assert_array_equal(was, now)
 
 
@@ -157,7 +157,7 @@ def test_transitions_are_counted_with_a_memory():
         known = learn(known, np.eye(K)[now], 1.0, 0.0, 1.0, noise)
         counts *= 1.0 - 1.0 / memory
         counts[before, now] += 1.0
-    assert_allclose(known[2 + 2 * K : -17], start(K)[2 + 2 * K : -17] + counts.ravel(), rtol=1e-10)
+    assert_allclose(known[2 + 2 * K : -34], start(K)[2 + 2 * K : -34] + counts.ravel(), rtol=1e-10)
 
 
 def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_never_forgotten():
@@ -204,7 +204,7 @@ def test_describe_reads_a_chain_that_is_known():
     counts = np.zeros((4, 4))
     counts[2, 2], counts[2, 0], counts[0, 2], counts[0, 0] = 80.0, 20.0, 20.0, 880.0
     scales = np.array([1.0, 10.0, 100.0, 1000.0])
-    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(17)])[None]
+    learnt = np.concatenate([[4.0, 16.0], np.zeros(8), counts.ravel(), np.zeros(34)])[None]
     noise = describe(learnt, scales)
     assert noise.contamination[0] == pytest.approx(0.1) and noise.run_length[0] == pytest.approx(5.0)
     assert noise.scale_ratio[0] == pytest.approx(10.0, rel=0.01)

@@ -39,7 +39,8 @@ def recording(seed, dims, steps=60, diagonal=False):
 def alive(copies):
     """The copies, without what a candidate was that is none."""
     seen = copies.probabilities > 0.0
-    return copies.x[seen], copies.P[seen[:, :, None] & seen[:, None]], copies.belief
+    given = () if copies.given is None else copies.given
+    return copies.x[seen], copies.P[seen[:, :, None] & seen[:, None]], copies.belief, *given
 
 
 @pytest.mark.parametrize("noise, process", OPTIONS)
@@ -50,7 +51,7 @@ def test_every_step_is_the_definitions(noise, process, seed, dims):
     compare(*recording(seed, dims, diagonal=seed % 2 == 0), noise, process)
 
 
-def compare(problem, zs, noise, process, passed=(), M=None):
+def compare(problem, zs, noise, process, passed=(), M=None, states=None):
     """Take every step by both, some with an H of its own; return the weights, and what is known at the end."""
     F, Q, R, m = problem.F, problem.Q, problem.R, zs.shape[1]
     copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
@@ -64,7 +65,7 @@ def compare(problem, zs, noise, process, passed=(), M=None):
         copies, memory, total = found.copies, found.memory, total + found.log_density
         model = F[None], Q[None], H[None], R[None], None
         assert run(state, zs, model, noise, process, kept, first=k, last=k + 1, M=M)
-        ours = side_by_side.Copies(*state[:3])
+        ours = side_by_side.Copies.unpacked(*state[:3])
         pairs = [
             *zip(alive(copies), alive(ours), strict=True), (memory, state.learnt), (total, kept.log_likelihood[0]),
             (found.weights, kept.weights[k]), *zip(side_by_side.merged(copies, process), state[4:6], strict=True),
@@ -72,6 +73,8 @@ def compare(problem, zs, noise, process, passed=(), M=None):
         ]  # fmt: skip
         for theirs, mine in pairs:
             np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-8)
+    if states is not None:
+        states.append(copies.given)
     return kept.weights, memory
 
 
@@ -81,6 +84,17 @@ def test_noise_that_is_correlated_with_the_states_error_is_by_both(noise, proces
     M = 0.1 * np.random.default_rng(7).normal(size=(3, 3))
     with_M, without = (compare(problem, zs, noise, process, M=M * part)[0] for part in (1.0, 0.0))
     assert len(noise.scales) == 1 or not np.allclose(with_M, without, equal_nan=True)
+
+
+@pytest.mark.parametrize("c", [1e-7, 1e7])
+@pytest.mark.parametrize("seed, dims, M", [(0, (2, 1), None), (1, (4, 2), None), (2, (3, 3), 0.01)])
+def test_a_wrong_factor_is_learned_by_both(c, seed, dims, M):
+    problem, zs = recording(seed, dims, 130)
+    wrong = with_(problem, P=c * problem.P, Q=c * problem.Q, R=c * problem.R)
+    M = None if M is None else c * M * np.random.default_rng(7).normal(size=dims)
+    states = []
+    compare(wrong, zs, NoiseClasses(), Scales(), M=M, states=states)
+    assert c > 1.0 or (states[-1].factor > 1e6).all()
 
 
 def test_a_stuck_sensor_says_nothing_by_both():
@@ -166,5 +180,5 @@ def test_parts_that_nothing_couples_are_apart_by_both(couples, noise, process):
     zs[40:, 1:] -= 150.0
     zs[np.random.default_rng(6).random(zs.shape) < 0.2] = np.nan
     compare(problem, zs, noise, process)
-    parts = begin(side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(3)).belief[-1]
+    parts = side_by_side.start(problem.x[:, 0], problem.P, process).parts
     np.testing.assert_array_equal(parts, [0, 0, 2, 2, 2])

@@ -1,0 +1,106 @@
+"""One wrong factor of P, Q and R, of each part of a state by itself, learned from its first readings.
+
+Where all three are c times too large or too small the Kalman filter's x is the same. So while a part is new the
+recursion goes on as it was given, by the rule of `robust_filterpy.correction.spread`, whose typical innovation tells c.
+Where c is beyond what the scales of Q reach, and this recursion foretells the readings better than the copies do, it is
+what the filter shows; if it still does after fifty readings, the copies begin again from it, with c P, c Q and c R.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from robust_filterpy._checks import Array
+from robust_filterpy.correction import spread
+from robust_filterpy.correction.definition import Innovation, correct_by_custom, innovation_moments
+from robust_filterpy.correction.options import Choices
+from robust_filterpy.influence.functions import Huber
+
+__all__ = ["Given", "judged"]
+
+# Readings of a part from which on a factor may be taken, and after which it is 1 if it is near 1; how much
+# likelier they must have been, a thousand to one, where each counts for a hundred to one at most.
+_DECIDES, DECIDED, _LOG_BETTER, _LOG_EVIDENCE = 50, 100, math.log(1e3), math.log(100.0)
+# Half a decade beyond what the scales of Q reach; a factor beyond a million million is rounding.
+_LOG_BEYOND = math.log(300.0)
+_LOG_FARTHEST, _LOG_ROOT = math.log(1e12), 0.5 * math.log(2.0 * math.pi)
+_CHOICES = Choices(Huber(), "learnt")
+
+
+class Given(NamedTuple):
+    """The recursion as given, and for each state what its part has shown."""
+
+    x: Array
+    """Shape (n,)."""
+    P: Array
+    """Shape (n, n)."""
+    evidence: Array
+    """How much likelier the readings are by it than by the copies, in logarithms, at least 0, shape (n,)."""
+    readings: Array
+    """How many there were, 100 once it is decided, shape (n,)."""
+    factor: Array
+    """Of P, Q and R, shape (n,)."""
+
+    @property
+    def looks(self) -> np.ndarray:
+        """States of which it is not decided."""
+        return np.asarray(self.readings < DECIDED)
+
+    @property
+    def shown(self) -> np.ndarray:
+        """States that are shown as this recursion has them."""
+        return np.asarray(self.looks & (self.evidence >= _LOG_BETTER))
+
+    def moved(self, F: Array, Q: Array, Bu: Array | None, alpha_sq: float) -> Given:
+        """Return it after a prediction."""
+        if not self.looks.any():
+            return self
+        x = F @ self.x
+        return self._replace(x=x if Bu is None else x + Bu, P=alpha_sq * (F @ self.P @ F.T) + Q)
+
+
+def scaled(covariance: Array, factor: Array) -> Array:
+    """Return a covariance times a factor for each of its variables."""
+    if (factor == 1.0).all():
+        return covariance
+    root = np.sqrt(factor)
+    return np.asarray(covariance * np.multiply.outer(root, root))
+
+
+def judged(
+    given: Given, spreads: Array, z: Array, H: Array, R: Array, M: Array | None, logs: Array, parts: Array
+) -> tuple[Given, Array]:  # fmt: skip
+    """Return the recursion after a reading, and what is learned of the sensors' typical innovations.
+
+    `logs` are log densities of the readings by the copies, NaN where there is none. Where the readings tell a factor,
+    it is not 1 any more.
+    """
+    here, seen, count = ~np.isnan(logs), parts[np.argmax(H != 0.0, axis=1)].astype(int), given.readings
+    C, S = innovation_moments(given.P, H, R, M)
+    y = np.where(here, z - H @ given.x, np.nan)
+    after = correct_by_custom(spreads, given.x, given.P, Innovation(z, y, C, S, R, H), _CHOICES, True)
+    evidence, readings, factor = given.evidence.copy(), count.copy(), given.factor.copy()
+    for head in np.unique(seen[here & (count[seen] < DECIDED)]):
+        own, states = np.flatnonzero(here & (seen == head)), parts == head
+        # A factor is common to all sensors of a part: that of the sensor which shows least of one.
+        known = spreads[own, spread.WEIGHT] > 0
+        coarse = np.where(spreads[own, spread.REPEATS] > 0, spreads[own, spread.STEP] / spread.BEND, 0.0)
+        sizes = np.maximum(np.maximum(spreads[own, spread.SPREAD], coarse / np.sqrt(S[own, own])), 1e-150)
+        logs_of = np.clip(np.where(known, 2 * np.log(sizes), 0.0), -_LOG_FARTHEST, _LOG_FARTHEST)
+        log_c = float(logs_of[np.argmin(np.abs(logs_of))])
+        told, beyond = 0.0, abs(log_c) > _LOG_BEYOND
+        # One that repeats the reading before is no sample of noise.
+        for i in own[beyond & (z[own] != spreads[own, spread.LAST])]:
+            log_unit = 0.5 * (math.log(S[i, i]) + log_c)
+            by_it = -float(_CHOICES.influence.rho(y[i] / math.exp(log_unit))) - log_unit - _LOG_ROOT
+            told += min(max(by_it - logs[i], -_LOG_EVIDENCE), _LOG_EVIDENCE)
+        told = min(max(evidence[head] + told, 0.0), 2.0 * _LOG_BETTER) if beyond else 0.0
+        readings[states] = min(count[head] + 1.0, DECIDED - float(beyond))
+        # What was told before the copies have had their time to learn counts for one half.
+        evidence[states] = min(told, _LOG_BETTER) if readings[head] == _DECIDES else told
+        if readings[head] > _DECIDES and told == 2.0 * _LOG_BETTER:
+            factor[states], readings[states] = math.exp(log_c), DECIDED
+    return Given(after.x, after.P, evidence, readings, factor), after.memory
