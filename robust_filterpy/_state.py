@@ -29,8 +29,8 @@ _COVARIANCES: Final[dict[str, dict[str, float]]] = {
 
 # Numbers that a state held of a sensor's spread before it held more, which then follow.
 _FORMER: Final = (10, 15)
-# What is learned of a sensor's noise had nothing of typical innovations once, nor of jumps: so many numbers, which stand
-# before so many.
+# What is learned of a sensor's noise had nothing of jumps once, nor of typical innovations: so many numbers, which
+# stand before so many.
 _OF_NOISE: Final = ((5, 10), (17, 17))
 
 

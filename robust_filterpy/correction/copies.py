@@ -164,7 +164,8 @@ class Copies(NamedTuple):
         """The copies as three arrays."""
         if self.given is None:
             return self[:3]
-        return tuple(map(np.concatenate, zip(self[:3], (self.given.x[None], self.given.P[None], self.given[2:]))))
+        x, P, *shown = self.given
+        return np.vstack((self.x, x)), np.concatenate((self.P, P[None])), np.vstack((self.belief, shown))
 
 
 def start(x: Array, P: Array, process: Scales) -> Copies:
@@ -393,15 +394,14 @@ def _from_candidate(copies: Copies, states: np.ndarray, process: Scales) -> Copi
     return Copies(np.where(states, x[q], x), np.where(states[:, None] & states, P[q], P), belief, given)
 
 
-def begun_again(copies: Copies, states: np.ndarray, process: Scales) -> Copies:
+def begun_again(copies: Copies, given: Given, states: np.ndarray, process: Scales) -> Copies:
     """Return the copies, all of the parts that have these states where the recursion as given is, times its factor."""
-    x, P, belief, given = copies
+    x, P, belief = copies[:3]
     belief, q = belief.copy(), len(process.scales)
     belief[:-1, states] = 0.0
     belief[:q, states] = process.begin[:q, None]
-    return Copies(
-        np.where(states, given.x, x), np.where(states[:, None] & states, scaled(given.P, given.factor), P), belief, given
-    )
+    there = scaled(given.P, given.factor)
+    return Copies(np.where(states, given.x, x), np.where(states[:, None] & states, there, P), belief, given)
 
 
 def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:

@@ -103,4 +103,4 @@ def judged(
         evidence[states] = min(told, _LOG_BETTER) if readings[head] == _DECIDES else told
         if readings[head] > _DECIDES and told == 2.0 * _LOG_BETTER:
             factor[states], readings[states] = math.exp(log_c), DECIDED
-    return Given(after.x, after.P, evidence, readings, factor), after.memory
+    return Given(after.x, after.P, evidence, readings, factor), np.asarray(after.memory)

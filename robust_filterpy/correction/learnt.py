@@ -140,7 +140,7 @@ def correct(
         )
         copies, new = copies._replace(given=given), given.factor != before
         if new.any():
-            copies = side_by_side.begun_again(copies, new, process)
+            copies = side_by_side.begun_again(copies, given, new, process)
             memory[new[seen]] = noise.start(1)
     memory[:, 0] *= given.factor[seen]
     return told._replace(copies=copies, memory=memory)

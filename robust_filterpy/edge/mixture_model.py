@@ -80,7 +80,7 @@ def described_mixture(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name:
                 f"    {name}_real {declared};"
                 for declared in (
                     f"means[{copies} * {n}]", f"covariances[{copies} * {n} * {n}]",
-                    f"belief[{len(state['belief'])} * {n}]; /* for each state: how likely each copy, a jump; its part */",
+                    f"belief[{len(state['belief'])} * {n}]; /* for each state: how likely each copy, a jump; part */",
                 )
             ).replace("*/;", "*/") + "\n" + memory_field((m, width), name),
             "remark": f"A step that Python leaves to its definition is refused, {name.upper()}_SINGULAR.",

@@ -299,7 +299,8 @@ class Mixture:
 
     def start(self, x: Array, P: Array, sensors: int) -> Kept | None:
         """Return the copies, all at x, P; None where there is but one."""
-        return Kept(*side_by_side.start(x, P, self.scales).packed, x.copy(), P.copy()) if self.scales.count > 1 else None
+        begun = side_by_side.start(x, P, self.scales)
+        return Kept(*begun.packed, x.copy(), P.copy()) if self.scales.count > 1 else None
 
     def current(self, kept: Kept | None, x: Array, P: Array) -> Kept:
         """Return the copies; all of them at x, P if these have been assigned from outside."""

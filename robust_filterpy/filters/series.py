@@ -164,9 +164,10 @@ def began(policy: Any, given: SeriesArguments, learnt: ArrayLike | None) -> dict
         beliefs = [copies.start(np.zeros(n), pattern, policy.scales).packed[2] for pattern in patterns]
         rows = policy.scales.rows
         stands |= {
-            "means": np.repeat(given.x[:, None], rows, axis=1), "covariances": np.repeat(given.P[:, None], rows, axis=1),
+            "means": np.repeat(given.x[:, None], rows, axis=1),
+            "covariances": np.repeat(given.P[:, None], rows, axis=1),
             "belief": np.array(beliefs)[which.ravel()],
-        }  # fmt: skip
+        }
     if policy.learns and is_mixture:
         stands["learnt"] = _learnt(policy.classes, learnt, series, m)
     return stands
