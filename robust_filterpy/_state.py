@@ -28,10 +28,10 @@ _COVARIANCES: Final[dict[str, dict[str, float]]] = {
 
 
 # Numbers that a state held of a sensor's spread before it held more, which then follow.
-_FORMER: Final = (10, 15)
+_FORMER: Final = (10, 15, 17)
 # What is learned of a sensor's noise had nothing of jumps once, nor of typical innovations: so many numbers, which
 # stand before so many.
-_OF_NOISE: Final = ((5, 10), (17, 17))
+_OF_NOISE: Final = ((5, 10), (22, 17))
 
 
 # Arrays of as many sensors, or numbers, as there are.

@@ -1,6 +1,6 @@
 """How large a sensor's innovations usually are, learnt: the unit of its thresholds under scaling="learnt".
 
-Nothing is an outlier before there is a custom. What a memory of seventeen numbers a sensor does to a correction does
+Nothing is an outlier before there is a custom. What a memory of 22 numbers a sensor does to a correction does
 not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
 correction and `after` behind it; B = H P H' as told, B+ what the last correction left of it::
 
@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Columns of a memory, shape (m, 17); those of a state that was stored before there were so many begin at 0.
+#: Columns of a memory, shape (m, 22); those of a state that was stored before there were so many begin at 0.
 WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP, LAST, REPEATS = range(9)
-STEP, LEFT, GROWTH, USED, HELD, FILLED, WIDE, WIDENED = range(9, 17)
-NUMBERS = 17
+STEP, LEFT, GROWTH, USED, HELD, FILLED, WIDE, WIDENED, LASTED, VAIN, ON, REACH, AGE = range(9, 22)
+NUMBERS = 22
 
 QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
@@ -32,7 +32,8 @@ PACE, MEMORY = 2.0, 100.0  #: steps of log(spread): 2/n of n samples, at least 2
 MOST, YIELD = 0.4, 1.5  #: the largest share of outliers; threshold times 1 - 1.5 share
 PRIOR = 10.0  #: the share starts from so many innovations without an outlier
 LOST = 10  #: so many far ones in a row, and the custom is another one
-RUN_LENGTH, AGREE = 4, 2.5  #: a jump: so many clipped in a row, each within 2.5 spreads of where the last left x
+RUN_LENGTH = 4  #: a jump: so many clipped in a row, until some have lasted,
+AGREE = 2.5  #: each within 2.5 spreads of where the last left x
 RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
 SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
 WHOLE = 0.01  #: a change within so much of a whole number of steps is steps, and so little wider is as usual
@@ -50,7 +51,7 @@ class Prepared(NamedTuple):
     """What a correction begins with under scaling "learnt"; C and S are as told unless P has grown."""
 
     memory: np.ndarray
-    """Memory after the innovation, shape (m, 17)."""
+    """Memory after the innovation, shape (m, 22)."""
     width: np.ndarray
     """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
     charge: np.ndarray
@@ -99,16 +100,20 @@ def prepared(
     seen = _seen_by(B, here)
     charge = _charges(y, s, told, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
     narrowed = np.maximum(s * (1 - YIELD * memory[:, SHARE]), coarse)
-    out, near = here & (size > BEND * narrowed), AGREE * s * told * wider
+    unit, out, back = s * told * wider, here & (size > BEND * narrowed), np.zeros(len(y), dtype=bool)
     for i in np.flatnonzero(here):
-        _note_reading(memory[i], z[i], not out[i] and memory[i, RUN] == 0)
-        if not out[i] and memory[i, RUN] == 0:
-            _learn_growth(memory[i], ratio[i])
-    _count_runs(memory, y, near, out, here)
-    # Back where the state was before a jump.
-    back = out & (np.abs(y + memory[:, JUMP]) < np.maximum(near, RETURN * np.abs(memory[:, JUMP])))
-    back &= memory[:, JUMP] != 0
-    jumped = _jumps(memory, y, B, seen, out, back, charge, here)
+        own, ordinary = memory[i], not out[i]
+        _note_reading(own, z[i], ordinary and own[RUN] == 0)
+        _grow_old(own, unit[i], ordinary)
+        if ordinary and own[RUN] == 0:
+            _learn_growth(own, ratio[i])
+        if ordinary or not _goes_on(own, y[i], AGREE * unit[i]):
+            _end_run(own, unit[i])
+        own[RUN] += out[i]
+        # Back where the state was before a jump.
+        landing = max(AGREE * unit[i], RETURN * abs(own[JUMP]))
+        back[i] = out[i] and own[JUMP] != 0 and abs(y[i] + own[JUMP]) < landing
+    jumped = _jumps(memory, y, B, seen, out, back, charge, here, unit)
     growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * told * wider
     for i in np.flatnonzero(jumped):
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
@@ -119,6 +124,9 @@ def prepared(
             opened[i] = wanted
         # Believed: as large as is usual.
         width[i] = abs(y[i])
+        if back[i] and abs(memory[i, JUMP]) > SUDDEN * unit[i]:
+            _note_outcome(memory[i], memory[i, AGE] == 0, memory[i, AGE] - 1)
+        memory[i, AGE] = 0.0 if back[i] else memory[i, RUN]
         _forgive(memory[i], 0.0 if back[i] else y[i])
     return Prepared(memory, width, charge, growth, opened, held)
 
@@ -191,11 +199,52 @@ def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
 
 
 def _forgive(own: np.ndarray, jump: float) -> None:
-    """Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once."""
-    step = _step(own)
-    own[SHARE] = max(own[SHARE] - own[STRANGE] * step, 0.0)
-    own[[STRANGE, RUN, HELD]] = 0.0
-    own[JUMP] = jump if own[SHARE] < RARE else 0.0
+    """Note a jump: the far ones in a row were no outliers, and it may be undone."""
+    own[SHARE] = max(own[SHARE] - own[STRANGE] * _step(own), 0.0)
+    own[[STRANGE, RUN, HELD]], own[JUMP] = 0.0, jump
+
+
+def _as_jumps(own: np.ndarray, far: float, unit: float) -> bool:
+    """Tell whether something is far, and as far as jumps have gone."""
+    reach = float(own[REACH])
+    return far > FAR * unit and (reach == 0 or (far < FAR * reach and FAR * far > reach))
+
+
+def _believed(own: np.ndarray, y: float, unit: float, back: bool) -> bool:
+    """Tell whether a run is a jump rather than outliers: by the odds of those before, or by its length."""
+    # What has not lasted yet is undone at once.
+    if own[RUN] >= RUN_LENGTH or (back and (own[AGE] > 0 or own[SHARE] < RARE)):
+        return True
+    again = (own[ON] + 1) / (own[VAIN] + own[ON] + 2)
+    odds = own[LASTED] / ((own[VAIN] + 1) * math.exp((own[RUN] - 1) * math.log(again)))
+    return bool(own[REACH] > 0 and _as_jumps(own, abs(float(y)), unit) and odds * (1 + 1e-9) >= 1)
+
+
+def _note_outcome(own: np.ndarray, lasted: bool, length: float) -> None:
+    """Note what became of a run of far readings: a jump, or so many that came to nothing."""
+    own[[LASTED, VAIN, ON]] *= 1 - 1 / MEMORY
+    if not lasted:
+        own[[VAIN, ON]] += 1.0, length - 1
+        return
+    own[LASTED] += 1
+    far, reach = abs(float(own[JUMP])), float(own[REACH])
+    own[REACH] = reach * math.exp(math.log(far / reach) / min(own[LASTED], LOST)) if reach > 0 else far
+
+
+def _end_run(own: np.ndarray, unit: float) -> None:
+    """Let a run end with a reading that does not go on with it."""
+    if own[RUN] > 0 and _as_jumps(own, abs(float(own[REST])), unit):
+        _note_outcome(own, False, own[RUN])
+    own[RUN] = 0.0
+
+
+def _grow_old(own: np.ndarray, unit: float, ordinary: bool) -> None:
+    """Let a jump that was believed grow older: one that nothing has undone has lasted."""
+    own[AGE] += own[AGE] > 0
+    if own[AGE] > LOST and ordinary:
+        own[AGE] = 0.0
+        if abs(own[JUMP]) > SUDDEN * unit:
+            _note_outcome(own, True, 0)
 
 
 def _holds(own: np.ndarray, z: float, size: float, coarse: float) -> bool:
@@ -278,22 +327,22 @@ def _charges(
     return charge
 
 
-def _count_runs(memory: np.ndarray, y: np.ndarray, near: np.ndarray, out: np.ndarray, here: np.ndarray) -> None:
-    """Count each sensor's clipped innovations in a row, of one sign, each where the one before left x, or further."""
-    rest = memory[:, REST]
-    with np.errstate(invalid="ignore"):
-        steep = (np.abs(y) >= np.abs(rest)) & (np.abs(y) < STEEP * np.abs(rest))
-        same = (memory[:, RUN] > 0) & (np.sign(y) == np.sign(rest)) & ((np.abs(y - rest) < near) | steep)
-    memory[here, RUN] = np.where(out, np.where(same, memory[:, RUN] + 1, 1), 0)[here]
+def _goes_on(own: np.ndarray, y: float, near: float) -> bool:
+    """Tell whether a clipped innovation goes on with a run: of its sign, where the one before left x, or further."""
+    rest = float(own[REST])
+    steep = abs(rest) <= abs(y) < STEEP * abs(rest)
+    return bool(own[RUN] > 0 and y * np.sign(rest) > 0 and (abs(y - rest) < near or steep))
 
 
 def _jumps(
     memory: np.ndarray, y: np.ndarray, B: np.ndarray, seen: np.ndarray, out: np.ndarray, back: np.ndarray,
-    charge: np.ndarray, here: np.ndarray,
+    charge: np.ndarray, here: np.ndarray, unit: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Return who has seen a jump: a run, or a return, that those who see the same do not contradict."""
-    jumped, enough = np.zeros(len(y), dtype=bool), back | (memory[:, RUN] >= RUN_LENGTH)
-    for i in np.flatnonzero(here & enough & (charge == 0) & (np.diag(B) > 0)):
+    jumped = np.zeros(len(y), dtype=bool)
+    for i in np.flatnonzero(out & (charge == 0) & (np.diag(B) > 0)):
+        if not _believed(memory[i], y[i], unit[i], back[i]):
+            continue
         agree = out & (y * y[i] * B[i] > 0)
         jumped[i] = (seen[i] * agree).sum() > (seen[i] * (here & ~agree)).sum() * (1 + 1e-9)
     return jumped

@@ -2,9 +2,10 @@
 
    The spread is a median by recursion of |e|, e = y / sqrt(S_ii), without the far ones. What a sensor is noisier than
    those that see the same is charged to its R; a run of clipped innovations that those who see the same do not
-   contradict is a jump of the state, and P grows until it is plausible, where the sensor tells much of a state. Beside
-   other sensors a far reading that repeats the one before counts only as far as that is usual: one that is stuck says
-   nothing new. Where readings repeat, one smallest step between them is never clipped. */
+   contradict is a jump of the state, and P grows until it is plausible, where the sensor tells much of a state. How
+   long a run must be is learnt from those that lasted and those that came to nothing. Beside other sensors a far
+   reading that repeats the one before counts only as far as that is usual: one that is stuck says nothing new. Where readings
+   repeat, one smallest step between them is never clipped. */
 #ifndef ROBUST_FILTERPY_SPREAD_H
 #define ROBUST_FILTERPY_SPREAD_H
 
@@ -29,8 +30,13 @@ typedef struct {
     real filled;  /* how many were taken for missing in all */
     real wide;    /* median of |e| over .6745 of readings that are wider than usual, */
     real widened; /* so many, each less the less it is wider */
+    real lasted;  /* runs of far readings that turned out to be jumps, */
+    real vain;    /* and that came to nothing, */
+    real on;      /* of which so many readings were not the first */
+    real reach;   /* how far jumps have gone, geometric mean */
+    real age;     /* readings since the run began that was believed last; 0: that has lasted, or was undone */
 } spread_memory;
-#define SPREAD_NUMBERS 17
+#define SPREAD_NUMBERS 22
 
 #define SPREAD_QUARTILE REAL(0.6744897501960817) /* median of |e| for a normal e of deviation 1 */
 #define SPREAD_BEND REAL(1.345)                  /* beyond so many spreads an innovation counts as clipped */
@@ -41,7 +47,7 @@ typedef struct {
 #define SPREAD_YIELD REAL(1.5)                   /* and the threshold times 1 - 1.5 share */
 #define SPREAD_PRIOR REAL(10.0)                  /* the share starts from so many without an outlier */
 #define SPREAD_LOST 10                           /* so many far ones in a row, and the custom is another one */
-#define SPREAD_RUN 4                             /* a jump: so many clipped in a row, */
+#define SPREAD_RUN 4                             /* a jump: so many clipped in a row, until some have lasted, */
 #define SPREAD_AGREE REAL(2.5)                   /* each within so many spreads of where the last one left x */
 #define SPREAD_RARE REAL(0.05)                   /* a share of outliers with which one innovation is a return, */
 #define SPREAD_RETURN REAL(0.2)                  /* if it is within a fifth of the jump */
@@ -70,7 +76,7 @@ typedef struct {
     int charges, grows;
 } spread_change;
 
-#define spread_work(n, m) ((size_t)((n) + 11 * (m)))
+#define spread_work(n, m) ((size_t)((n) + 12 * (m)))
 
 /* What one smallest step of a sensor whose readings repeat asks of its spread, in units of told; none: not above 0. */
 INLINE real spread_coarse(const spread_memory *const own, const real told) {
@@ -175,6 +181,46 @@ INLINE int spread_moved(const int n, const int k, const real *RESTRICT P, const 
     return P[k * n + k] > 0 && c[k] * c[k] / P[k * n + k] > SPREAD_SPARED * most;
 }
 
+/* Whether something is far, unit: the spread in that of the reading, and as far as jumps have gone. */
+INLINE int spread_as_jumps(const spread_memory *const own, const real far, const real unit) {
+    return far > SPREAD_FAR * unit &&
+           (own->reach == 0 || (far < SPREAD_FAR * own->reach && SPREAD_FAR * far > own->reach));
+}
+
+/* Whether a run is a jump rather than outliers: by its length, or by the odds of those before; back: it undoes one. */
+INLINE int spread_believed(const spread_memory *const own, const real y, const real unit, const int back) {
+    const real again = (own->on + 1) / (own->vain + own->on + 2);
+    if (own->run >= SPREAD_RUN || (back && (own->age > 0 || own->share < SPREAD_RARE))) return 1;
+    if (!(own->reach > 0 && spread_as_jumps(own, real_abs(y), unit))) return 0;
+    return own->lasted * SPREAD_ROUNDING >= (own->vain + 1) * real_exp((own->run - 1) * real_log(again));
+}
+
+/* Note what became of a run of far readings: a jump, or so many that came to nothing. */
+INLINE void spread_outcome(spread_memory *const own, const int lasted, const real length) {
+    const real far = real_abs(own->jump);
+    own->lasted += (lasted ? 1 : 0) - SPREAD_FADING * own->lasted;
+    own->vain += (lasted ? 0 : 1) - SPREAD_FADING * own->vain;
+    own->on += (lasted ? 0 : length - 1) - SPREAD_FADING * own->on;
+    if (!lasted) return;
+    if (own->reach > 0) own->reach *= real_exp(real_log(far / own->reach) / real_min(own->lasted, SPREAD_LOST));
+    else own->reach = far;
+}
+
+/* Let a run end with a reading that does not go on with it. */
+INLINE void spread_end(spread_memory *const own, const real unit) {
+    if (own->run > 0 && spread_as_jumps(own, real_abs(own->rest), unit)) spread_outcome(own, 0, own->run);
+    own->run = 0;
+}
+
+/* Let a jump that was believed grow older: one that nothing has undone has lasted. */
+INLINE void spread_grow_old(spread_memory *const own, const real unit, const int ordinary) {
+    if (!(own->age > 0)) return;
+    own->age += 1;
+    if (!(own->age > SPREAD_LOST && ordinary)) return;
+    own->age = 0;
+    if (real_abs(own->jump) > SPREAD_SUDDEN * unit) spread_outcome(own, 1, 0);
+}
+
 /* How much one more innovation weighs in a share. */
 INLINE real spread_step(const spread_memory *const own) {
     return real_max(1 / (own->weight + SPREAD_PRIOR), SPREAD_FADING);
@@ -184,7 +230,7 @@ INLINE real spread_step(const spread_memory *const own) {
 INLINE void spread_forgive(spread_memory *const own, const real jump) {
     own->share = real_max(own->share - own->strange * spread_step(own), 0);
     own->strange = own->run = own->held = 0;
-    own->jump = own->share < SPREAD_RARE ? jump : 0;
+    own->jump = jump;
 }
 
 /* Learn how usual it is that an ordinary reading repeats the one before, and by what steps readings change. */
@@ -263,13 +309,14 @@ INLINE real spread_ratio(const real known, const real R, const real variance) {
    say nothing new are then left out of c, and have no width. */
 CALLED void spread_before(const int n, const int m, const real *z, const real *P, const real *R, correction *const c,
                           spread_memory *const memory, spread_change *const change, real *work) {
-    real *s, *told, *size, *out, *ratio, *excess, *seen, coarse, e;
+    real *s, *told, *units, *size, *out, *ratio, *excess, *seen, coarse, e;
     change->growth = work;
     change->width = work + n;
     change->charge = work + n + m;
     change->opened = work + n + 2 * m;
     change->told = told = work + n + 3 * m;
-    s = told + m, size = s + m, out = size + m, ratio = out + m, excess = ratio + m, seen = excess + m; /* and m more */
+    units = told + m, s = units + m, size = s + m, out = size + m, ratio = out + m, excess = ratio + m;
+    seen = excess + m; /* and m more */
     change->charges = change->grows = 0;
     for (int k = 0; k < n; k++) change->growth[k] = 1;
     for (int i = 0; i < m; i++) {
@@ -306,24 +353,26 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         }
     for (int i = 0; i < m; i++) {
         spread_memory *const own = &memory[i];
-        const real y = c->y[i], unit = told[i] * out[i], near = SPREAD_AGREE * s[i] * unit, rest = own->rest;
+        const real y = c->y[i], rest = own->rest, wider = told[i] * out[i], unit = s[i] * wider;
+        const real near = SPREAD_AGREE * unit;
+        units[i] = unit;
         s[i] = real_max(s[i] * (1 - SPREAD_YIELD * own->share), spread_coarse(own, told[i]));
         out[i] = 0;
         if (c->left[i] == 0) continue;
-        change->width[i] = s[i] * unit;
+        change->width[i] = s[i] * wider;
         out[i] = size[i] > SPREAD_BEND * s[i];
         spread_repeat(own, z[i], out[i] == 0 && own->run == 0);
+        spread_grow_old(own, unit, out[i] == 0);
         if (out[i] == 0) {
             if (own->run == 0) spread_grown(own, ratio[i]);
-            own->run = 0;
+            spread_end(own, unit);
             continue;
         }
-        if (own->run > 0 && rest != 0 && (y > 0) == (rest > 0) &&
-            (real_abs(y - rest) < near ||
-             (real_abs(y) >= real_abs(rest) && real_abs(y) < SPREAD_STEEP * real_abs(rest))))
-            own->run += 1;
-        else
-            own->run = 1;
+        if (!(own->run > 0 && rest != 0 && (y > 0) == (rest > 0) &&
+              (real_abs(y - rest) < near ||
+               (real_abs(y) >= real_abs(rest) && real_abs(y) < SPREAD_STEEP * real_abs(rest)))))
+            spread_end(own, unit);
+        own->run += 1;
         /* Back where the state was before a jump. */
         if (own->jump != 0 && real_abs(y + own->jump) < real_max(near, SPREAD_RETURN * real_abs(own->jump))) out[i] = 2;
     }
@@ -331,7 +380,7 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         spread_memory *const own = &memory[i];
         const real variance = c->S[i * m + i], b = variance - R[i * m + i];
         real bent, wanted;
-        if (c->left[i] == 0 || (own->run < SPREAD_RUN && out[i] < 2)) continue;
+        if (c->left[i] == 0 || out[i] == 0 || !spread_believed(own, c->y[i], units[i], out[i] == 2)) continue;
         if (change->charge[i] > 0 || !(b > 0)) continue;
         if (!spread_agreed(m, i, c, R, out, seen)) continue;
         bent = size[i] / (SPREAD_BEND * s[i]);
@@ -347,7 +396,10 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         change->grows = 1;
         /* Believed: as large as is usual. Nobody else asks for its width or its run any more. */
         change->width[i] = real_abs(c->y[i]);
-        spread_forgive(own, out[i] < 2 ? c->y[i] : 0);
+        if (out[i] == 2 && real_abs(own->jump) > SPREAD_SUDDEN * units[i])
+            spread_outcome(own, own->age == 0, own->age - 1);
+        own->age = out[i] < 2 ? own->run : 0;
+        spread_forgive(own, own->age > 0 ? c->y[i] : 0);
     }
 }
 

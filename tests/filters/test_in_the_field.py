@@ -131,7 +131,7 @@ def test_sensors_that_see_the_same_bear_any_finite_reading(far):
     assert np.abs(kf.x).max() < 1.0
 
 
-@pytest.mark.parametrize("width", [10, 15])
+@pytest.mark.parametrize("width", [10, 15, 17])
 def test_a_state_with_fewer_columns_is_read(width):
     kf, _ = settled()
     state = kf.state()
@@ -195,3 +195,43 @@ def test_where_the_growth_of_P_varies_an_outlier_beyond_all_such_readings_is_cli
     kf.P[0, 0] += 100.0
     kf.update(50.0)
     assert abs(kf.x[0, 0]) < 15.0
+
+
+def after_jumps(sizes, seed=0, every=60):
+    """The default after jumps of some sizes, and where the position is then."""
+    rng, kf, level = np.random.default_rng(seed), moving(RobustKalmanFilter), 0.0
+    for size in (*sizes, 0.0):
+        for z in level + rng.normal(size=every):
+            kf.predict()
+            kf.update(z)
+        level += size
+    return kf, level
+
+
+def test_where_jumps_are_usual_the_first_reading_of_one_is_believed():
+    """The first takes four; an outlier far beyond jumps is bounded as ever, one as far as they go is undone at once."""
+    for jumps, believed in (((), False), ((30.0, 30.0, 30.0), True)):
+        kf, level = after_jumps(jumps)
+        kf.predict()
+        kf.update(level + 28.0)
+        assert (abs(kf.x[0, 0] - level - 28.0) < 3.0) == believed
+        speed = kf.x[1, 0]
+        kf.predict()
+        kf.update(level)
+        assert abs(kf.x[0, 0] - level) < 3.0 and abs(kf.x[1, 0] - speed) < 0.2
+    for far in (300.0, 1e4, 1e300):
+        kf, level = after_jumps((30.0, -30.0, 30.0, -30.0))
+        kf.predict()
+        kf.update(level + far)
+        assert abs(kf.x[0, 0] - level) < 3.0
+
+
+def test_where_runs_come_to_nothing_jumps_need_as_many_readings_as_ever():
+    rng, kf = np.random.default_rng(2), moving(RobustKalmanFilter)
+    for k in range(400):
+        kf.predict()
+        kf.update(rng.normal() + (30.0 if k > 200 and k % 10 == 5 else 0.0) + (30.0 if 100 <= k < 140 else 0.0))
+    for _ in range(2):
+        kf.predict()
+        kf.update(30.0)
+        assert abs(kf.x[0, 0]) < 5.0
