@@ -59,9 +59,16 @@ class Drawn(NamedTuple):
     R: float = 1.0
     labels: Callable[[Case], np.ndarray] = with_labels
 
+    def true(self, seed: int) -> Case:
+        """Return a recording, with a label for each sensor where these are what `with_labels` reads."""
+        case = self.draw(seed)
+        if self.labels is with_labels and case.v_scale.ndim == 1:
+            case = case._replace(v_scale=np.repeat(case.v_scale[:, None], case.zs.shape[1], axis=1))
+        return case
+
     def told(self, seed: int) -> Case:
         """Return a recording with the matrices that every filter is told."""
-        case = self.draw(seed)
+        case = self.true(seed)
         return case._replace(P0=self.P * case.P0, Q=self.Q * case.Q, R=self.R * case.R)
 
 
@@ -140,7 +147,7 @@ def states(problem: Drawn, seeds: range) -> dict[str, float]:
     filters |= {ours: partial(alone, build) for ours, build in OURS.items()}
     ratios = []
     for seed in seeds:
-        case, labels = problem.told(seed), error(_path(problem.labels(problem.draw(seed))), problem.draw(seed))
+        case, labels = problem.told(seed), error(_path(problem.labels(problem.true(seed))), problem.true(seed))
         ratios.append([error(_path(estimate(case)), case) / labels for estimate in filters.values()])
     return dict(zip(filters, np.exp(np.log(ratios).mean(axis=0)).tolist(), strict=True))
 
