@@ -1,8 +1,8 @@
 """This package beside others on the same recordings: who is closest to the truth, who is fastest, where others win.
 
 Run ``python tests/benchmarks/side_by_side.py [--runs N] [--seed S] [--jobs J] [--only TEXT] [--write-page]``. Peers are
-tuned by the truth, on recordings of other seeds; ours are not tuned. --write-page writes docs/side_by_side.md. A package
-that is not installed has no row.
+tuned by the truth, on recordings of other seeds; ours are not tuned. --write-page writes docs/side_by_side.md.
+A package that is not installed has no row.
 """
 
 from __future__ import annotations
