@@ -158,9 +158,9 @@ def compare(
         raise TypeError(f'models: expected {{"name": model, ..}}, got {_checks.shown(models)}')
     if not models:
         raise ValueError("models: expected at least one model, got none")
-    found = {str(name): any_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
+    candidates = {str(name): any_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
     given = np.shape(y)
-    counts, asked = {name: _n_outputs(model) for name, model in found.items()}, given[1] if len(given) == 2 else 1
+    counts, asked = {name: _n_outputs(model) for name, model in candidates.items()}, given[1] if len(given) == 2 else 1
     if set(counts.values()) != {asked} and given[:1] != (1,):
         each = ", ".join(f"models[{name!r}] of {count}" for name, count in counts.items())
         raise ValueError(
@@ -168,7 +168,7 @@ def compare(
             "outputs, and of y those columns"
         )
     index, residuals, outputs = recording(ANY_TIMES, y=y, u=u)[0].index, {}, {}
-    for name, model in found.items():
+    for name, model in candidates.items():
         residuals[name] = _columns(model.residuals(y, u, t))
         measured = np.column_stack([recorded_output(column) for column in _columns(_checks.numbers("y", y)).T])
         alone = not isinstance(model, Model) or model.structure.n_inputs

@@ -87,22 +87,22 @@ class Grid(NamedTuple):
 
     def named(self, orders: Orders) -> dict[str, Any]:
         """Return orders by their names; those of several inputs as a tuple."""
-        found: dict[str, Any] = {}
+        by_name: dict[str, Any] = {}
         for name, order in zip(self.ranges, orders, strict=True):
             whole, _, each = name.partition("[")
-            found[whole] = (*found.get(whole, ()), order) if each else order
-        return found
+            by_name[whole] = (*by_name.get(whole, ()), order) if each else order
+        return by_name
 
     def structure(self, orders: Orders) -> Structure:
         """Return the structure of these orders."""
         return self.kind(**self.named(orders))
 
-    def beginning(self, found: list[set[int | None]]) -> Iterator[Orders]:
-        """Yield all orders with the delays that were found for each input, or with all delays."""
+    def beginning(self, given: list[set[int | None]]) -> Iterator[Orders]:
+        """Yield all orders with the delays given for each input, or with all delays."""
         (_, first), *others = self.ranges.items()
         lags = self.lags
         sets = [
-            sorted({min(lags, key=lambda lag: abs(lag - delay)) for delay in one if delay is not None}) for one in found
+            sorted({min(lags, key=lambda lag: abs(lag - delay)) for delay in one if delay is not None}) for one in given
         ]
         single = "nk" in self.ranges or not any(name.startswith("nk") for name in self.ranges)
         # All delays of one input where none was found; of several inputs the least.
@@ -119,8 +119,8 @@ class Grid(NamedTuple):
     def _together(self, sets: list[list[int]]) -> list[tuple[int, ...]]:
         """Return the first delays of all inputs, and the last ones."""
         count = sum(name.startswith("nk[") for name in self.ranges)
-        known = [one or [self.lags[0]] for one in (sets or [[]] * count)]
-        return sorted({tuple(one[0] for one in known), tuple(one[-1] for one in known)})
+        delays = [one or [self.lags[0]] for one in (sets or [[]] * count)]
+        return sorted({tuple(one[0] for one in delays), tuple(one[-1] for one in delays)})
 
     def _nearest(self, name: str, values: tuple[int, ...] | None, n: int, delays: tuple[int, ...]) -> int:
         """Return the value of an order that is next to the one that is wanted to begin with."""
@@ -138,8 +138,8 @@ class Grid(NamedTuple):
                 continue
             place = values.index(orders[i])
             for value in values[max(place - 1, 0) : place + 2]:
-                found = (*orders[:i], value, *orders[i + 1 :])
-                yield tuple(found[0] if follows else order for follows, order in zip(tied, found, strict=True))
+                changed = (*orders[:i], value, *orders[i + 1 :])
+                yield tuple(changed[0] if follows else order for follows, order in zip(tied, changed, strict=True))
 
     @property
     def first(self) -> int:

@@ -85,40 +85,40 @@ class Judged(NamedTuple):
 def _of_one(model: Model, y: Any, u: Any) -> Judged:
     """Return what is judged of a model with one output."""
     (prepared, measured), residual = model.prepared(y, u), model.residuals(y, u)
-    known: Any = ~np.isnan(residual)
-    e, found = np.where(known, residual, 0.0), cleaned(model, y, u)
-    clear = _untouched(_memory(model), known[:, None], model.noise.weights(e)[:, None])[:, 0]
-    clear = known & (clear if found is None else found.clear)
-    tested = np.where(clear, e if found is None else found.residual, np.nan)
+    seen: Any = ~np.isnan(residual)
+    e, clean = np.where(seen, residual, 0.0), cleaned(model, y, u)
+    clear = _untouched(_memory(model), seen[:, None], model.noise.weights(e)[:, None])[:, 0]
+    clear = seen & (clear if clean is None else clean.clear)
+    tested = np.where(clear, e if clean is None else clean.residual, np.nan)
     n, P = model.theta.size + model.has_offset, model.P
     if model.has_offset:
-        beside = model.offset_covariance[:, None]
-        P = np.block([[P, beside], [beside.T, np.full((1, 1), model.offset_std**2)]])
+        cross = model.offset_covariance[:, None]
+        P = np.block([[P, cross], [cross.T, np.full((1, 1), model.offset_std**2)]])
     # The fit has seen those rows too that are not tested; outliers in the regressor are replaced.
-    whole = model.without_outliers(prepared, measured) if found is None else found.prepared
+    whole = model.without_outliers(prepared, measured) if clean is None else clean.prepared
     J = np.zeros((residual.size, n))
     J[whole.first :] = whole.jacobian(np.concatenate((model.theta, [model.offset], np.zeros(whole.nf))))[:, :n]
-    J *= known[:, None]
+    J *= seen[:, None]
     return Judged(
         recorded_output(y)[:, None], residual[:, None], tested[:, None], prepared.u, (model.noise,),
         model.weights[:, None], J[:, None], P, True,
     )  # fmt: skip
 
 
-def _of_outputs(model: Any, measured: Array, signal: Array, told: Any, q: Array) -> Judged:
+def _of_outputs(model: Any, measured: Array, signal: Array, predictor: Any, q: Array) -> Judged:
     """Return what is judged of states, or of physics, which predict from inputs alone however far ahead."""
-    known, k = ~np.isnan(measured), model.theta.size
-    residual = np.where(known, told.residuals(q).reshape(measured.shape), np.nan)
+    seen, k = ~np.isnan(measured), model.theta.size
+    residual = np.where(seen, predictor.residuals(q).reshape(measured.shape), np.nan)
     weights = np.column_stack([one.weights(e) for one, e in zip(model.noise, np.nan_to_num(residual).T, strict=True)])
-    J = told.jacobian(q).reshape(*residual.shape, -1) * known[:, :, None]
+    J = predictor.jacobian(q).reshape(*residual.shape, -1) * seen[:, :, None]
     P = np.diag(np.full(q.size, np.inf))
     P[:k, :k] = model.P
     levelled = isinstance(model, StateSpaceModel)
     if not levelled:
-        slope = told.p.slope(q[:k])
+        slope = predictor.p.slope(q[:k])
         J[:, :, :k] *= np.divide(1.0, slope, out=np.zeros(k), where=slope != 0.0)
     memory = _memory_of_states(model) if levelled else np.zeros((0, 1, 1))
-    tested = np.where(_untouched(memory, known, weights), residual, np.nan)
+    tested = np.where(_untouched(memory, seen, weights), residual, np.nan)
     return Judged(measured, residual, tested, signal, model.noise, model.weights, J, P, levelled)
 
 
@@ -131,25 +131,25 @@ def _memory(model: Model) -> Array:
 
 def _memory_of_states(model: StateSpaceModel) -> Array:
     """Return the same for several outputs, each in units of its noise, shape (lags, p, p)."""
-    size, x, found = np.sqrt(model.R), model.K, []
+    size, x, responses = np.sqrt(model.R), model.K, []
     for _ in range(_LONGEST_REACH if model.K.any() else 0):
-        found.append(model.C @ x * size / size[:, None])
+        responses.append(model.C @ x * size / size[:, None])
         x = (model.A - model.K @ model.C) @ x
-    return np.array(found).reshape(-1, size.size, size.size)
+    return np.array(responses).reshape(-1, size.size, size.size)
 
 
-def _untouched(memory: Array, known: Any, weights: Array) -> Any:
+def _untouched(memory: Array, seen: Any, weights: Array) -> Any:
     """Return which residuals no outlier or gap before them reaches: what stands in its place is wrong for a while."""
     # Two residuals after the same outlier share that error, and would look as if the noise were not white.
-    doubtful = (~known | (weights < _BELIEVED)).astype(float)
-    reached = np.zeros(known.shape)
+    doubtful = (~seen | (weights < _BELIEVED)).astype(float)
+    reached = np.zeros(seen.shape)
     for i, j in np.ndindex(memory.shape[1:]):
         above = np.flatnonzero(np.abs(memory[:, i, j]) > _TOUCH)
         if above.size:
             window = np.concatenate(([0.0], np.ones(above[-1] + 1)))
-            reached[:, i] += np.convolve(doubtful[:, j], window)[: len(known)]
+            reached[:, i] += np.convolve(doubtful[:, j], window)[: len(seen)]
     clear = reached < 0.5
-    enough = (clear & known).sum(axis=0) >= _LEAST_CLEAR * known.sum(axis=0)
+    enough = (clear & seen).sum(axis=0) >= _LEAST_CLEAR * seen.sum(axis=0)
     return clear | ~enough
 
 
@@ -175,10 +175,10 @@ class Score(NamedTuple):
     """psi of the residuals of N samples of p outputs, and how the parameters enter."""
 
     v: Array  # psi in units of the noise, 0 where there is none, shape (N, p).
-    known: Any  # Where there is one.
+    seen: Any  # Where there is one.
     J: Array  # Derivatives of the residuals in the same units, shape (N, p, k).
     slope: Array  # E[psi'] of each output.
-    P: Array  # Covariance of the parameters that this recording has not told.
+    P: Array  # Covariance of the parameters that this recording does not estimate.
     basis: Array  # Directions of the residuals that were fitted to it, shape (N, p, r).
     same_recording: bool  # Whether it is the one that the model was made from.
     shift: Array  # How far the level of each output is from the model's, 0 if it may be the same.
@@ -186,14 +186,14 @@ class Score(NamedTuple):
     @classmethod
     def of(cls, judged: Judged) -> Score:
         """Return the score of a model on a recording."""
-        known: Any = ~np.isnan(judged.tested)
-        v, slope, J = np.zeros(known.shape), np.ones(known.shape[1]), judged.J.copy()
-        shift, e = np.zeros(known.shape[1]), judged.tested.copy()
+        seen: Any = ~np.isnan(judged.tested)
+        v, slope, J = np.zeros(seen.shape), np.ones(seen.shape[1]), judged.J.copy()
+        shift, e = np.zeros(seen.shape[1]), judged.tested.copy()
         believed = np.column_stack(
             [one.weights(left) for one, left in zip(judged.noise, judged.residual.T, strict=True)]
         )
         same = judged.weights.shape == believed.shape and _alike(judged.weights, believed)
-        for j, (noise, rows) in enumerate(zip(judged.noise, known.T, strict=True)):
+        for j, (noise, rows) in enumerate(zip(judged.noise, seen.T, strict=True)):
             middle = float(np.median(e[rows, j]))
             if judged.levelled and abs(middle) > _FAR * np.sqrt(noise.R):
                 shift[j], e[:, j] = middle, e[:, j] - middle
@@ -204,16 +204,16 @@ class Score(NamedTuple):
             v[rows, j] -= v[rows, j].mean() if judged.levelled else 0.0
             slope[j] = noise.slope(e[rows, j])
             J[:, j] /= np.sqrt(noise.R)
-        told = np.isinf(judged.P.diagonal()) | same
-        basis = _directions(J[:, :, told] * np.sqrt(slope)[:, None])
-        return cls(v, known, J, slope, np.where(np.outer(~told, ~told), judged.P, 0.0), basis, same, shift)
+        estimated = np.isinf(judged.P.diagonal()) | same
+        basis = _directions(J[:, :, estimated] * np.sqrt(slope)[:, None])
+        return cls(v, seen, J, slope, np.where(np.outer(~estimated, ~estimated), judged.P, 0.0), basis, same, shift)
 
     def tested(self, j: int, Z: Array, kernel: Array, level: float) -> tuple[Array, Array, Portmanteau]:
         """Return correlations of v of an output with the columns of Z, their bounds, and all of them in one number."""
-        known, v = self.known[:, j], self.v[:, j]
-        Z = np.where(known[:, None], Z, 0.0)
+        seen, v = self.seen[:, j], self.v[:, j]
+        Z = np.where(seen[:, None], Z, 0.0)
         c, gram = Z.T @ v, Z.T @ Z
-        variances = np.square(self.v).sum(axis=0) / np.maximum(self.known.sum(axis=0), 1)
+        variances = np.square(self.v).sum(axis=0) / np.maximum(self.seen.sum(axis=0), 1)
         shadow = self.basis[:, j].T @ Z
         covariance, entering = np.zeros(gram.shape), np.zeros((Z.shape[1], self.J.shape[2]))
         for i, ratio in enumerate(self.slope[j] / self.slope):
@@ -222,7 +222,7 @@ class Score(NamedTuple):
             entering += self.slope[i] * (W.T @ self.J[:, i])
         covariance += entering @ self.P @ entering.T
         variance = variances[j]
-        size = np.sqrt(np.maximum(variance * known.sum() * gram.diagonal(), np.finfo(float).tiny))
+        size = np.sqrt(np.maximum(variance * seen.sum() * gram.diagonal(), np.finfo(float).tiny))
         share = np.maximum(covariance.diagonal(), _LEFT * variance * gram.diagonal())
         bound = float(norm.ppf(0.5 + 0.5 * level)) * np.sqrt(share) / size
         return c / size, bound, _portmanteau(c, covariance, variance * gram)
@@ -241,9 +241,9 @@ def _portmanteau(c: Array, covariance: Array, full: Array) -> Portmanteau:
         return Portmanteau(0.0, 0, 1.0)
     c, covariance, full = c / np.sqrt(size), covariance / size, full / size
     left, directions = eigh(covariance, full + 1e-10 * np.eye(len(full)))
-    kept = left > _LEFT
-    statistic = float(np.sum((directions.T @ c)[kept] ** 2 / left[kept]))
-    degrees = int(kept.sum())
+    enough = left > _LEFT
+    statistic = float(np.sum((directions.T @ c)[enough] ** 2 / left[enough]))
+    degrees = int(enough.sum())
     return Portmanteau(statistic, degrees, float(chi2.sf(statistic, degrees)) if degrees else 1.0)
 
 

@@ -159,12 +159,12 @@ def select_structure(
     share = (0.0 if measured.size < _LEAST_HELD else _HELD) if held_out is None else _checks.real("held_out", held_out)
     if not 0.0 <= share <= 0.5:
         raise ValueError(f"held_out: expected a share in [0, 0.5], got {_checks.shown(held_out)}")
-    kept = measured.size - round(share * measured.size)
+    fitted = measured.size - round(share * measured.size)
     bar = progress_bar(None, progress, " structures", "select_structure")
     responses = () if u is None else _impulse_responses(measured, signal, grid)
     beginning = list(grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]))
     largest = max((grid.structure(orders) for orders in beginning), key=lambda one: one.n_theta)
-    compared = kept if held_out else measured.size
+    compared = fitted if held_out else measured.size
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         inputs = signal[:compared] if largest.n_inputs else None
@@ -175,7 +175,7 @@ def select_structure(
     while best != comparison.best:
         best = comparison.best
         comparison.try_all(grid.neighbours(best))
-    late = comparison.tried_on_rest(kept) if share and held_out is None else {}
+    late = comparison.tried_on_rest(fitted) if share and held_out is None else {}
     bar.close()
     rows = _ranked(comparison.rows(), late)
     structure = rows[0].structure
@@ -218,17 +218,17 @@ class _Comparison:
     """The structures that were tried, on the same samples."""
 
     def __init__(
-        self, grid: Grid, y: Array, u: Array, criterion: str, kept: int, bar: Any, settled: Settled
+        self, grid: Grid, y: Array, u: Array, criterion: str, fitted: int, bar: Any, settled: Settled
     ) -> None:  # fmt: skip
-        """Keep the recording, and apart what comes after the samples that are kept."""
+        """Keep the recording, and apart what comes after the samples that are fitted."""
         self.grid, self.criterion, self.bar, self.settled = grid, criterion, bar, settled
-        self.rest = (y[kept:], u[kept:]) if kept < y.size else None
-        self.y, self.u = y, u = y[:kept], u[:kept]
+        self.rest = (y[fitted:], u[fitted:]) if fitted < y.size else None
+        self.y, self.u = y, u = y[:fitted], u[:fitted]
         self.tried: dict[Orders, _Tried] = {}
         self.samples = int(np.isfinite(y[grid.first :]).sum())
-        known = y[~np.isnan(y)]
+        measured = y[~np.isnan(y)]
         # Without a limit where more than half of the samples are equal.
-        self.wild = (_WILD * mad_scale(known - np.median(known)) if known.size else 0.0) or np.inf
+        self.wild = (_WILD * mad_scale(measured - np.median(measured)) if measured.size else 0.0) or np.inf
 
     @property
     def best(self) -> Orders:
@@ -278,7 +278,7 @@ class _Comparison:
         """Return the log-likelihood of residuals of the cleaned output, less what the outliers cost."""
         return model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
 
-    def tried_on_rest(self, kept: int) -> dict[Structure, float]:
+    def tried_on_rest(self, fitted: int) -> dict[Structure, float]:
         """Return how the best structure of each number of parameters fits what it has not seen, in percent."""
         # The model of the first samples misses some of the others, and the model of all samples is another one. Where
         # it is further away than that, a part of the recording does not confirm it: it may fit all of it and nothing
@@ -289,8 +289,8 @@ class _Comparison:
             return {}
         if model.trend.size:
             y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
-        flat = self.settled._replace(trend=Trend(np.zeros(kept), ()))
-        part = _Comparison(self.grid, y, self.u, self.criterion, kept, self.bar, flat)
+        flat = self.settled._replace(trend=Trend(np.zeros(fitted), ()))
+        part = _Comparison(self.grid, y, self.u, self.criterion, fitted, self.bar, flat)
         ranked = sorted(self.tried, key=lambda orders: self.tried[orders].row.rank, reverse=True)
         best_of_size = {self.tried[orders].row.structure.n_theta: orders for orders in ranked}
         self.bar.total = (self.bar.total or 0) + len(best_of_size)
@@ -298,14 +298,14 @@ class _Comparison:
             # A part may tell too little of a structure that the whole tells of.
             with suppress(ValueError):
                 part.try_out(orders)
-        found = {}
+        fits = {}
         for row in part.rows() if part.tried else ():
             orders = next(orders for orders, one in part.tried.items() if one.row.structure == row.structure)
             apart = part.apart(self.tried[orders].model, part.tried[orders].model)
             if not math.isfinite(row.held_out_fit + apart):
                 continue
-            found[row.structure] = min(row.held_out_fit, 100.0 - apart)
-        return found
+            fits[row.structure] = min(row.held_out_fit, 100.0 - apart)
+        return fits
 
     def apart(self, one: Model, other: Model) -> float:
         """Return how far two models are apart in the part held out, in percent of what y varies there."""

@@ -123,13 +123,13 @@ class Validation(Pictured):
     @property
     def verdict(self) -> str:
         """What is wrong, in words: with the level, the dynamics, the noise."""
-        found = [f"the level is {self.shift:+.4g} from the model's"] if self.shift else []
+        faults = [f"the level is {self.shift:+.4g} from the model's"] if self.shift else []
         missing = self.dynamics.startswith("missing")
         if missing:
-            found.append(f"dynamics are {self.dynamics}")
+            faults.append(f"dynamics are {self.dynamics}")
         if self.noise != _WHITE:
-            found.append(self.noise.removeprefix("not white: ") if missing else f"the noise is {self.noise}")
-        return "; ".join(found) or _RIGHT
+            faults.append(self.noise.removeprefix("not white: ") if missing else f"the noise is {self.noise}")
+        return "; ".join(faults) or _RIGHT
 
     def to_text(self) -> str:
         """Return the verdict, the statistics and the fits.
@@ -303,18 +303,18 @@ def validate(
     lags, steps = _checks.count("lags", lags, 1), _checks.count("steps", steps, 1)
     level = probability(level)
     judged = Judged.of(model, y, u, t)
-    known, n_outputs = (~np.isnan(judged.residual)).sum(axis=0), judged.residual.shape[1]
-    if known.min() < _SAMPLES_EACH * (lags + 1):
-        which = f" of output {known.argmin()}" if n_outputs > 1 else ""
+    counts, n_outputs = (~np.isnan(judged.residual)).sum(axis=0), judged.residual.shape[1]
+    if counts.min() < _SAMPLES_EACH * (lags + 1):
+        which = f" of output {counts.argmin()}" if n_outputs > 1 else ""
         raise ValueError(
             f"y: expected at least {_SAMPLES_EACH * (lags + 1)} measured samples{which} for {lags} lags, got "
-            f"{known.min()}; record more or take fewer lags"
+            f"{counts.min()}; record more or take fewer lags"
         )
     score, outputs = Score.of(judged), _outputs(model, judged, (y, u), steps)
     inputs = delayed(judged.inputs - judged.inputs.mean(axis=0), range(lags + 1))
     level = level ** (1.0 / n_outputs)
-    found = [_of_output(j, judged, score, inputs, outputs, lags, level) for j in range(n_outputs)]
-    return found[0] if isinstance(model, Model) else Validations(found)
+    validations = [_of_output(j, judged, score, inputs, outputs, lags, level) for j in range(n_outputs)]
+    return validations[0] if isinstance(model, Model) else Validations(validations)
 
 
 def _of_output(
@@ -327,15 +327,15 @@ def _of_output(
     if inputs.size:
         kernel = white if whiteness.p_value >= 1.0 - level else covariances(v, lags)
         cross, cross_bound, independence = score.tested(j, inputs, kernel, level)
-    y, known = judged.y[:, j], ~np.isnan(judged.residual[:, j])
+    y, seen = judged.y[:, j], ~np.isnan(judged.residual[:, j])
     ordinary = ordinary_samples(judged.residual[:, j], y)
     fits = tuple(
-        Fit(kind, ordinary_fit(y, output[:, j], ordinary), ordinary_fit(y, output[:, j], known))
+        Fit(kind, ordinary_fit(y, output[:, j], ordinary), ordinary_fit(y, output[:, j], seen))
         for kind, output in outputs.items()
     )
     return Validation(
         auto, auto_bound, cross.reshape(shape), cross_bound.reshape(shape), whiteness, independence, fits,
-        int(known.sum()), level, score.same_recording, float(score.shift[j]),
+        int(seen.sum()), level, score.same_recording, float(score.shift[j]),
     )  # fmt: skip
 
 
