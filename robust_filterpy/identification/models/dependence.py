@@ -69,25 +69,25 @@ def dependence(
     lags = max(lags // max(k, 1), 2)
     columns = np.concatenate([inputs[..., lags - 1 - j : n - j, :] for j in range(lags)], axis=-1)
     r = residuals[..., lags - 1 :]
-    known = ~np.isnan(r)
-    count = known.sum(axis=-1)
-    r = np.where(known, r, 0.0)
-    level, scale = level_and_scale(r, known)
-    clipped = np.where(known, np.clip(r - level[..., None], -CLIP * scale[..., None], CLIP * scale[..., None]), 0.0)
-    weight = known / np.maximum(count, 1)[..., None]
-    clipped = np.where(known, clipped - (clipped * weight).sum(axis=-1)[..., None], 0.0)
+    seen = ~np.isnan(r)
+    count = seen.sum(axis=-1)
+    r = np.where(seen, r, 0.0)
+    level, scale = level_and_scale(r, seen)
+    clipped = np.where(seen, np.clip(r - level[..., None], -CLIP * scale[..., None], CLIP * scale[..., None]), 0.0)
+    weight = seen / np.maximum(count, 1)[..., None]
+    clipped = np.where(seen, clipped - (clipped * weight).sum(axis=-1)[..., None], 0.0)
     centred = columns - np.einsum("...n,...nj->...j", weight, columns)[..., None, :]
-    centred = np.where(known[..., None], centred, 0.0)
+    centred = np.where(seen[..., None], centred, 0.0)
     unwhitened, columns = clipped, centred
     if whitening:
         clipped, centred = (_filtered(part, whitening) for part in (clipped[..., None], centred))
         clipped, count = clipped[..., 0], count - len(whitening)
     left, values, right = np.linalg.svd(centred, full_matrices=False)
-    kept = values > 1e-6 * np.maximum(values[..., :1], np.finfo(float).tiny)
-    rank = kept.sum(axis=-1)
-    along = np.einsum("...nj,...n->...j", left, clipped) * kept
+    usable = values > 1e-6 * np.maximum(values[..., :1], np.finfo(float).tiny)
+    rank = usable.sum(axis=-1)
+    along = np.einsum("...nj,...n->...j", left, clipped) * usable
     explained = (along**2).sum(axis=-1)
-    weights = np.einsum("...ji,...j->...i", right, along / np.where(kept, values, 1.0))
+    weights = np.einsum("...ji,...j->...i", right, along / np.where(usable, values, 1.0))
     followed = np.einsum("...nj,...j->...n", columns, weights)
     total = (clipped**2).sum(axis=-1)
     freedom = count - rank - 1
@@ -106,32 +106,32 @@ def dependence(
 def _filtered(signals: Array, whitening: tuple[float, ...]) -> Array:
     """Filter signals of shape (.., n, k) along n, and leave out the first samples."""
     order, n = len(whitening), signals.shape[-2]
-    found = signals[..., order:, :].copy()
+    filtered = signals[..., order:, :].copy()
     for j, d in enumerate(whitening, start=1):
-        found += d * signals[..., order - j : n - j, :]
-    return found
+        filtered += d * signals[..., order - j : n - j, :]
+    return filtered
 
 
 def autocovariances(residuals: Array) -> Array:
     """Return the autocovariances at lags 0 to 2 of clipped residuals in units of their scale."""
-    known = ~np.isnan(residuals)
-    level = np.median(residuals[known]) if known.any() else 0.0
-    scale = mad_scale(residuals[known] - level) if known.any() else 0.0
-    e = np.where(known, np.clip((residuals - level) / (scale or 1.0), -CLIP, CLIP), 0.0)
+    seen = ~np.isnan(residuals)
+    level = np.median(residuals[seen]) if seen.any() else 0.0
+    scale = mad_scale(residuals[seen] - level) if seen.any() else 0.0
+    e = np.where(seen, np.clip((residuals - level) / (scale or 1.0), -CLIP, CLIP), 0.0)
     return np.array([e[j:] @ e[: e.size - j] for j in range(3)]) / e.size
 
 
-def level_and_scale(values: Array, known: Any) -> tuple[Array, Array]:
-    """Return the median of known values along the last axis, and their standard deviation by the median deviation."""
-    # Both are 0 where none is known.
-    level = _median(values, known)
-    return level, 1.4826 * _median(np.abs(values - level[..., None]), known)
+def level_and_scale(values: Array, seen: Any) -> tuple[Array, Array]:
+    """Return the median of values seen along the last axis, and their standard deviation by the median deviation."""
+    # Both are 0 where none is seen.
+    level = _median(values, seen)
+    return level, 1.4826 * _median(np.abs(values - level[..., None]), seen)
 
 
-def _median(values: Array, known: Any) -> Array:
-    """Return the median of the known values along the last axis, 0 where there are none."""
-    ordered = np.sort(np.where(known, values, np.inf), axis=-1)
-    count = known.sum(axis=-1)
+def _median(values: Array, seen: Any) -> Array:
+    """Return the median of the values seen along the last axis, 0 where there are none."""
+    ordered = np.sort(np.where(seen, values, np.inf), axis=-1)
+    count = seen.sum(axis=-1)
     padded = np.where(np.isfinite(ordered), ordered, 0.0)
     pick = lambda i: np.take_along_axis(padded, np.maximum(i, 0)[..., None], -1)[..., 0]  # noqa: E731
     return 0.5 * (pick((count - 1) // 2) + pick(count // 2))
@@ -183,31 +183,31 @@ def broken(residual: Array, x: Array) -> tuple[int, float, float, float]:
         return nothing
     first = x.size - span * _SPLIT
     s, i = samples[:, first:].reshape(2, _SPLIT, span).sum(axis=2)
-    found = nothing
+    best = nothing
     for k in range(1, _SPLIT):
         sides = [np.arange(_SPLIT) < k, np.arange(_SPLIT) >= k]
-        told = np.array([i[side].sum() for side in sides])
+        information = np.array([i[side].sum() for side in sides])
         if min(i[side].sum() ** 2 / max(i[side] @ i[side], 1e-300) for side in sides) < _BESIDE:
             continue
-        g = np.array([s[side].sum() for side in sides]) / told
+        g = np.array([s[side].sum() for side in sides]) / information
         left = s - np.where(sides[0], *g) * i
         scattered = max(1.0, float(left @ left) / i.sum() * _SPLIT / (_SPLIT - 2.0))
-        z = float(np.diff(g)[0] / np.sqrt(scattered * (1.0 / told).sum()))
-        if np.abs(g).max() > _LEAST and abs(z) > max(_SURE_OF_ANY, abs(found[3])):
-            found = residual.size - x.size + first + k * span, float(g[0]), float(g[1]), z
-    return found
+        z = float(np.diff(g)[0] / np.sqrt(scattered * (1.0 / information).sum()))
+        if np.abs(g).max() > _LEAST and abs(z) > max(_SURE_OF_ANY, abs(best[3])):
+            best = residual.size - x.size + first + k * span, float(g[0]), float(g[1]), z
+    return best
 
 
 def _of_samples(residual: Array, x: Array) -> Array | None:
     """Return what each sample that x tells of adds to score and information, shape (2, M); None if nearly none do."""
     e = residual[residual.size - x.size :]
-    known = ~np.isnan(e) & np.isfinite(x)
-    if known.sum() < max(x.size // 4, 1):
+    seen = ~np.isnan(e) & np.isfinite(x)
+    if seen.sum() < max(x.size // 4, 1):
         return None
-    level, scale = level_and_scale(e, known)
-    clipped = np.where(known, np.clip(e - level, -CLIP * scale, CLIP * scale), 0.0)
-    R = float(clipped @ clipped) / known.sum()
+    level, scale = level_and_scale(e, seen)
+    clipped = np.where(seen, np.clip(e - level, -CLIP * scale, CLIP * scale), 0.0)
+    R = float(clipped @ clipped) / seen.sum()
     if not R > 0.0:
         return None
-    clipped, x = (np.where(known, part - part[known].mean(), 0.0) for part in (clipped, np.where(known, x, 0.0)))
+    clipped, x = (np.where(seen, part - part[seen].mean(), 0.0) for part in (clipped, np.where(seen, x, 0.0)))
     return np.stack((clipped * x, x * x)) / R

@@ -118,10 +118,10 @@ class GreyBox:
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Bounds of the parameters that have some, as numbers."""
-        found = {}
+        limits = {}
         for name, (low, high) in self.bounds.items():
-            found[name] = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
-        return found
+            limits[name] = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
+        return limits
 
     @property
     def scales(self) -> tuple[Scale, Scale]:
@@ -153,9 +153,9 @@ class GreyBox:
         h = self.h
 
         def whole(p: Array) -> Array:
-            found = np.repeat(values[:, None], p.shape[1], axis=1) if p.ndim == 2 else values.copy()
-            found[at] = p
-            return found
+            parameters = np.repeat(values[:, None], p.shape[1], axis=1) if p.ndim == 2 else values.copy()
+            parameters[at] = p
+            return parameters
 
         def f(x: Array, u: Array, p: Array) -> Any:
             return self.f(x, u, whole(p))
@@ -216,7 +216,7 @@ class GreyBoxModel(Identified):
 
     def __repr__(self) -> str:
         """Show the estimated parameters with their standard deviations."""
-        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + self._beside
+        return f"GreyBoxModel({self._valued(self.structure.free_names)})" + self._remarks
 
     @property
     def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
@@ -256,9 +256,9 @@ class GreyBoxModel(Identified):
         start = self.starts[0] if x0 is None else np.atleast_1d(_checks.numbers("x0", x0))
         if start.shape != self.structure.x0.shape:
             raise ValueError(f"x0: expected {self.structure.x0.size} states, got shape {start.shape}")
-        told = GreyRecording(times, np.zeros((times.size, len(self.noise))), signal)
-        require_inputs(self.structure, told, np.array([*self.p.values()]))
-        model = self.structure.residuals_of([told], start[None], False)
+        recording = GreyRecording(times, np.zeros((times.size, len(self.noise))), signal)
+        require_inputs(self.structure, recording, np.array([*self.p.values()]))
+        model = self.structure.residuals_of([recording], start[None], False)
         z = model.p.free(self.theta)
         if not model.settled(z):
             raise ValueError(
@@ -318,13 +318,13 @@ class GreyBoxModel(Identified):
         ValueError
             If they do not fit, or the equations overflow.
         """
-        told = recorded(ANY_TIMES, y, u, t=t)
-        shape, p = told.y.shape, np.array([*self.p.values()])
+        given = recorded(ANY_TIMES, y, u, t=t)
+        shape, p = given.y.shape, np.array([*self.p.values()])
         if shape[1] != len(self.noise):
             raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
-        recording = GreyRecording(told.times, np.nan_to_num(told.y - trend_of(self.trends, told.y)), told.u)
+        recording = GreyRecording(given.times, np.nan_to_num(given.y - trend_of(self.trends, given.y)), given.u)
         require_inputs(self.structure, recording, p)
-        rows, free = ~np.isnan(told.y).ravel(), self.structure.start == "free"
+        rows, free = ~np.isnan(given.y).ravel(), self.structure.start == "free"
         noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
@@ -337,7 +337,7 @@ class GreyBoxModel(Identified):
             raise ValueError(
                 "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
             )
-        return told.y, recording.u, *min(ends)[2:]
+        return given.y, recording.u, *min(ends)[2:]
 
 
 def _likeliest(model: GreyResiduals, z: Array, noise: Noises, rows: Any) -> Array:

@@ -189,13 +189,13 @@ class GreyResiduals:
         p, x = self.p.parameters(z[: self.k]), self.start(z, i)
         if not self._columns:
             p, x = p[:, 0], x[:, 0]
-        found = np.empty((*y.shape, z.shape[1]))
+        outputs = np.empty((*y.shape, z.shape[1]))
         with np.errstate(all="ignore"):
             for k in range(len(t)):
-                found[k] = np.reshape(self._of(self._h, x, u[k], p), (y.shape[1], -1))
+                outputs[k] = np.reshape(self._of(self._h, x, u[k], p), (y.shape[1], -1))
                 if k + 1 < len(t):
                     x = self._moved(x, u[k], u[k + 1] if self.linear else u[k], p, t[k + 1] - t[k])
-        return found
+        return outputs
 
     def _moved(self, x: Array, u: Array, then: Array, p: Array, span: float) -> Array:
         """Return the state at the next sample."""
@@ -213,10 +213,10 @@ class GreyResiduals:
     def _of(self, function: Callable[..., Any], x: Array, u: Array, p: Array) -> Array:
         """Return what a function of the user's says, one row a state or output."""
         try:
-            found = function(x, u, p)
+            values = function(x, u, p)
             if x.ndim == 1:
-                return np.asarray(found, dtype=float).ravel()
-            return np.stack([np.broadcast_to(np.asarray(row, dtype=float), x.shape[1:]) for row in found])
+                return np.asarray(values, dtype=float).ravel()
+            return np.stack([np.broadcast_to(np.asarray(row, dtype=float), x.shape[1:]) for row in values])
         except (OverflowError, ZeroDivisionError, FloatingPointError):
             # A trial step too far: it is no number, and will be shortened.
             return np.full(x.shape, np.nan)

@@ -161,8 +161,8 @@ class Model(PolynomialSystem, Identified):
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
         text = self._valued(self.structure.names)
-        found = f"; found: {said(self.findings)}" if self.findings else ""
-        return f"Model({self.structure}, {text}, offset={self.offset:.4g}, R={self.R:.4g}){found}"
+        findings = f"; found: {said(self.findings)}" if self.findings else ""
+        return f"Model({self.structure}, {text}, offset={self.offset:.4g}, R={self.R:.4g}){findings}"
 
     # The model.
 
@@ -193,8 +193,8 @@ class Model(PolynomialSystem, Identified):
     @property
     def _facts(self) -> dict[str, str]:
         """What the table says beside the parameters."""
-        known = int((~np.isnan(self.weights)).sum())
-        facts = {"Samples": f"{known} of {self.weights.size}", "R": f"{self.R:.4g}"}
+        count = int((~np.isnan(self.weights)).sum())
+        facts = {"Samples": f"{count} of {self.weights.size}", "R": f"{self.R:.4g}"}
         if isinstance(self.noise.influence, Contaminated):
             facts["Contamination"] = f"{self.noise.influence.contamination:.3f}"
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
@@ -260,18 +260,18 @@ class Model(PolynomialSystem, Identified):
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return the time axis, the measured output, and that so many steps ahead, or with 0 from inputs alone."""
         axis, y, u = signals_of(self, y, u, t)
-        measured, (recorded, known) = self._measured(y, u)[0], self.prepared(y, u)
-        output = self._predicted(recorded, known, steps) if steps else self._from_inputs(recorded, known)
+        measured, (recorded, seen) = self._measured(y, u)[0], self.prepared(y, u)
+        output = self._predicted(recorded, seen, steps) if steps else self._from_inputs(recorded, seen)
         return axis, measured, output + self._own_trend(measured)
 
-    def _predicted(self, model: PolynomialModel, known: Any, steps: int) -> Array:
+    def _predicted(self, model: PolynomialModel, seen: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
         parts = self.parts
         if model.na == 0 and parts.c.size == parts.d.size == 1:
-            return self._from_inputs(model, known)
-        error = self._equation_error(model, known)
-        found = cleaned_residuals(parts, error, known[model.first :], self.noise)
-        ahead = predicted(parts, model.y[model.first :], found, steps)
+            return self._from_inputs(model, seen)
+        error = self._equation_error(model, seen)
+        cleaned = cleaned_residuals(parts, error, seen[model.first :], self.noise)
+        ahead = predicted(parts, model.y[model.first :], cleaned, steps)
         return np.concatenate((np.full(model.first, np.nan), ahead))
 
     def prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
@@ -296,14 +296,14 @@ class Model(PolynomialSystem, Identified):
         """
         output, signal = self._measured(y, u)
         output = output - self._own_trend(output)
-        known = ~np.isnan(output)
-        model = PolynomialModel(self.structure, np.where(known, output, self.level), signal, True)
+        seen = ~np.isnan(output)
+        model = PolynomialModel(self.structure, np.where(seen, output, self.level), signal, True)
         if output.size <= model.first:
             raise ValueError(
                 f"y: expected more than the {model.first} samples that the regressor of {self.structure} reaches back, "
                 f"got {output.size}"
             )
-        return model, known
+        return model, seen
 
     def without_outliers(self, recorded: PolynomialModel, known: Any) -> PolynomialModel:
         """Return a recording with the model's values for outliers and gaps, if its residuals hold past outputs.
@@ -323,9 +323,9 @@ class Model(PolynomialSystem, Identified):
         parts, first = self.parts, recorded.first
         if not recorded.na and parts.c.size == parts.d.size == 1:
             return recorded
-        found = cleaned_residuals(parts, self._equation_error(recorded, known), known[first:], self.noise)
+        cleaned = cleaned_residuals(parts, self._equation_error(recorded, known), known[first:], self.noise)
         output = recorded.y.copy()
-        output[first:] += (found.weights - 1.0) * found.residual
+        output[first:] += (cleaned.weights - 1.0) * cleaned.residual
         return recorded.with_output(output)
 
     # Helpers.
@@ -356,26 +356,26 @@ class Model(PolynomialSystem, Identified):
         """Return the trend of a checked output: that of the recording if it is the same one, else 0."""
         return trend_of(((self.fingerprint, self.trend), *self.recordings), y)
 
-    def _equation_error(self, model: PolynomialModel, known: Any) -> Array:
+    def _equation_error(self, model: PolynomialModel, seen: Any) -> Array:
         """Return A y - B/F u - d from the first sample that has a regressor on."""
         if model.nf:
-            disturbance = np.nan_to_num(model.y - self._from_inputs(model, known))
+            disturbance = np.nan_to_num(model.y - self._from_inputs(model, seen))
             error = np.asarray(lfilter(self.parts.a, [1.0], disturbance)[model.first :])
         else:
             error = model.equation_error(np.concatenate((self.theta, [self.offset])))
         if self.structure.integrated:
             # What is summed up may begin anywhere.
-            error = error - np.median(error[known[model.first :]][:_FIRST_LEVEL])
+            error = error - np.median(error[seen[model.first :]][:_FIRST_LEVEL])
         return error
 
-    def _from_inputs(self, model: PolynomialModel, known: Any) -> Array:
+    def _from_inputs(self, model: PolynomialModel, seen: Any) -> Array:
         """Return the output from inputs alone, whatever was in motion when the recording began."""
         y = self.simulate(model.u) if model.inputs else np.full(model.y.size, self.level)
         y[: model.first] = np.nan
         parts = self.parts
         dynamics = np.convolve(parts.a, parts.f)
         order = dynamics.size - 1
-        rows = known[model.first :]
+        rows = seen[model.first :]
         if order and rows.any():
             impulses = np.eye(order, y.size - model.first)
             motion = np.asarray(lfilter([1.0], dynamics, impulses)).T

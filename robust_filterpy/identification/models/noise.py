@@ -78,9 +78,9 @@ def _constant(scale: Any) -> Any:
 
 def least_variance(y: Array, size: float, in_steps: bool = True) -> float:
     """Return what the noise of an output has at least, in units of a size: rounding, of numbers or of its sensor."""
-    known = y[~np.isnan(y)]
-    numbers = _NUMBERS * moving_size(known - np.median(known)) if known.size else 0.0
-    steps = resolution(known) if in_steps else 0.0
+    measured = y[~np.isnan(y)]
+    numbers = _NUMBERS * moving_size(measured - np.median(measured)) if measured.size else 0.0
+    steps = resolution(measured) if in_steps else 0.0
     return max(ROUNDING**2, (steps / size) ** 2 / 12.0, (numbers / size) ** 2)
 
 
@@ -104,8 +104,8 @@ def ordinary_samples(residual: Array, y: Array) -> Any:
     >>> ordinary_samples(np.array([0.1, -0.1, 0.2, 9.0, np.nan]), np.array([4.0, 2.0, 4.0, 2.0, 4.0]))
     array([ True,  True,  True, False, False])
     """
-    known, measured = residual[~np.isnan(residual)], y[~np.isnan(y)]
-    scale = max(mad_scale(known), ROUNDING * size_of(measured - np.median(measured))) if known.size else 0.0
+    e, measured = residual[~np.isnan(residual)], y[~np.isnan(y)]
+    scale = max(mad_scale(e), ROUNDING * size_of(measured - np.median(measured))) if e.size else 0.0
     return np.abs(np.where(np.isnan(residual), np.inf, residual)) <= _ORDINARY * scale
 
 
@@ -294,7 +294,7 @@ class Noises(NamedTuple):
 
     def _each(self, residual: Array, of: Callable[[Noise, Array], Array]) -> Array:
         """Return what the noise of its output makes of each residual."""
-        found = np.zeros(residual.size)
+        values = np.zeros(residual.size)
         for j, noise in enumerate(self.parts):
-            found[self.which == j] = of(noise, residual[self.which == j])
-        return found
+            values[self.which == j] = of(noise, residual[self.which == j])
+        return values

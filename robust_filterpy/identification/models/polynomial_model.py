@@ -221,10 +221,10 @@ class SeveralRecordings(PolynomialModel):
     @property
     def conditioned(self) -> Any:
         """Which residuals need nothing from before their recording."""
-        found = np.zeros(self.y.size - self.first, dtype=bool)
+        flags = np.zeros(self.y.size - self.first, dtype=bool)
         for (rows, _), model in zip(self.pieces, self._models, strict=True):
-            found[rows] = model.conditioned
-        return found
+            flags[rows] = model.conditioned
+        return flags
 
     def of(self, i: int, p: Array) -> tuple[PolynomialModel, Array]:
         """Return the model of one recording, and its own free parameters."""
@@ -244,11 +244,11 @@ class SeveralRecordings(PolynomialModel):
 
     def jacobian(self, p: Array) -> Array:
         """Return the derivatives of the residuals by the free parameters, shape (N - first, n)."""
-        found = np.zeros((self.y.size - self.first, self.n))
+        J = np.zeros((self.y.size - self.first, self.n))
         for i, (rows, _) in enumerate(self.pieces):
             model, q = self.of(i, p)
-            found[rows, self._places[i]] = model.jacobian(q)
-        return found
+            J[rows, self._places[i]] = model.jacobian(q)
+        return J
 
     def joined(self, missing: Any) -> tuple[PolynomialModel, Any]:
         """Return all recordings as one, with gaps between them, and where its output is missing."""
@@ -263,18 +263,18 @@ class SeveralRecordings(PolynomialModel):
 
     def shared(self, p: Array) -> Array:
         """Return free parameters with the theta and offset of another model of the same structure, without motion."""
-        n, found = self.structure.n_theta, np.zeros(self.n)
-        found[:n] = p[:n]
+        n, q = self.structure.n_theta, np.zeros(self.n)
+        q[:n] = p[:n]
         if self.offset:
-            found[n : n + len(self.begins)] = p[n]
-        return found
+            q[n : n + len(self.begins)] = p[n]
+        return q
 
     def _together(self, of: Any, p: Array) -> Array:
         """Return a signal of all recordings, 0 where a recording has none yet."""
-        found = np.zeros(self.y.size - self.first)
+        signal = np.zeros(self.y.size - self.first)
         for i, (rows, _) in enumerate(self.pieces):
-            found[rows] = of(*self.of(i, p))
-        return found
+            signal[rows] = of(*self.of(i, p))
+        return signal
 
 
 def ends_of(begins: tuple[int, ...], size: int) -> tuple[int, ...]:

@@ -42,12 +42,12 @@ _SETTLED: Final = 1e-12
 
 def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
     """Return a recording without gaps and outliers, and the free parameters with what was in motion as it began."""
-    recorded, known = model.prepared(y, u)
-    n, cleaned = model.theta.size, model.without_outliers(recorded, known)
+    recorded, seen = model.prepared(y, u)
+    n, cleaned = model.theta.size, model.without_outliers(recorded, seen)
     if cleaned is not recorded:
-        recorded, known = cleaned, np.ones(known.size, dtype=bool)
+        recorded, seen = cleaned, np.ones(seen.size, dtype=bool)
     p = np.concatenate((model.theta, [model.offset], np.zeros(recorded.nf)))
-    rows = known[recorded.first :]
+    rows = seen[recorded.first :]
     if recorded.nf and rows.any():
         p[n + 1 :] = robust_regression(-recorded.jacobian(p)[rows][:, n + 1 :], recorded.residuals(p)[rows])
     return recorded, p
@@ -117,7 +117,7 @@ class CleanedResiduals(NamedTuple):
     weights: Array
 
 
-def cleaned_residuals(parts: Parts, equation_error: Array, known: Array, noise: Noise) -> CleanedResiduals:
+def cleaned_residuals(parts: Parts, equation_error: Array, seen: Array, noise: Noise) -> CleanedResiduals:
     """Predict each output from those before it, outliers among them replaced."""
     order = max(parts.a.size + parts.d.size - 1, parts.c.size) - 1
     g, c = (np.pad(p[1:], (1, order + 1 - p.size)) for p in (np.convolve(parts.a, parts.d), parts.c))
@@ -125,16 +125,16 @@ def cleaned_residuals(parts: Parts, equation_error: Array, known: Array, noise: 
     added = (g - c) ** 2
     impulse = np.concatenate(([1.0], np.zeros(_IMPULSE_SAMPLES)))
     limit = float(np.sum(np.square(lfilter(parts.c, np.concatenate(([1.0], g[1:])), impulse))))
-    driving, size = lfilter(parts.d, [1.0], equation_error), known.size
+    driving, size = lfilter(parts.d, [1.0], equation_error), seen.size
     # With what stands for samples before the first.
     residuals, variances = np.zeros(order + size), np.ones(order + size)
-    weights = np.concatenate((np.ones(order), known))
+    weights = np.concatenate((np.ones(order), seen))
     settled = 0
     while settled < size:
         before, now = slice(settled, settled + order), slice(settled + order, settled + order + _TOGETHER)
         r, w = residuals[before], weights[before]
         here = slice(settled, settled + _TOGETHER)
-        target, measured, tried, variance = driving[here].copy(), known[here], weights[now], variances[now]
+        target, measured, tried, variance = driving[here].copy(), seen[here], weights[now], variances[now]
         earlier = np.convolve(r * (1.0 - w), g)[order:] + np.convolve(r * w, c)[order:]
         target[:order] -= earlier[: target.size]
         band = np.multiply.outer(g, 1.0 - tried) + np.multiply.outer(c, tried)
@@ -152,10 +152,10 @@ def cleaned_residuals(parts: Parts, equation_error: Array, known: Array, noise: 
     return CleanedResiduals(residuals[order:], weights[order:])
 
 
-def predicted(parts: Parts, y: Array, found: CleanedResiduals, steps: int) -> Array:
-    """Return the output predicted so many samples ahead, from what was found one by one."""
-    believed = found.weights * found.residual
+def predicted(parts: Parts, y: Array, cleaned: CleanedResiduals, steps: int) -> Array:
+    """Return the output predicted so many samples ahead, from the residuals cleaned one by one."""
+    believed = cleaned.weights * cleaned.residual
     impulse = np.concatenate(([1.0], np.zeros(max(steps - 1, 0))))
     h = lfilter(parts.c, np.convolve(parts.a, parts.d), impulse)[:steps]
     # The cleaned output less what the innovations of the last samples did to it.
-    return np.asarray(y - found.residual + believed - np.convolve(believed, h)[: y.size])
+    return np.asarray(y - cleaned.residual + believed - np.convolve(believed, h)[: y.size])

@@ -65,27 +65,27 @@ class Recording(NamedTuple):
 
 def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None, t: Any = None) -> Recording:
     """Return what was recorded, checked; `ANY_TIMES` in the place of a structure for equations of physics."""
-    told = _grouped(y, u, groups) if groups is not None else _listed(y, u, t)
-    if len(told) == 1 and not are_several(y, u):
-        told = _split_in_time(structure, *told[0])
+    recordings = _grouped(y, u, groups) if groups is not None else _listed(y, u, t)
+    if len(recordings) == 1 and not are_several(y, u):
+        recordings = _split_in_time(structure, *recordings[0])
     axes: list[TimeAxis] = []
     parts, findings, times = [], [], [np.zeros(0)]
-    for i, (one, other, when) in enumerate(told):
+    for i, (one, other, when) in enumerate(recordings):
         axis, one, other = recording(structure, y=one, u=other)
         if axes:
             axis.require_period(axes[0].dt)
         axes.append(axis)
         if structure is ANY_TIMES:
-            kept, found = _held(one, other, i)
-            times.append(_times(axis.index, when, len(kept[0][0])))
+            pieces, gaps = _held(one, other, i)
+            times.append(_times(axis.index, when, len(pieces[0][0])))
         else:
             width = structure.n_outputs if isinstance(structure, Signals) else None
             output = measured_output(one)[:, None] if width is None else measured_outputs(one, width)
             require_squares(output)
             signal = _inputs(structure, other, len(output))
-            kept, found = _without_gaps(structure, output, signal, "" if len(told) == 1 else f"recording {i}: ")
-        parts += kept
-        findings += found
+            pieces, gaps = _without_gaps(structure, output, signal, "" if len(recordings) == 1 else f"recording {i}: ")
+        parts += pieces
+        findings += gaps
     if not parts:
         raise ValueError("u: expected some samples with an input, got none")
     for name, widths in zip("yu", zip(*((y.shape[1], u.shape[1]) for y, u in parts), strict=True), strict=True):
@@ -93,15 +93,15 @@ def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None,
             raise ValueError(f"{name}: expected recordings of equally many columns, got {[*widths]}")
     measured, signal = (np.concatenate(each) for each in zip(*parts, strict=True))
     measured, lies = measurements(measured, signal)
-    if len(told) < len(parts):
+    if len(recordings) < len(parts):
         text = f"gaps of more than {LONG_GAP} samples in u: {len(parts)} recordings, each with a level and a start"
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
-    elif len(told) > 1 and groups is None and not are_several(y, u):
-        text = f"{len(told) - 1} jumps of the time axis: {len(parts)} recordings, each with a level and a start"
+    elif len(recordings) > 1 and groups is None and not are_several(y, u):
+        text = f"{len(recordings) - 1} jumps of the time axis: {len(parts)} recordings, each with a level and a start"
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
     ends = np.cumsum([0, *(len(one) for one, _ in parts)]).tolist()
     spans = tuple(slice(a, b) for a, b in pairwise(ends))
-    axis = axes[0] if len(told) == len(parts) == 1 else TimeAxis(None, axes[0].dt)
+    axis = axes[0] if len(recordings) == len(parts) == 1 else TimeAxis(None, axes[0].dt)
     return Recording(measured, signal, spans, axis, np.concatenate(times), (*lies, *findings))
 
 
@@ -177,8 +177,8 @@ def _without_gaps(
     if structure.takes_phi:
         # A row without its regressor tells nothing.
         text = f"{where}u is missing in {int(gaps.sum())} samples, which do not count"
-        found = Finding("gap", text, float("nan"), (int(gaps.argmax()), int(gaps.size - gaps[::-1].argmax())))
-        return [(np.where(gaps[:, None], np.nan, y), np.nan_to_num(u))], [found]
+        finding = Finding("gap", text, float("nan"), (int(gaps.argmax()), int(gaps.size - gaps[::-1].argmax())))
+        return [(np.where(gaps[:, None], np.nan, y), np.nan_to_num(u))], [finding]
     edges = np.flatnonzero(np.diff(np.concatenate(([False], gaps, [False])).astype(int)))
     runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
     long = [(a, b) for a, b in runs if b - a > LONG_GAP or a == 0 or b == gaps.size]
@@ -195,8 +195,8 @@ def _without_gaps(
         )
         findings.append(Finding("gap", text, float("nan"), (short[0][0], short[-1][1])))
     bounds = [0, *(edge for run in long for edge in run), gaps.size]
-    kept = [slice(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a >= _FEWEST]
-    return [(y[part], u[part]) for part in kept], findings
+    spans = [slice(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a >= _FEWEST]
+    return [(y[part], u[part]) for part in spans], findings
 
 
 def _held(y: Any, u: Any, i: int) -> tuple[list[tuple[Array, Array]], list[Finding]]:
@@ -218,17 +218,17 @@ def _held(y: Any, u: Any, i: int) -> tuple[list[tuple[Array, Array]], list[Findi
         return [(output, signal)], []
     last = np.maximum.accumulate(np.where(gaps, 0, np.arange(len(signal))[:, None]), axis=0)
     text = f"u is missing in {int(gaps.any(axis=1).sum())} samples of recording {i}: held at the value before"
-    found = Finding("gap", text, float("nan"), (0, len(signal)))
-    return [(output, np.take_along_axis(signal, last, axis=0))], [found]
+    finding = Finding("gap", text, float("nan"), (0, len(signal)))
+    return [(output, np.take_along_axis(signal, last, axis=0))], [finding]
 
 
 def _columns(name: str, signal: Any) -> Array:
     """Return a signal as columns or raise."""
-    found = _checks.numbers(name, signal)
-    found = found[:, None] if found.ndim == 1 else found
-    if found.ndim != 2 or not len(found):
+    columns = _checks.numbers(name, signal)
+    columns = columns[:, None] if columns.ndim == 1 else columns
+    if columns.ndim != 2 or not len(columns):
         raise ValueError(f"{name}: expected shape (N,) or (N, n), N >= 1, got {np.shape(signal)}")
-    return found
+    return columns
 
 
 def _times(index: Any, t: Any, length: int) -> Array:

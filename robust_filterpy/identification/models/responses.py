@@ -141,8 +141,8 @@ class System(Estimated):
             low, high, sampled = bands(self._stable, self.theta, self.P, logarithm, level, rng)
         size, phase = np.abs(center), np.unwrap(np.angle(center), axis=-1)
         rows = (size, size * np.exp(low[0]), size * np.exp(high[0]), phase, phase + low[1], phase + high[1])
-        found = (*map(_squeezed, (center, *rows)), float(level), period, _squeezed(sampled.any(axis=0)))
-        return FrequencyResponse(w, *found)
+        fields = (*map(_squeezed, (center, *rows)), float(level), period, _squeezed(sampled.any(axis=0)))
+        return FrequencyResponse(w, *fields)
 
     def step_response(
         self, steps: int = 50, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -170,8 +170,8 @@ class System(Estimated):
         of = partial(self._steps, length=length, output=self._numbered("output", output))
         center = of(np.asarray(self.theta)[None])[0]
         low, high, sampled = bands(self._stable, self.theta, self.P, of, level, rng)
-        found = (*map(_squeezed, (center, center + low, center + high)), float(level), _squeezed(sampled))
-        return StepResponse(period * np.arange(length, dtype=float), *found)
+        fields = (*map(_squeezed, (center, center + low, center + high)), float(level), _squeezed(sampled))
+        return StepResponse(period * np.arange(length, dtype=float), *fields)
 
     def noise_spectrum(
         self, omega: ArrayLike, output: int = 0, level: float = 0.95, dt: float | None = None, rng: Any = None
@@ -289,11 +289,11 @@ class System(Estimated):
         n, m = B.shape
         whole = np.real(logm(np.block([[A, B], [np.zeros((m, n)), np.eye(m)]]))) / period
         part = self._of_poles
-        found = regions(
+        poles = regions(
             self.theta[part], self.P[part, part], lambda row: np.log(self._poles(row).astype(complex)) / period, level,
             None,
         )  # fmt: skip
-        return ContinuousModel(whole[:n, :n], whole[:n, n:], C, D, period * np.asarray(delays, float), found, period)
+        return ContinuousModel(whole[:n, :n], whole[:n, n:], C, D, period * np.asarray(delays, float), poles, period)
 
     def reduced(self, n: int) -> control.StateSpace:
         """Return a system with fewer states: the basis is balanced, and those that do least are left out.
@@ -426,12 +426,12 @@ class PolynomialSystem(System):
 
     def _steps(self, thetas: Array, length: int, output: int) -> Array:
         """Return the response of B/(A F)."""
-        found = np.empty((len(thetas), self.structure.n_inputs, length))
-        for row, theta in zip(found, thetas, strict=True):
+        responses = np.empty((len(thetas), self.structure.n_inputs, length))
+        for row, theta in zip(responses, thetas, strict=True):
             denominator = regressor.denominator(self.structure, theta)
             for one, numerator in zip(row, _numerators(self.structure, theta), strict=True):
                 one[:] = lfilter(numerator, denominator, np.ones(length))
-        return found
+        return responses
 
     def _density(self, thetas: Array, delays: Any, output: int) -> Array:
         """Return that of R |C/(A D)|^2."""

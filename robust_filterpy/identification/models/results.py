@@ -180,9 +180,9 @@ class TrackingResult(Pictured, _Recorded):
         -------
         TrackingResult
         """
-        found = TrackingResult(*self)
-        found.names, found.index = names, index
-        return found
+        result = TrackingResult(*self)
+        result.names, result.index = names, index
+        return result
 
     def to_frame(self) -> Any:
         """Return all columns as a pandas DataFrame, a row for each sample.
@@ -402,14 +402,14 @@ class Estimated:
             If level is no probability.
         """
         names, theta, std = self._rows
-        facts, found = dict(self._facts), said(getattr(self, "findings", ()))
+        facts, findings = dict(self._facts), said(getattr(self, "findings", ()))
         if self.dt is not None:
             facts["Sampling period"] = f"{self.dt:.6g} s"
         lower, upper = intervals(theta, std, level)
         z = np.divide(theta, std, out=np.full(np.shape(theta), np.nan), where=std != 0.0)
         columns = (column.tolist() for column in (theta, std, z, lower, upper))
         rows = tuple(Estimate(*row) for row in zip(names, *columns, strict=True))
-        return Summary(str(self.structure), facts, rows, float(level), self._doubt, found)
+        return Summary(str(self.structure), facts, rows, float(level), self._doubt, findings)
 
     def to_frame(self, level: float = 0.95) -> Any:
         """Return the parameters as a pandas DataFrame, the table of `summary`.
@@ -568,19 +568,19 @@ class Identified(Estimated):
     @property
     def _facts(self) -> dict[str, str]:
         """What the table says of a model whose outputs have each a noise."""
-        known = int((~np.isnan(self.weights)).sum())
-        facts = {"Samples": f"{known} of {self.weights.size}", "Log-likelihood": f"{self.log_likelihood:.1f}"}
+        count = int((~np.isnan(self.weights)).sum())
+        facts = {"Samples": f"{count} of {self.weights.size}", "Log-likelihood": f"{self.log_likelihood:.1f}"}
         for j, one in enumerate(self.noise):
             share = getattr(one.influence, "contamination", None)
-            beside = "" if share is None else f", {100 * share:.1f} % wild"
-            facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{beside}"
+            wild = "" if share is None else f", {100 * share:.1f} % wild"
+            facts[f"Noise, output {j}"] = f"{np.sqrt(one.R):.4g}{wild}"
         return facts | coloured(self.colour)
 
     @property
-    def _beside(self) -> str:
+    def _remarks(self) -> str:
         """What was found beside the model, and what makes it doubtful, for `repr`."""
-        told = {"found": said(self.findings), "doubtful": self.warning}
-        return "".join(f"; {name}: {text}" for name, text in told.items() if text)
+        remarks = {"found": said(self.findings), "doubtful": self.warning}
+        return "".join(f"; {name}: {text}" for name, text in remarks.items() if text)
 
 
 def signals_of(model: Identified, y: Any, u: Any, t: Any = None) -> tuple[TimeAxis, Any, Any]:

@@ -166,7 +166,7 @@ def fingerprint(y: Array) -> int:
     return crc32(np.ascontiguousarray(y).tobytes())
 
 
-def trend_of(known: Iterable[tuple[int, Array]], y: Array) -> Array:
+def trend_of(trends: Iterable[tuple[int, Array]], y: Array) -> Array:
     """Return what was taken off a recording, 0 if it is not known again."""
-    found = {(number, trend.shape): trend for number, trend in known if trend.size}
-    return found.get((fingerprint(y), y.shape), np.zeros(y.shape)) if found else np.zeros(y.shape)
+    taken = {(number, trend.shape): trend for number, trend in trends if trend.size}
+    return taken.get((fingerprint(y), y.shape), np.zeros(y.shape)) if taken else np.zeros(y.shape)

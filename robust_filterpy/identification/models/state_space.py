@@ -194,7 +194,7 @@ class StateSpaceModel(System, Identified):
         std = ", ".join(f"{value:.3g}" for value in np.sqrt(self.R))
         p, m = self.D.shape
         sizes = f"n={len(self.A)}, {m} input(s), {p} output(s)"
-        return f"StateSpaceModel({sizes}, poles {poles}, noise {std}){self._beside}"
+        return f"StateSpaceModel({sizes}, poles {poles}, noise {std}){self._remarks}"
 
     @property
     def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
@@ -255,11 +255,11 @@ class StateSpaceModel(System, Identified):
 
     def _matrices(self, theta: Array) -> dict[str, Array]:
         """Return all matrices of other parameters."""
-        found, start = {"D": self.D, "K": self.K}, 0
+        matrices, start = {"D": self.D, "K": self.K}, 0
         for name, part in self._parts.items():
-            found[name] = theta[start : start + part.size].reshape(part.shape)
+            matrices[name] = theta[start : start + part.size].reshape(part.shape)
             start += part.size
-        return found
+        return matrices
 
     def _way(self, theta: Array, delays: Any, output: int, driven: str) -> Any:
         """Return C (zI - A)^-1 B or K of an output at each q^-1, shape (n, m)."""
@@ -281,13 +281,13 @@ class StateSpaceModel(System, Identified):
 
     def _steps(self, thetas: Array, length: int, output: int) -> Array:
         """Return the response of the states."""
-        found = np.empty((len(thetas), self.B.shape[1], length))
-        for row, theta in zip(found, thetas, strict=True):
+        responses = np.empty((len(thetas), self.B.shape[1], length))
+        for row, theta in zip(responses, thetas, strict=True):
             one, x = self._matrices(theta), np.zeros(self.B.shape)
             for k in range(length):
                 row[:, k] = one["C"][output] @ x + one["D"][output]
                 x = one["A"] @ x + one["B"]
-        return found
+        return responses
 
     def _poles(self, theta: Array) -> Any:
         """Return the eigenvalues of A."""
@@ -300,14 +300,14 @@ class StateSpaceModel(System, Identified):
         A, B, C, D = (self._matrices(theta)[name] for name in "ABCD")
         rows, columns = (slice(None) if which is None else [which] for which in (output, input))
         try:
-            found = control.ss(A, B[:, columns], C[rows], D[rows][:, columns], True).zeros()
+            zeros = control.ss(A, B[:, columns], C[rows], D[rows][:, columns], True).zeros()
         except NotImplementedError:
             p, m = D.shape
             raise ValueError(
                 f"zeros: expected as many outputs as inputs, got {p} and {m}, for which python-control needs slycot; "
                 "install it, or name input= and output="
             ) from None
-        return found[np.abs(found) < _INFINITE]
+        return zeros[np.abs(zeros) < _INFINITE]
 
     def _stable(self, theta: Array) -> bool:
         """Tell whether the model is stable for other parameters."""
@@ -348,10 +348,10 @@ class StateSpaceModel(System, Identified):
             x = self.end
         model = self._residuals(np.zeros((len(signal), len(self.C))), signal)
         model.weights = [np.zeros((len(signal), len(self.C)))]
-        found = -model.residuals(self._packed(model, x)).reshape(len(signal), -1)
-        if not np.isfinite(found).all():
+        output = -model.residuals(self._packed(model, x)).reshape(len(signal), -1)
+        if not np.isfinite(output).all():
             raise ValueError("A: the output overflows: the model as it stands is unstable")
-        return axis.labelled(found, "simulated")
+        return axis.labelled(output, "simulated")
 
     def started(
         self, y: Any, u: Any, t: Any = None, alone: bool = False
@@ -383,11 +383,11 @@ class StateSpaceModel(System, Identified):
         outputs = measured_outputs(y, len(self.C))
         u = recorded_input(self._signals, u, len(outputs))
         y, u = measurements(outputs, u)[0], u - self.operating_point
-        known = ~np.isnan(y)
+        seen = ~np.isnan(y)
         model = self._residuals(np.nan_to_num(y - trend_of(self.trends, y)), u)
         noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
-        model.weights = [np.zeros(y.shape) if alone else known.astype(float)]
-        q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), known.ravel()
+        model.weights = [np.zeros(y.shape) if alone else seen.astype(float)]
+        q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), seen.ravel()
         for _ in range(1 if alone or not self.structure.disturbance else 3):
             scale = np.sqrt(noise.variance[rows])
             q[-n:] = 0.0
@@ -395,7 +395,7 @@ class StateSpaceModel(System, Identified):
             if rows.any():
                 q[-n:] = robust_regression(J, model.residuals(q)[rows] / scale)
             if not alone and self.structure.disturbance:
-                model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * known]
+                model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * seen]
         return y, u, model, q
 
     # Helpers.

@@ -83,13 +83,13 @@ class StateSpaceResiduals:
         -------
         Matrices
         """
-        found = {name: q[self.places[name]].reshape(shape) for name, shape in self.shapes.items()}
-        if not found["D"].size:
-            found["D"] = np.zeros((self.outputs, self.inputs))
-        if not found["K"].size:
-            found["K"] = np.zeros((self.order, self.outputs))
+        matrices = {name: q[self.places[name]].reshape(shape) for name, shape in self.shapes.items()}
+        if not matrices["D"].size:
+            matrices["D"] = np.zeros((self.outputs, self.inputs))
+        if not matrices["K"].size:
+            matrices["K"] = np.zeros((self.order, self.outputs))
         own = q[self.shared :].reshape(len(self.recordings), -1)[i]
-        return Matrices(**found, start=own[self.outputs :], level=own[: self.outputs])
+        return Matrices(**matrices, start=own[self.outputs :], level=own[: self.outputs])
 
     def packed(self, matrices: Matrices, levels: Array, starts: Array) -> Array:
         """Return free parameters.
@@ -165,7 +165,7 @@ class StateSpaceResiduals:
         S = np.zeros((n, columns.size))
         S[:, -n:] = np.eye(n)
         weighted = self.weights[i] * e
-        found = np.zeros((len(y), p, self.n))
+        J = np.zeros((len(y), p, self.n))
         for start in range(0, len(y), _CHUNK):
             part = slice(start, min(start + _CHUNK, len(y)))
             direct = self._direct(states[:-1][part], u[part])
@@ -177,8 +177,8 @@ class StateSpaceResiduals:
                 if one.K.any():
                     gain = one.K * self.weights[i][part][k]
                     S = S - gain @ (one.C @ moved[k] + direct[k])
-            found[part][:, :, columns] = -(one.C @ moved + direct)
-        return found.reshape(-1, self.n)
+            J[part][:, :, columns] = -(one.C @ moved + direct)
+        return J.reshape(-1, self.n)
 
     def _columns(self, i: int) -> Any:
         """Return which free parameters a recording depends on."""
@@ -188,21 +188,21 @@ class StateSpaceResiduals:
     def _direct(self, x: Array, u: Array) -> Array:
         """Return what the parameters do to yhat at once, shape (N, p, columns)."""
         p, n, m = self.outputs, self.order, self.inputs
-        found = np.zeros((len(x), p, self.shared + p + n))
+        direct = np.zeros((len(x), p, self.shared + p + n))
         for j in range(p):
-            found[:, j, self.places["C"].start + n * j + np.arange(n)] = x
+            direct[:, j, self.places["C"].start + n * j + np.arange(n)] = x
             if self.shapes["D"][1]:
-                found[:, j, self.places["D"].start + m * j + np.arange(m)] = u
-            found[:, j, self.shared + j] = 1.0
-        return found
+                direct[:, j, self.places["D"].start + m * j + np.arange(m)] = u
+            direct[:, j, self.shared + j] = 1.0
+        return direct
 
     def _forced(self, x: Array, u: Array, e: Array) -> Array:
         """Return what they do to the next state, shape (N, n, columns)."""
         n, m, p = self.order, self.inputs, self.outputs
-        found = np.zeros((len(x), n, self.shared + p + n))
+        forced = np.zeros((len(x), n, self.shared + p + n))
         for j in range(n):
-            found[:, j, self.places["A"].start + n * j + np.arange(n)] = x
-            found[:, j, self.places["B"].start + m * j + np.arange(m)] = u
+            forced[:, j, self.places["A"].start + n * j + np.arange(n)] = x
+            forced[:, j, self.places["B"].start + m * j + np.arange(m)] = u
             if self.shapes["K"][1]:
-                found[:, j, self.places["K"].start + p * j + np.arange(p)] = e
-        return found
+                forced[:, j, self.places["K"].start + p * j + np.arange(p)] = e
+        return forced

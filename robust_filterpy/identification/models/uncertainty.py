@@ -104,12 +104,12 @@ class Regions:
         """
         angles = np.linspace(0.0, 2.0 * np.pi, _checks.count("points", points, 3))
         circle = np.stack((np.cos(angles), np.sin(angles)))
-        found = np.empty((self.values.size, angles.size), dtype=complex)
+        boundaries = np.empty((self.values.size, angles.size), dtype=complex)
         for k, covariance in enumerate(self.covariance):
             sizes, axes = np.linalg.eigh(covariance)
             x, y = self.radius[k] * (axes * np.sqrt(np.maximum(sizes, 0.0))) @ circle
-            found[k] = self.values[k] + x + 1j * y
-        return found
+            boundaries[k] = self.values[k] + x + 1j * y
+        return boundaries
 
     def contains(self, others: ArrayLike) -> Any:
         """Tell which of other poles or zeros, in the order of these, lie in the regions.

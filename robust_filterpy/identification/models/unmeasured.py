@@ -40,21 +40,21 @@ _BESIDE: Final = 10.0
 
 def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
     """Return outputs with NaN where they are no measurement, and what was found."""
-    columns, found = [], []
+    columns, findings = [], []
     several = y.ndim > 1 and y.shape[1] > 1
     for j, column in enumerate(y.reshape(len(y), -1).T):
         fills = fill_values(column)
         signal, wild = _without_wild(fills.signal)
         signal, held = _without_held(signal, u)
         columns.append(signal)
-        found += [
+        findings += [
             one._replace(text=f"output {j}: " * several + one.text) for one in (*of_fill_values(fills), *wild, *held)
         ]
     for j, column in enumerate(columns):
         others = [*((f"output {i}", one) for i, one in enumerate(columns[:j])), *_named(u)]
         own = f"output {j}" if several else "y"
-        found += [one for name, other in others for one in _copied(own, column, name, other)]
-    return np.column_stack(columns).reshape(y.shape), tuple(found)
+        findings += [one for name, other in others for one in _copied(own, column, name, other)]
+    return np.column_stack(columns).reshape(y.shape), tuple(findings)
 
 
 def require_motion(y: Array, u: Array) -> None:
@@ -96,30 +96,30 @@ def _without_held(y: Array, u: Array) -> tuple[Array, list[Finding]]:
     values, others = _held(y, u)
     if others < _LEAST_OTHERS:
         return y, []
-    found, signal, known = [], y.copy(), int((~np.isnan(y)).sum())
-    told = ", whatever u does," if u.shape[1] else ""
+    findings, signal, count = [], y.copy(), int((~np.isnan(y)).sum())
+    always = ", whatever u does," if u.shape[1] else ""
     # Of many numbers one sentence.
     for stuck in [values] if values.size > _NAMED else values[:, None]:
         places = np.flatnonzero(np.isin(y, stuck))
         more = f" or one of {stuck.size - 1} more numbers" if stuck.size > 1 else ""
         text = (
-            f"y is {stuck[0]:.6g}{more} in {places.size} of {known} samples{told} and hardly any other number twice: "
+            f"y is {stuck[0]:.6g}{more} in {places.size} of {count} samples{always} and hardly any other number twice: "
             "the sensor is stuck, at its limit or in a dead band; taken for missing"
         )
-        found.append(Finding("stuck", text, float("nan"), (int(places[0]), int(places[-1]) + 1)))
+        findings.append(Finding("stuck", text, float("nan"), (int(places[0]), int(places[-1]) + 1)))
         signal[places] = np.nan
-    return signal, found
+    return signal, findings
 
 
 def _held(y: Array, u: Array) -> tuple[Array, int]:
     """Return the numbers at which an output is stuck, and how many samples have no number that is as often."""
-    known = ~np.isnan(y)
-    values, which, counts = np.unique(y[known], return_inverse=True, return_counts=True)
-    often = counts >= max(_OFTEN, _OFTEN_SHARE * known.sum())
+    seen = ~np.isnan(y)
+    values, which, counts = np.unique(y[seen], return_inverse=True, return_counts=True)
+    often = counts >= max(_OFTEN, _OFTEN_SHARE * seen.sum())
     begins = np.flatnonzero(np.diff(which, prepend=-1))
     # Not from the first sample on: until its dead time is over, a plant without noise has not moved yet.
     often[which[begins[1:][np.diff(begins[1:], append=which.size) >= _OFTEN]]] = True
-    others = int(known.sum() - counts[often].sum())
+    others = int(seen.sum() - counts[often].sum())
     # Of a few numbers that are all often nobody can say that they are no rounding.
     if (~often).sum() < _DIFFERENT * others or (others < _LEAST_OTHERS and often.sum() > 1):
         return values[:0], others
@@ -149,13 +149,13 @@ def _named(u: Array) -> list[tuple[str, Array]]:
 
 def _copied(name: str, y: Array, original: str, other: Array) -> list[Finding]:
     """Return the finding that an output moves exactly as another signal does, or none."""
-    step, told = np.diff(y), np.diff(other)
-    moved = ~np.isnan(step + told) & ((step != 0.0) | (told != 0.0))
-    both = moved & (step != 0.0) & (told != 0.0)
+    step, other_step = np.diff(y), np.diff(other)
+    moved = ~np.isnan(step + other_step) & ((step != 0.0) | (other_step != 0.0))
+    both = moved & (step != 0.0) & (other_step != 0.0)
     if both.sum() < max(_FEWEST, _COPIED * moved.sum()):
         return []
-    factor = float(np.median(step[both] / told[both]))
-    same = both & (np.abs(step - factor * told) <= _EQUAL * np.maximum(np.abs(y[1:]), np.abs(y[:-1])))
+    factor = float(np.median(step[both] / other_step[both]))
+    same = both & (np.abs(step - factor * other_step) <= _EQUAL * np.maximum(np.abs(y[1:]), np.abs(y[:-1])))
     if same.sum() < _COPIED * moved.sum():
         return []
     what = original if factor == 1.0 else f"{factor:.6g} times {original}"
