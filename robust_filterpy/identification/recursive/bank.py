@@ -260,10 +260,10 @@ class TrackerBank(track.Following):
         choices = {"influence": influence, "scaling": scaling, "information": information}
         self._choices = setup.choices(n, choices)
         # One tracker checks the rest, and shows what all of them have in common.
-        told = theta is not None or P is not None
-        samples = (0 if told else START) if start is None else start
+        warm = theta is not None or P is not None
+        samples = (0 if warm else START) if start is None else start
         one = ParameterTracker(
-            structure, theta=0.0 if told else None, start=samples, offset=offset, regressor=regressor, R_memory=R_memory
+            structure, theta=0.0 if warm else None, start=samples, offset=offset, regressor=regressor, R_memory=R_memory
         )
         self._regressor, own = one.regressor, one.form.own
         form = one.form
@@ -334,8 +334,8 @@ class TrackerBank(track.Following):
     @property
     def coefficients(self) -> Any:
         """a, b and c of the models, or b, f, c and d, each with a leading axis of n; see `ParameterTracker`."""
-        found = coefficients.coefficients(self.structure, self.theta.T)
-        return type(found)(*(tuple(p.T for p in part) if isinstance(part, tuple) else part.T for part in found))
+        values = coefficients.coefficients(self.structure, self.theta.T)
+        return type(values)(*(tuple(p.T for p in part) if isinstance(part, tuple) else part.T for part in values))
 
     @property
     def enabled(self) -> np.ndarray:
@@ -493,8 +493,8 @@ class TrackerBank(track.Following):
         signal = setup.inputs(self.structure, u, self.n, length)
         noise = None if R is None else setup.variances(R, self.n, length)
         every = _every(keep, length)
-        kept = np.arange(every - 1, length, every)
-        columns = Columns.empty(kept.size, self.n, self.form.layout.n)
+        rows = np.arange(every - 1, length, every)
+        columns = Columns.empty(rows.size, self.n, self.form.layout.n)
         now, k, said = self._now, 0, []
         while k < length:
             chunk = slice(k, min(k + max(1, _CHUNK // (self.n * self.form.layout.n)), length))
@@ -504,14 +504,14 @@ class TrackerBank(track.Following):
                     self.form, self._using(k), now, outputs[chunk].T, signal[chunk].swapaxes(0, 1), R
                 )
             said += news
-            due = np.flatnonzero((kept >= k) & (kept < chunk.stop))
+            due = np.flatnonzero((rows >= k) & (rows < chunk.stop))
             for column, part in zip(columns, out, strict=True):
-                column[due] = part[:, kept[due] - k].swapaxes(0, 1)
+                column[due] = part[:, rows[due] - k].swapaxes(0, 1)
             k = chunk.stop
         theta, variance, prediction, residual, weights, guard = columns
         std = np.sqrt(np.maximum(variance[..., self.form.own], 0.0))
-        result = BankResult(theta[..., self.form.own], std, prediction, residual, weights, guard, kept)
-        result.names, result.index = self.structure.names, None if axis.index is None else axis.index[kept]
+        result = BankResult(theta[..., self.form.own], std, prediction, residual, weights, guard, rows)
+        result.names, result.index = self.structure.names, None if axis.index is None else axis.index[rows]
         result.actuators = tuple(range(self.n) if columns_of_y is None else columns_of_y)
         self._say(said)
         self._now = now
@@ -541,8 +541,8 @@ class TrackerBank(track.Following):
 
     def _settings(self, i: int) -> dict[str, Array]:
         """Return Q, F and alpha_sq of one actuator's filter."""
-        found = {name: self._matrices(name) for name in "QF"}
-        whole = {name: value[i if len(value) > 1 else 0] for name, value in found.items()}
+        matrices = {name: self._matrices(name) for name in "QF"}
+        whole = {name: value[i if len(value) > 1 else 0] for name, value in matrices.items()}
         return {**whole, "alpha_sq": np.array(self._alpha_sq[i])}
 
     def _named(self, which: list[int]) -> str:
@@ -552,13 +552,13 @@ class TrackerBank(track.Following):
     def _matrices(self, name: str) -> Array:
         """Return F or Q, which the user may have changed, with the axis (1 or n) in front."""
         own, size = self.form.own, self.form.layout.n
-        found = setup.matrices(name, getattr(self, name), self.n, len(own))
-        found = found[None] if found.ndim == 2 else found
+        values = setup.matrices(name, getattr(self, name), self.n, len(own))
+        values = values[None] if values.ndim == 2 else values
         if size == len(own):
-            return found
+            return values
         # The constant stays.
-        whole = np.tile(np.eye(size) if name == "F" else np.zeros((size, size)), (len(found), 1, 1))
-        whole[:, own[:, None], own] = found
+        whole = np.tile(np.eye(size) if name == "F" else np.zeros((size, size)), (len(values), 1, 1))
+        whole[:, own[:, None], own] = values
         return whole
 
     # Interruption.
@@ -583,10 +583,10 @@ class TrackerBank(track.Following):
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
-        found = setup.checked_state(state, self.form, self.n)
-        self._now = self._now.restored(found, found["R"])
-        self._enabled, self._alpha_sq = found["enabled"], found["alpha_sq"]
-        self.Q, self.F = found["Q"], found["F"]
+        stored = setup.checked_state(state, self.form, self.n)
+        self._now = self._now.restored(stored, stored["R"])
+        self._enabled, self._alpha_sq = stored["enabled"], stored["alpha_sq"]
+        self.Q, self.F = stored["Q"], stored["F"]
 
 
 def _every(keep: Any, length: int) -> int:

@@ -81,7 +81,7 @@ class Recursion:
         kf, layout, memory = self.filter, self.layout, self.memory
         inputs = memory.with_input(layout, u)
         H, outputs = memory.regressor(layout, inputs)[None], memory.outputs
-        known, gradients, prefiltered, old = y == y, memory.gradients, memory.prefiltered, np.ravel(kf.x)
+        seen, gradients, prefiltered, old = y == y, memory.gradients, memory.prefiltered, np.ravel(kf.x)
         weight, event, outlying = math.nan, 0, False
         # Once P has wound up under forgetting theta and P stay.
         if self.enabled and (kf.alpha == 1.0 or np.trace(kf.P) <= self.windup):
@@ -89,10 +89,10 @@ class Recursion:
         x = kf.x
         shown = predicted = H.dot(x).item()
         r = setup.noise_variance(kf) if R is None else R
-        stuck = known and self.judges and self._is_stuck(y, predicted, H, r)
+        stuck = seen and self.judges and self._is_stuck(y, predicted, H, r)
         # What is stuck counts as missing.
-        known = known and not stuck
-        if self.cleans and known and not np.array_equal(outputs, memory.measured):
+        seen = seen and not stuck
+        if self.cleans and seen and not np.array_equal(outputs, memory.measured):
             other = H.copy()
             other[0, layout.outputs] = memory.measured
             explained = other.dot(x).item()
@@ -109,7 +109,7 @@ class Recursion:
                 psi, newest = gradient(layout, H[0], past, memory)
                 G = psi[None, :]
             gradients, prefiltered = pushed(gradients, G[0]), pushed(prefiltered, newest)
-        if self.enabled and known:
+        if self.enabled and seen:
             S = variance(G, kf.P, r)
             outlying = abs(y - predicted) > CLEANED_FROM * math.sqrt(S)
             weight = _corrected(kf, G, y, predicted, R, r, self.filtered)
@@ -122,22 +122,22 @@ class Recursion:
                 kf.x = moved.reshape(np.shape(kf.x))
         if stuck:
             self.readings[repeats.WIDTH] += 1.0
-        elif known and self.judges:
+        elif seen and self.judges:
             note(self.readings, y, y - predicted)
         theta, phi = np.ravel(kf.x), H[0]
-        believed = bounded(predicted) if not known or (self.cleans and outlying) else y
+        believed = bounded(predicted) if not seen or (self.cleans and outlying) else y
         before = bounded(phi[layout.before_noise].dot(theta[layout.before_noise]).item())
         alone = bounded(phi[layout.through].dot(theta[layout.through]).item()) if layout.nf else 0.0
         self.memory = Memory(
             outputs=layout.remembered(outputs, believed, before),
-            measured=layout.remembered(memory.measured, y if known else bounded(predicted), before),
+            measured=layout.remembered(memory.measured, y if seen else bounded(predicted), before),
             inputs=inputs,
-            residuals=pushed(memory.residuals, bounded(believed - phi.dot(theta).item()) if known else 0.0),
+            residuals=pushed(memory.residuals, bounded(believed - phi.dot(theta).item()) if seen else 0.0),
             undisturbed=pushed(memory.undisturbed, -alone),
             prefiltered=prefiltered,
             gradients=gradients,
         )
-        return Sample(shown, y - shown if known else math.nan, weight, event)
+        return Sample(shown, y - shown if seen else math.nan, weight, event)
 
     def _is_stuck(self, y: float, predicted: float, H: Array, r: float) -> bool:
         """Tell whether the sensor repeats itself far from what was predicted, or has done so since."""
@@ -166,10 +166,10 @@ def _corrected(kf: Any, G: Array, y: float, predicted: float, R: float | None, r
 
 def _followed(kf: Any, scale: NoiseScale, R: float, nu: float, S: float) -> NoiseScale:
     """Let the filter's R follow the size of the innovations."""
-    found, samples = followed(R, scale, nu, S)
-    kf.R = np.array([[found]])
-    if scale.samples < EARLY and found > R:
-        kf.P = kf.P * (found / R)
+    estimate, samples = followed(R, scale, nu, S)
+    kf.R = np.array([[estimate]])
+    if scale.samples < EARLY and estimate > R:
+        kf.P = kf.P * (estimate / R)
     return scale._replace(samples=samples)
 
 

@@ -112,9 +112,9 @@ def embedded(whole: Any, own: np.ndarray, values: Array) -> Array:
     """Return a matrix of all that a filter estimates, with these values in the places of theta."""
     if len(own) == len(values) == len(whole):
         return values
-    found = np.array(whole, dtype=float)
-    found[np.ix_(own, own)] = values
-    return found
+    matrix = np.array(whole, dtype=float)
+    matrix[np.ix_(own, own)] = values
+    return matrix
 
 
 def warn_of_default_noise(kf: Any) -> None:
@@ -236,9 +236,9 @@ def apply_settings(kf: RobustKalmanFilter, state: Mapping[str, Array]) -> None:
 
 def actuators(where: np.ndarray) -> str:
     """Name the actuators of a mask."""
-    found = np.flatnonzero(where).tolist()
-    names = ", ".join(map(str, found[:5])) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
-    return f"actuator{'s' if len(found) > 1 else ''} {names}"
+    places = np.flatnonzero(where).tolist()
+    names = ", ".join(map(str, places[:5])) + (f" and {len(places) - 5} more" if len(places) > 5 else "")
+    return f"actuator{'s' if len(places) > 1 else ''} {names}"
 
 
 # Options.
@@ -259,8 +259,8 @@ def options(name: str, value: Any, n: int, allowed: tuple[str, ...]) -> np.ndarr
     """Return an option of each actuator, shape (n,)."""
     chosen = each(name, value, n)
     shared = not isinstance(value, (list, tuple)) and np.ndim(value) == 0
-    found = [_checks.option(name if shared else f"{name}[{i}]", entry, allowed) for i, entry in enumerate(chosen)]
-    return np.array(np.broadcast_to(found, n), order="C")
+    values = [_checks.option(name if shared else f"{name}[{i}]", entry, allowed) for i, entry in enumerate(chosen)]
+    return np.array(np.broadcast_to(values, n), order="C")
 
 
 def choices(n: int, given: dict[str, Any]) -> tuple[Choices, ...]:
@@ -300,48 +300,48 @@ def parameters(structure: Structure, theta: Any, n: int) -> Array:
 
 def covariances(name: str, value: Any, n: int, d: int) -> Array:
     """Return a covariance of the parameters, shape (d, d), or (n, d, d) for one of each actuator; or raise."""
-    found = given(name, value)
-    if found.ndim in (0, 2):
-        return covariance(name, found[()], d)
-    if found.shape not in ((n,), (n, d, d)):
+    values = given(name, value)
+    if values.ndim in (0, 2):
+        return covariance(name, values[()], d)
+    if values.shape not in ((n,), (n, d, d)):
         raise ValueError(
-            f"{name}: expected a number, shape ({d}, {d}), ({n},) or ({n}, {d}, {d}), got {described(found)}"
+            f"{name}: expected a number, shape ({d}, {d}), ({n},) or ({n}, {d}, {d}), got {described(values)}"
         )
-    return np.stack([covariance(f"{name}[{i}]", entry, d) for i, entry in enumerate(found)])
+    return np.stack([covariance(f"{name}[{i}]", entry, d) for i, entry in enumerate(values)])
 
 
 def matrices(name: str, value: Any, n: int, d: int) -> Array:
     """Return square matrices, shape (d, d) or (n, d, d), or raise."""
-    found = numbers(name, value)
-    if found.shape not in ((d, d), (n, d, d)):
-        raise ValueError(f"{name}: expected shape ({d}, {d}) or ({n}, {d}, {d}), got {described(found)}")
-    return finite(name, found)
+    values = numbers(name, value)
+    if values.shape not in ((d, d), (n, d, d)):
+        raise ValueError(f"{name}: expected shape ({d}, {d}) or ({n}, {d}, {d}), got {described(values)}")
+    return finite(name, values)
 
 
 def variances(value: Any, n: int, length: int | None = None) -> Array:
     """Return R of each actuator, shape (n,), or (length, n) of each sample of a recording too; or raise."""
-    found = numbers("R", value)
+    values = numbers("R", value)
     shapes = [(), (n,)] if length is None else [(), (length,), (length, n)]
-    if found.shape not in shapes:
-        raise ValueError(f"R: expected shape {shapes[-1]}, or {shapes[-2]} for all, got {described(found)}")
-    found = np.broadcast_to(found[:, None] if found.ndim < len(shapes[-1]) and found.ndim else found, shapes[-1])
-    good = (found > 0.0) & (found < np.inf)
+    if values.shape not in shapes:
+        raise ValueError(f"R: expected shape {shapes[-1]}, or {shapes[-2]} for all, got {described(values)}")
+    values = np.broadcast_to(values[:, None] if values.ndim < len(shapes[-1]) and values.ndim else values, shapes[-1])
+    good = (values > 0.0) & (values < np.inf)
     if not good.all():
         raise ValueError(
-            f"R: expected variances > 0 (NaN in y is for a sample that is missing), got {found[~good][0]}"
+            f"R: expected variances > 0 (NaN in y is for a sample that is missing), got {values[~good][0]}"
             f"{_where(~good)}"
         )
-    return found
+    return values
 
 
 def factors(value: Any, n: int) -> Array:
     """Return the forgetting factor of each actuator, shape (n,), or raise."""
-    found = numbers("forgetting", 1.0 if value is None else value)
-    if found.shape not in ((), (n,)):
-        raise ValueError(f"forgetting: expected shape ({n},), or one number for all, got {described(found)}")
-    found = np.array(np.broadcast_to(found, n), order="C")
-    require("forgetting: expected numbers in (0, 1]", (found > 0.0) & (found <= 1.0))
-    return found
+    values = numbers("forgetting", 1.0 if value is None else value)
+    if values.shape not in ((), (n,)):
+        raise ValueError(f"forgetting: expected shape ({n},), or one number for all, got {described(values)}")
+    values = np.array(np.broadcast_to(values, n), order="C")
+    require("forgetting: expected numbers in (0, 1]", (values > 0.0) & (values <= 1.0))
+    return values
 
 
 def require(sentence: str, good: Any) -> None:
@@ -398,14 +398,14 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
             what = "phi" if structure.takes_phi else "input"
             raise ValueError(f"u: expected the {what} of each sample, {width} number(s) for {structure}, got None")
         return np.zeros((*time, n, 0))
-    found = numbers("u", u)
-    values = found[..., None] if width == 1 and found.shape in (time, (*time, n)) else found
+    signal = numbers("u", u)
+    values = signal[..., None] if width == 1 and signal.shape in (time, (*time, n)) else signal
     if values.shape == (*time, width):
         values = values[..., None, :]
     elif values.shape != (*time, n, width):
         forms = [time, (*time, n)] if width == 1 else [(*time, width), (*time, n, width)]
         raise ValueError(
-            f"u: expected shape {forms[0]} for all or {forms[1]} for {structure} and n={n}, got {described(found)}"
+            f"u: expected shape {forms[0]} for all or {forms[1]} for {structure} and n={n}, got {described(signal)}"
         )
     good = np.abs(values) <= LARGEST
     if not good.all():

@@ -138,12 +138,12 @@ class ColdStart(NamedTuple):
     def levels(self, more: Array) -> Array:
         """Return the median of the outputs before each of some more, and after the last, 0 while there are none."""
         y = np.append(self.y, more)
-        found = np.zeros(more.size + 1)
+        medians = np.zeros(more.size + 1)
         for k in range(more.size + 1):
-            known = y[: self.y.size + k]
-            known = known[known == known]
-            found[k] = np.median(known) if known.size else 0.0
-        return found
+            measured = y[: self.y.size + k]
+            measured = measured[measured == measured]
+            medians[k] = np.median(measured) if measured.size else 0.0
+        return medians
 
 
 def _until_next(samples: int, size: int, n_theta: int) -> int:
@@ -242,9 +242,9 @@ class State(NamedTuple):
         def replaced(whole: Any, part: Any) -> Any:
             if isinstance(whole, tuple):
                 return type(whole)(*map(replaced, whole, part))
-            found = whole.copy()
-            found[which] = part
-            return found
+            updated = whole.copy()
+            updated[which] = part
+            return updated
 
         fields = State._fields[:_STARTS]
         return self._replace(**{name: replaced(getattr(self, name), getattr(rows, name)) for name in fields})
@@ -253,10 +253,10 @@ class State(NamedTuple):
         """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
         n, width = len(self.theta), self.followed.rows.shape[2]
         waits = np.full(n, -1.0)
-        kept = np.zeros(n)
+        sizes = np.zeros(n)
         for i, start in self.starts.items():
-            waits[i], kept[i] = start.waits, start.y.size
-        recorded = np.full((n, int(kept.max(initial=0)), width - 1), np.nan)
+            waits[i], sizes[i] = start.waits, start.y.size
+        recorded = np.full((n, int(sizes.max(initial=0)), width - 1), np.nan)
         for i, start in self.starts.items():
             recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
         rule = np.column_stack((self.centre, self.windup, self.scale[:, 1:4], self.begun, waits))
@@ -265,18 +265,18 @@ class State(NamedTuple):
         shown = min(int(followed.seen.max(initial=0)), followed.rows.shape[1])
         rows = followed.rows[:, followed.rows.shape[1] - shown :]
         return {
-            "theta": self.theta, "P": self.P, **self.past._asdict(), "recursion": rule, "start": recorded, "kept": kept,
-            "watch": watch, "followed": rows, "readings": self.readings,
+            "theta": self.theta, "P": self.P, **self.past._asdict(), "recursion": rule, "start": recorded,
+            "kept": sizes, "watch": watch, "followed": rows, "readings": self.readings,
         }  # fmt: skip
 
-    def restored(self, found: Mapping[str, Array], R: Array) -> State:
+    def restored(self, stored: Mapping[str, Array], R: Array) -> State:
         """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said.
 
         A state from before there was a watch in it is watched from here on.
 
         Parameters
         ----------
-        found : mapping of str to ndarray
+        stored : mapping of str to ndarray
             What `arrays` returned.
         R : ndarray, shape (n,)
             Noise variances.
@@ -286,20 +286,20 @@ class State(NamedTuple):
         State
         """
         n = len(self.theta)
-        rule = found["recursion"]
-        watch = found.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 6)))))
-        recorded, kept = found["start"], found.get("kept", np.full(n, found["start"].shape[1]))
+        rule = stored["recursion"]
+        watch = stored.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 6)))))
+        recorded, sizes = stored["start"], stored.get("kept", np.full(n, stored["start"].shape[1]))
         samples = watch[:, 1].astype(int)
         starts = {}
         for i in np.flatnonzero(rule[:, 6] >= 0).tolist():
-            part = recorded[i, recorded.shape[1] - int(kept[i]) :]
+            part = recorded[i, recorded.shape[1] - int(sizes[i]) :]
             starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
         rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
-        rows = found.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
+        rows = stored.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
         followed = Followed.restored(np.delete(watch, 7, axis=1)[:, 2:] if watch.shape[1] > 7 else watch[:, 2:], rows)
         return State(
-            found["theta"], found["P"], Memory(*(found[name] for name in Memory._fields)),
-            np.column_stack((R, rule[:, 2:5], rounding)), found.get("readings", np.zeros((n, READINGS))),
+            stored["theta"], stored["P"], Memory(*(stored[name] for name in Memory._fields)),
+            np.column_stack((R, rule[:, 2:5], rounding)), stored.get("readings", np.zeros((n, READINGS))),
             rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
             watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
         )  # fmt: skip
@@ -311,29 +311,29 @@ _STARTS = State._fields.index("starts")
 
 def padded(parts: Any) -> Array:
     """Return arrays of different lengths as one, NaN before the shorter ones."""
-    found = np.full((len(parts), max(map(len, parts)), parts[0].shape[1]), np.nan)
-    for whole, part in zip(found, parts, strict=True):
+    rows = np.full((len(parts), max(map(len, parts)), parts[0].shape[1]), np.nan)
+    for whole, part in zip(rows, parts, strict=True):
         whole[len(whole) - len(part) :] = part
-    return found
+    return rows
 
 
 def apart(whole: Array, lengths: np.ndarray) -> np.ndarray:
     """Return the last rows of each of several arrays, so many, as an array of objects."""
-    found = np.empty(len(whole), dtype=object)
+    parts = np.empty(len(whole), dtype=object)
     for i, length in enumerate(lengths.tolist()):
-        found[i] = whole[i, whole.shape[1] - length :].copy()
-    return found
+        parts[i] = whole[i, whole.shape[1] - length :].copy()
+    return parts
 
 
-def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, told: bool) -> State:
-    """Return the state of n actuators that have seen nothing; told: whether they are to begin without a start."""
+def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, begun: bool) -> State:
+    """Return the state of n actuators that have seen nothing; begun: whether they are to begin without a start."""
     n, structure = len(theta), form.structure
     past = Memory.at_rest(form.layout, n)
-    starts = {} if told else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
+    starts = {} if begun else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
     windup = WINDUP * np.maximum(np.trace(P, axis1=1, axis2=2), 1e-300)
     return State(
         theta, P, past, scale, np.zeros((n, READINGS)), np.zeros(n),
-        windup, np.full(n, told), np.full(n, not told), np.full(n, samples), starts,
+        windup, np.full(n, begun), np.full(n, not begun), np.full(n, samples), starts,
         Followed.none(n, form.n_signals), Windows.none(n),
     )  # fmt: skip
 
@@ -349,24 +349,24 @@ def checked(
         shapes |= {"watch": (None,), "followed": (None, 1 + signals)}
     shapes |= {"readings": (READINGS,)} if "readings" in state else {}
     whole = {name: (*axes, *shape) for name, shape in shapes.items()}
-    found = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
+    stored = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
     for name, least in (("R", "> 0"), ("alpha_sq", ">= 1")):
-        if name in found and not (found[name] > 0.0 if name == "R" else found[name] >= 1.0).all():
-            raise _state.StateError(f"state: expected {name} {least}, got {_checks.shown(found[name])}")
-    _require_plausible(found)
-    kept = form.guard != "none"
-    if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(found["theta"])[kept]):
+        if name in stored and not (stored[name] > 0.0 if name == "R" else stored[name] >= 1.0).all():
+            raise _state.StateError(f"state: expected {name} {least}, got {_checks.shown(stored[name])}")
+    _require_plausible(stored)
+    guarded = form.guard != "none"
+    if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(stored["theta"])[guarded]):
         raise _state.StateError(
             "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
             "circle"
         )
-    found.setdefault("start", np.zeros((*axes, 0, signals)))
-    return {**found, "enabled": found["enabled"].astype(bool)}
+    stored.setdefault("start", np.zeros((*axes, 0, signals)))
+    return {**stored, "enabled": stored["enabled"].astype(bool)}
 
 
-def _require_plausible(found: Mapping[str, Array]) -> None:
+def _require_plausible(stored: Mapping[str, Array]) -> None:
     """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., WATCHED), may be of `arrays`."""
-    _, limit, samples, mean, memory, begun, waits = np.moveaxis(found["recursion"], -1, 0)
+    _, limit, samples, mean, memory, begun, waits = np.moveaxis(stored["recursion"], -1, 0)
     conditions = [
         ("recursion", "a limit of tr P > 0", limit > 0.0),
         ("recursion", "counts of samples >= 0", (samples >= 0.0) & (memory >= 0.0)),
@@ -374,21 +374,21 @@ def _require_plausible(found: Mapping[str, Array]) -> None:
         ("recursion", "begun to be 0 or 1", (begun == 0.0) | (begun == 1.0)),
         ("recursion", "a whole number of samples until the next look, or -1", (waits >= -1.0) & (waits % 1.0 == 0.0)),
     ]
-    if "watch" in found:
+    if "watch" in stored:
         # Format 1 began without the share that follows the inputs anyway, what is rounding, and the scores of the gain.
-        if found["watch"].shape[-1] not in (6, 7, 8, WATCHED):
-            raise _state.StateError(f"state: expected watch of {WATCHED} numbers, got {found['watch'].shape[-1]}")
-        restarts, looks, seen, variance = np.moveaxis(found["watch"], -1, 0)[:4]
+        if stored["watch"].shape[-1] not in (6, 7, 8, WATCHED):
+            raise _state.StateError(f"state: expected watch of {WATCHED} numbers, got {stored['watch'].shape[-1]}")
+        restarts, looks, seen, variance = np.moveaxis(stored["watch"], -1, 0)[:4]
         whole = (looks >= 1.0) & (seen >= 0.0) & (looks % 1.0 == 0.0) & (seen % 1.0 == 0.0)
         conditions += [
             ("watch", "whether it may start anew to be 0 or 1", (restarts == 0.0) | (restarts == 1.0)),
             ("watch", "whole numbers of samples >= 0", whole),
             ("watch", "a variance >= 0", variance >= 0.0),
-            ("watch", "information >= 0", found["watch"][..., 9::2] >= 0.0),
+            ("watch", "information >= 0", stored["watch"][..., 9::2] >= 0.0),
         ]
-    if "readings" in found:
-        counts = found["readings"][..., [2, 3, repeats.WIDTH]]
+    if "readings" in stored:
+        counts = stored["readings"][..., [2, 3, repeats.WIDTH]]
         conditions.append(("readings", "a scale and counts >= 0", counts >= 0.0))
     for name, what, good in conditions:
         if not good.all():
-            raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(found[name])}")
+            raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(stored[name])}")

@@ -242,9 +242,9 @@ class ParameterTracker(Standing):
         _checks.option("gradient", gradient, GRADIENTS)
         _checks.option("guard", guard, GUARDS)
         ready = filter is not None and not isinstance(filter, type)
-        told = theta is not None or P is not None or ready or model is not None
-        samples = (0 if told else START) if start is None else _checks.count("start", start)
-        if samples and told:
+        warm = theta is not None or P is not None or ready or model is not None
+        samples = (0 if warm else START) if start is None else _checks.count("start", start)
+        if samples and warm:
             raise ValueError(f"start: expected 0 with theta, P or a filter object or model to begin with, got {start}")
         default: Regressor = "cleaned" if samples or model is not None else "measured"
         self._regressor = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
@@ -296,8 +296,8 @@ class ParameterTracker(Standing):
         if len(self.theta) <= _SHOWN:
             each = zip(self.structure.names, self.theta, self.std, strict=True)
             parts = {name: f"{value:.5g} +- {std:.2g}" for name, value, std in each}
-        found = {**parts, "level": float(self.level), "R": float(self.R)}
-        return "\n".join([self.kind, *lines_of(found)])
+        values = {**parts, "level": float(self.level), "R": float(self.R)}
+        return "\n".join([self.kind, *lines_of(values)])
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the arguments that the tracker was made with, by scikit-learn's convention.
@@ -520,8 +520,8 @@ class ParameterTracker(Standing):
         Columns
         """
         # The filter shows the last measured sample, and the last.
-        known = np.flatnonzero(y == y)[-1:].tolist()
-        stops = sorted({0, *known, *(k + 1 for k in known), y.size - 1, y.size})
+        measured = np.flatnonzero(y == y)[-1:].tolist()
+        stops = sorted({0, *measured, *(k + 1 for k in measured), y.size - 1, y.size})
         parts = [
             self._taken(k, y[None, k:stop], u[None, k:stop], None if R is None else R[None, k:stop])
             for k, stop in pairwise(stops)
@@ -537,8 +537,8 @@ class ParameterTracker(Standing):
             self._now, out, news = track.advance(self.form, using, before, y, u, R)
         # S and K stay what the last measured sample made them.
         measured = y[0, 0] == y[0, 0] if y.size == 1 else not np.isnan(y).all()
-        kept = [] if measured else self._unshown[:1]
-        self._unshown = [*kept, (before, using.enabled, y, u, R)] if by_kernel else kept
+        unshown = [] if measured else self._unshown[:1]
+        self._unshown = [*unshown, (before, using.enabled, y, u, R)] if by_kernel else unshown
         if self._asked:
             self._show()
         if news:
@@ -571,17 +571,17 @@ class ParameterTracker(Standing):
             The states after it.
         """
         n = len(y)
-        kept = np.array([len(one) for one in states["start"]])
-        found = {**states, "kept": kept, **{name: padded(states[name]) for name in ("start", "followed")}}
+        sizes = np.array([len(one) for one in states["start"]])
+        stored = {**states, "kept": sizes, **{name: padded(states[name]) for name in ("start", "followed")}}
         flags = np.tile(self.form.flags, (n, 1))
         form = self.form._replace(gradient=self.form.gradient.repeat(n), guard=self.form.guard.repeat(n), flags=flags)
         settings = {name: value.shape for name, value in setup.settings(self._filter).items() if name != "R"}
-        found = checked(found, form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
-        now = self._now.rows(np.zeros(n, dtype=int)).restored(found, found["R"].ravel())
-        using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), enabled=found["enabled"])
+        stored = checked(stored, form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
+        now = self._now.rows(np.zeros(n, dtype=int)).restored(stored, stored["R"].ravel())
+        using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), enabled=stored["enabled"])
         now, out, news = track.advance(form, using, now, y, u, None)
         self._say(news)
-        after = now.arrays() | {"enabled": found["enabled"], "R": now.scale[:, :1, None]}
+        after = now.arrays() | {"enabled": stored["enabled"], "R": now.scale[:, :1, None]}
         lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.followed.seen, SPAN)}
         return out, after | {name: apart(after[name], size) for name, size in lengths.items()}
 
@@ -635,14 +635,14 @@ class ParameterTracker(Standing):
     def _held(self) -> tuple[Any, ...]:
         """Return what a call changes."""
         # A filter that nobody has seen is written over when it is asked for.
-        kept = snapshot(self._filter) if self._asked or self._using().rules is None else None
-        return kept, self._now, self._time, self.dt, self._unshown
+        state = snapshot(self._filter) if self._asked or self._using().rules is None else None
+        return state, self._now, self._time, self.dt, self._unshown
 
     def _put_back(self, before: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
-        kept, self._now, self._time, self.dt, self._unshown = before
-        if kept is not None:
-            put_back(self._filter, kept)
+        state, self._now, self._time, self.dt, self._unshown = before
+        if state is not None:
+            put_back(self._filter, state)
 
     # Interruption.
 
@@ -677,14 +677,14 @@ class ParameterTracker(Standing):
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
         settings = {name: value.shape for name, value in setup.settings(self._loaded()).items()}
-        found = checked(state, self.form, (), {}, settings)
+        stored = checked(state, self.form, (), {}, settings)
         kf = self._loaded()
-        go_on_beside(kf, found["theta"], found["P"], state)
-        setup.apply_settings(kf, found)
-        arrays = {name: value[None] for name, value in found.items()}
+        go_on_beside(kf, stored["theta"], stored["P"], state)
+        setup.apply_settings(kf, stored)
+        arrays = {name: value[None] for name, value in stored.items()}
         self._now = self._now.restored(arrays, np.array([setup.told_variance(kf)]))
         self._load()
-        self.enabled, self._time, self._used, self._unshown = bool(found["enabled"]), None, None, []
+        self.enabled, self._time, self._used, self._unshown = bool(stored["enabled"]), None, None, []
 
     def go_on(self, settings: Mapping[str, Array], initial: State, now: State, enabled: bool) -> None:
         """Go on from now, and back to initial when it is reset.
@@ -718,14 +718,14 @@ class ParameterTracker(Standing):
         ParameterTracker
             Independent of this one.
         """
-        found = copy.deepcopy(self)
+        tracker = copy.deepcopy(self)
         values = {name: value for name, value in {"Q": Q, "forgetting": forgetting}.items() if value is not None}
         for name, value in values.items():
-            setattr(found, name, value)
-        settings = setup.settings(found._loaded())
-        kept = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
-        found._initial, found._given = found._initial | kept, found._given | values
-        return found
+            setattr(tracker, name, value)
+        settings = setup.settings(tracker._loaded())
+        changed = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
+        tracker._initial, tracker._given = tracker._initial | changed, tracker._given | values
+        return tracker
 
 
 def keeps_spread(tracker: ParameterTracker) -> bool:

@@ -130,10 +130,10 @@ class Followed(NamedTuple):
         whole = np.zeros((len(rows), SPAN, rows.shape[2]))
         last = rows[:, -SPAN:]
         whole[:, SPAN - last.shape[1] :] = last
-        found = cls.none(len(rows), rows.shape[2] - 1)
-        every = found.numbers
+        empty = cls.none(len(rows), rows.shape[2] - 1)
+        every = empty.numbers
         every[:, : numbers.shape[1]] = numbers
-        scores = every[:, 1 + _USUAL :].reshape(found.scores.shape)
+        scores = every[:, 1 + _USUAL :].reshape(empty.scores.shape)
         return cls(every[:, 0].astype(int), every[:, 1 : 1 + _USUAL], whole, scores)
 
     def waits(self, which: np.ndarray) -> int:
@@ -142,10 +142,10 @@ class Followed(NamedTuple):
 
     def forgotten(self, i: int) -> Followed:
         """Return it with nothing seen of an actuator."""
-        found = Followed(*(a.copy() for a in self))
-        for a in found:
+        followed = Followed(*(a.copy() for a in self))
+        for a in followed:
             a[i] = 0
-        return found
+        return followed
 
     def begun(self, i: int, residuals: Array, signals: Array, rounding: float) -> tuple[Followed, float]:
         """Return it with what is usual of an actuator: what its model leaves of its own recording.
@@ -171,11 +171,11 @@ class Followed(NamedTuple):
         after = self.forgotten(i)
         if not windows or np.isnan(residuals).all() or _tells_nothing(residuals, rounding):
             return after, 0.0
-        kept = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
-        found = [dependence(residuals[w], signals[w], whitening=whitening_of(kept)) for w in windows]
-        shares = [max(float(one.share), 0.0) for one in found]
-        after.usual[i] = *kept, max(shares)
-        return after, float(np.mean(shares)) if np.mean([one.found for one in found]) > 0.5 else 0.0
+        covariances = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
+        regressions = [dependence(residuals[w], signals[w], whitening=whitening_of(covariances)) for w in windows]
+        shares = [max(float(one.share), 0.0) for one in regressions]
+        after.usual[i] = *covariances, max(shares)
+        return after, float(np.mean(shares)) if np.mean([one.found for one in regressions]) > 0.5 else 0.0
 
     def looked(
         self,
@@ -256,9 +256,9 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     covariances, anyway = usual[:3], usual[3]
     now = autocovariances(residuals)
     covariances = covariances if covariances[0] > 0.0 else now
-    found = dependence(residuals, signals, whitening=whitening_of(covariances))
-    share = max(float(found.share), 0.0)
-    if found.found and share > SHARE + anyway:
+    regression = dependence(residuals, signals, whitening=whitening_of(covariances))
+    share = max(float(regression.share), 0.0)
+    if regression.found and share > SHARE + anyway:
         return _ANOTHER.format(SPAN, 100 * share), usual
     moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
     if moved or (share > 0.5 * SHARE + anyway and usual[0]):
@@ -273,8 +273,8 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
 
 def _tells_nothing(residuals: Array, rounding: float) -> bool:
     """Tell whether residuals are missing or, but for outliers, no more than rounding."""
-    known = np.abs(residuals[~np.isnan(residuals)])
-    return not known.size or bool(np.quantile(known, _NEARLY_ALL) <= rounding)
+    sizes = np.abs(residuals[~np.isnan(residuals)])
+    return not sizes.size or bool(np.quantile(sizes, _NEARLY_ALL) <= rounding)
 
 
 @lru_cache(maxsize=8)
@@ -415,23 +415,23 @@ class Windows(NamedTuple):
         if not count:
             return self._replace(recent=recent), []
         windows, recent = recent[:, : count * _WINDOW].reshape(n, count, _WINDOW, 3), recent[:, count * _WINDOW :]
-        known, R = ~np.isnan(windows[..., 0]), np.maximum(R, rounding**2 / 12.0)
-        judged = known.sum(axis=2) >= _WINDOW // 2
+        seen, R = ~np.isnan(windows[..., 0]), np.maximum(R, rounding**2 / 12.0)
+        judged = seen.sum(axis=2) >= _WINDOW // 2
         # Residuals of a plant that rests, or has no noise, are rounding.
-        quiet = known & (np.abs(np.nan_to_num(windows[..., 2])) <= rounding[:, None, None])
-        judged &= quiet.sum(axis=2) < _NEARLY_ALL * known.sum(axis=2)
+        quiet = seen & (np.abs(np.nan_to_num(windows[..., 2])) <= rounding[:, None, None])
+        judged &= quiet.sum(axis=2) < _NEARLY_ALL * seen.sum(axis=2)
         first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
-        news = _judged(windows, known, judged & ~self.spoken[:, None], R, first, has_offset)
+        news = _judged(windows, seen, judged & ~self.spoken[:, None], R, first, has_offset)
         spoken = self.spoken.copy()
         spoken[[one.actuator for one in news]] = True
         return self._replace(recent=recent, R=first, spoken=spoken), news
 
 
-def _judged(windows: Array, known: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
+def _judged(windows: Array, seen: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
     """Say what is wrong with the first window (n, k, ..) of each actuator that has something, of those to be judged."""
     weights, guard, residuals = np.moveaxis(windows, -1, 0)
-    level, scatter = level_and_scale(residuals, known)
-    weight = np.where(known, weights, 0.0).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
+    level, scatter = level_and_scale(residuals, seen)
+    weight = np.where(seen, weights, 0.0).sum(axis=2) / np.maximum(seen.sum(axis=2), 1)
     unstable = (np.nan_to_num(guard) != 0).mean(axis=2)
     off = (not has_offset) & (np.abs(level) > _OFFSET * scatter)
     with np.errstate(invalid="ignore"):
