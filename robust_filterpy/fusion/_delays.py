@@ -35,21 +35,21 @@ def found_delays(setup: Setup, begin: Moment, rows: Rows, longest: float) -> tup
     if len(able) < 2:
         reasons.update(dict.fromkeys(able, "there is no other sensor to compare it with"))
         return dict.fromkeys(layout.names, np.nan), reasons
-    shifts, told = dict.fromkeys(able, 0.0), dict.fromkeys(able, False)
+    shifts, certain = dict.fromkeys(able, 0.0), dict.fromkeys(able, False)
     for _ in range(_ROUNDS):
         before = dict(shifts)
         for name in able:
             others = {one: own[one] for one in able if one != name}
             track = _track(setup, begin, rows, seconds, others, shifts)
-            shifts[name], told[name] = _shift(setup, track, (seconds[own[name]], rows.zs[own[name]], name), longest)
+            shifts[name], certain[name] = _shift(setup, track, (seconds[own[name]], rows.zs[own[name]], name), longest)
         if max(abs(shifts[name] - before[name]) for name in able) < 2e-3 * longest:
             break
     reasons.update({
         name: "a delay and none explain its readings about as well: what it measures has to change, and unevenly"
-        for name in able if not told[name]
+        for name in able if not certain[name]
     })  # fmt: skip
-    least = min((shifts[name] for name in able if told[name]), default=0.0)
-    return {name: shifts[name] - least if told.get(name) else np.nan for name in layout.names}, reasons
+    least = min((shifts[name] for name in able if certain[name]), default=0.0)
+    return {name: shifts[name] - least if certain.get(name) else np.nan for name in layout.names}, reasons
 
 
 def _track(
@@ -87,16 +87,16 @@ def _shift(
         apart = np.abs(apart - np.nanmedian(apart, axis=0))
         return float((np.isfinite(apart).sum(axis=0) * np.log(np.nanmean(apart, axis=0) + 1e-300)).sum())
 
-    low, high, told, best = -longest, longest, False, 0.0
+    low, high, certain, best = -longest, longest, False, 0.0
     for finer in range(_FINER):
         grid = np.linspace(low, high, _GRID)
         costs = np.array([cost(d) for d in grid])
         best, step = float(grid[np.argmin(costs)]), grid[1] - grid[0]
         if not finer:
             near = grid[costs < costs.min() + _WORSE]
-            told = bool(near[-1] - near[0] <= 2.0 * longest * _NARROW and abs(best) < longest - 0.5 * step)
+            certain = bool(near[-1] - near[0] <= 2.0 * longest * _NARROW and abs(best) < longest - 0.5 * step)
         low, high = best - step, best + step
-    return best, told
+    return best, certain
 
 
 def _apart(setup: Setup, states: Array, zs: Array, name: str) -> Array:

@@ -108,13 +108,13 @@ def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> list
     logs = logs + bank.prior
     p = np.exp(logs - logs.max())
     p /= p.sum()
-    found = []
+    causes = []
     for c, fault in sorted({(int(c), int(f)) for c, f in zip(bank.component, bank.fault, strict=True)}):
         group = np.flatnonzero((bank.component == c) & (bank.fault == fault))
         best = int(group[np.argmax(p[group])])
         size = float(b[best] if fault in (_BIASED, _DRIFTING) else math.sqrt(bank.factor[best]))
-        found.append(Found(c, fault, float(p[group].sum()), int(bank.onset[best]), size))
-    return sorted(found, key=lambda one: -one.probability)
+        causes.append(Found(c, fault, float(p[group].sum()), int(bank.onset[best]), size))
+    return sorted(causes, key=lambda one: -one.probability)
 
 
 def _hypotheses(stretch: Stretch, suspects: np.ndarray) -> _Bank:
@@ -138,13 +138,13 @@ def _hypotheses(stretch: Stretch, suspects: np.ndarray) -> _Bank:
 
 def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
     """Return moments at which something may have begun, and how many each stands for; not the very first ones."""
-    found, left = [], len(moments)
+    onsets, left = [], len(moments)
     while left > _FIRST:
         # An onset that is off by a small share of all since then costs little.
         width = min(1 + (len(moments) - left) // _FINE, left - _FIRST)
         left -= width
-        found.append((int(moments[left + width // 2]), width))
-    return found[::-1]
+        onsets.append((int(moments[left + width // 2]), width))
+    return onsets[::-1]
 
 
 def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Array]:

@@ -57,8 +57,8 @@ def forecast(line: Any, clock: Clock, state: State, at: float | int, times: Any,
             f"{wanted[int(np.argmin(ahead))]}; estimate(t) tells the past"
         )
     layout = line.setup.layout
-    found = [bands(line, state, seconds, level) for seconds in ahead]
-    middle, signal, readings = (np.array(part).reshape(-1, layout.size) for part in zip(*found, strict=True))
+    forecasts = [bands(line, state, seconds, level) for seconds in ahead]
+    middle, signal, readings = (np.array(part).reshape(-1, layout.size) for part in zip(*forecasts, strict=True))
 
     def by_sensor(part: Array) -> dict[str, Array]:
         return {name: part[:, place] for name, place in layout.places.items()}
@@ -108,7 +108,7 @@ def _ahead(setup: Setup, state: State) -> _Ahead:
 def _looked_back(line: Any, seconds: float) -> tuple[Array, _Ahead, list[Any]]:
     """Return how far each kept reading was from what the state so many seconds before had said, and what that was."""
     setup, keys = line.setup, line.keys
-    apart, found, at = [], [], []
+    apart, predictions, at = [], [], []
     for j in range(_BEGINNING, len(keys)):
         i = min(bisect_right(keys, Clock.moved(keys[j], -seconds)), j) - 1
         z = line.entries[j].z
@@ -117,12 +117,12 @@ def _looked_back(line: Any, seconds: float) -> tuple[Array, _Ahead, list[Any]]:
         state = moved(setup, line.entries[i].moment.state, Clock.between(keys[i], keys[j]))
         seen = setup.layout.seen_from(state.x, z)
         apart.append(seen.z - seen.H @ state.x)
-        found.append(_ahead(setup, state))
+        predictions.append(_ahead(setup, state))
         at.append(keys[j])
-    if not found:
+    if not predictions:
         none = np.zeros((0, setup.layout.size))
         return none, _Ahead(none, none, none, none[:, :, None]), at
-    return np.array(apart), _Ahead(*(np.array(part) for part in zip(*found, strict=True))), at
+    return np.array(apart), _Ahead(*(np.array(part) for part in zip(*predictions, strict=True))), at
 
 
 def _half_width(ahead: _Ahead, scales: Array, level: float) -> Array:

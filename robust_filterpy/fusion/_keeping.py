@@ -47,9 +47,9 @@ def state(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ..
     })  # fmt: skip
 
 
-def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Timeline, Clock, Any]:
+def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Timeline, Clock, Any]:
     """Return what a state says, for a fusion made like this one, or raise."""
-    _state.require_kind(found, "Fusion")
+    _state.require_kind(given, "Fusion")
     layout, base = like.setup.layout, like.base.state
     policy, M, p, names = like.setup.policy, layout.size, like.setup.motion.dim_u, layout.names
     needed: dict[str, _state.Shape] = {
@@ -61,13 +61,13 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     length = _flat(like.setup, like.base).size if like.setup.watches else 0
     if like.setup.watches:
         needed["moments"] = (None, length)
-    elif "moments" in found:
+    elif "moments" in given:
         raise _state.StateError("state: expected one of a fusion that does not watch, got one of watch=True")
     if like.setup.reacquire is not None:
         needed["doubt"] = (None,)
-    elif "doubt" in found:
+    elif "doubt" in given:
         raise _state.StateError("state: expected one of a fusion without reacquire, got one with it")
-    got = _state.checked(found, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
+    got = _state.checked(given, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
     entries = len(got["keys"])
     if like.setup.watches and not 1 <= len(got["moments"]) <= entries + 1:
         raise _state.StateError(f"state: expected at most {entries + 1} moments and one, got {len(got['moments'])}")
@@ -105,8 +105,8 @@ def restored(like: Timeline, found: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         line.base, line.clean = first, len(moments)
         for entry, moment in zip(line.entries, moments, strict=False):
             entry.moment = moment
-    known = zip(names, got["earlier_known"], _joined(got["earlier"], clock.kind), strict=True)
-    line.earlier = {name: key for name, there, key in known if there}
+    earlier = zip(names, got["earlier_known"], _joined(got["earlier"], clock.kind), strict=True)
+    line.earlier = {name: key for name, there, key in earlier if there}
     counts = {
         name: {o: int(c) for o, c in zip(outcomes, row, strict=True)}
         for name, row in zip(names, got["counts"], strict=True)
@@ -151,7 +151,7 @@ def _unflat(row: Array, like: Timeline, kind: str) -> Moment:
     stamps, failed = taken(np.zeros((len(setup.layout.parties) + 2, 3))), taken(np.zeros(len(names)))
     far, anew = taken(np.zeros(2)).tolist()
     rest = row[at:]
-    if not all(np.isfinite(part).all() for name, part in numbers.items() if name != "known") or not all(
+    if not all(np.isfinite(part).all() for name, part in numbers.items() if name != "statistics") or not all(
         np.isfinite(part).all() for part in (*state[:6], stamps, rest)
     ):
         raise _state.StateError("state: expected finite numbers in moments, got NaN")

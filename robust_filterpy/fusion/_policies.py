@@ -106,22 +106,22 @@ def start(policy: Policy, x: Array, P: Array, sizes: Array, u: Array) -> State:
 
 def arrays(policy: Policy, state: State) -> tuple[Array, ...]:
     """Return a state as arrays: the copies, their probabilities, memory, x, P, sizes, u, trial."""
-    copies = policy.current(state.kept, state.x, state.P)[:3]
-    return (*copies, state.memory, state.x, state.P, state.sizes, state.u, state.trial)
+    hypotheses = policy.current(state.kept, state.x, state.P)[:3]
+    return (*hypotheses, state.memory, state.x, state.P, state.sizes, state.u, state.trial)
 
 
-def of_arrays(policy: Policy, found: Any) -> State:
+def of_arrays(policy: Policy, parts: Any) -> State:
     """Return the state that `arrays` has taken apart, or raise if the probabilities are none."""
-    means, covariances, belief, memory, x, P, sizes, u, trial = found
-    kept = policy.resumed({"means": means, "covariances": covariances, "belief": belief}, x, P)
-    return State(x, P, memory, kept, sizes, u, trial)
+    means, covariances, belief, memory, x, P, sizes, u, trial = parts
+    hypotheses = policy.resumed({"means": means, "covariances": covariances, "belief": belief}, x, P)
+    return State(x, P, memory, hypotheses, sizes, u, trial)
 
 
 def predicted(policy: Policy, state: State, F: Array, Q: Array, drift: Array) -> State:
     """Return the state after a stretch of time."""
-    x, P, kept = policy.predicted(state.kept, state.x, state.P, F, Q, drift, 1.0)
+    x, P, hypotheses = policy.predicted(state.kept, state.x, state.P, F, Q, drift, 1.0)
     require_finite_prediction(x, P)
-    return State(x, P, state.memory, kept, *state[4:])
+    return State(x, P, state.memory, hypotheses, *state[4:])
 
 
 def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
@@ -129,14 +129,14 @@ def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: 
     seen = ~np.isnan(z)
     if not seen.any():
         return state, np.full(len(z), np.nan)
-    found, kept = policy.corrected(state, state.x, state.P, z, H, R, None, None)
-    memory = found.memory
+    estimate, hypotheses = policy.corrected(state, state.x, state.P, z, H, R, None, None)
+    memory = estimate.memory
     if memory is None:
         memory = state.memory
     elif learns is not True or policy.noise is None:
         keeps = np.broadcast_to(learns, len(z)) & (seen | (policy.noise is not None))
         memory = np.where(keeps[:, None], memory, state.memory)
-    return State(found.x, found.P, memory, kept, *state[4:]), found.weights
+    return State(estimate.x, estimate.P, memory, hypotheses, *state[4:]), estimate.weights
 
 
 def series(
@@ -147,5 +147,5 @@ def series(
     xs, Ps, weights = np.empty((N, n)), np.empty((N, n, n)), np.empty(zs.shape)
     stands = policy.standing(state.kept, state.x, state.P, state.memory)
     run(policy, stands, zs, (F, Q, H, R, drift), Kept(xs, Ps.reshape(N, n * n), weights=weights), of="Fusion")
-    kept = policy.kept_of(state.kept, stands)
-    return xs, Ps, weights, state._replace(x=stands.x, P=stands.P, memory=stands.learnt, kept=kept)
+    hypotheses = policy.kept_of(state.kept, stands)
+    return xs, Ps, weights, state._replace(x=stands.x, P=stands.P, memory=stands.learnt, kept=hypotheses)

@@ -110,11 +110,11 @@ def aged(state: State, seconds: float, values: Array) -> State:
     trial, sizes = compared(state.trial, state.sizes, seconds, values)
     if trial is state.trial:
         return state
-    known = np.isnan(state.sizes) & ~np.isnan(sizes)
+    estimated = np.isnan(state.sizes) & ~np.isnan(sizes)
     memory = state.memory
-    if known.any():
+    if estimated.any():
         memory = memory.copy()
-        memory[known, 1] = _UNTOLD
+        memory[estimated, 1] = _UNTOLD
     return state._replace(trial=trial, sizes=sizes, memory=memory)
 
 

@@ -27,10 +27,10 @@ class Clock:
 
     def key(self, stamp: Any, name: str = "t") -> float | int:
         """Return the key of a stamp."""
-        found = _stamps.read(name, stamp)
-        if self.kind and self._of(found) != self.kind:
+        key = _stamps.read(name, stamp)
+        if self.kind and self._of(key) != self.kind:
             raise TypeError(f"{name}: expected {_WORDS[self.kind]}, as the stamps before, got {_checks.shown(stamp)}")
-        return found
+        return key
 
     @staticmethod
     def _of(key: Any) -> str:
@@ -43,15 +43,15 @@ class Clock:
 
     def keys(self, stamps: Any) -> tuple[np.ndarray, dict[int, str]]:
         """Return the keys of a column of stamps, float64 or int64, and what is wrong with some; raise if all are."""
-        found, wrong = _stamps.column(stamps)
-        if len(wrong) and len(wrong) == len(found):
+        keys, wrong = _stamps.column(stamps)
+        if len(wrong) and len(wrong) == len(keys):
             raise ValueError(f"{wrong[0]} in row 0, and none in any other")
-        if found.dtype == object:
+        if keys.dtype == object:
             raise TypeError("time: expected numbers or instants, got both")
-        kind = self._of(found[0]) if len(found) else self.kind
+        kind = self._of(keys[0]) if len(keys) else self.kind
         if self.kind and kind != self.kind:
             raise TypeError(f"time: expected {_WORDS[self.kind]}, as the stamps before, got {_WORDS[kind]}")
-        return found, wrong
+        return keys, wrong
 
     @staticmethod
     def between(earlier: float | int, later: float | int) -> float:
@@ -162,10 +162,10 @@ def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]
             f"table: expected the columns {missing}, got {list(there)}; time=, sensor= and value= name them, and where "
             f"each sensor has a column of its own, table.melt(id_vars=[..]) of pandas makes rows of them"
         )
-    found = [column(name) for name in names]
-    if len({one.shape for one in found}) > 1 or found[0].ndim != 1:
-        raise ValueError(f"table: expected columns of one length, got shapes {[one.shape for one in found]}")
-    return found
+    columns = [column(name) for name in names]
+    if len({one.shape for one in columns}) > 1 or columns[0].ndim != 1:
+        raise ValueError(f"table: expected columns of one length, got shapes {[one.shape for one in columns]}")
+    return columns
 
 
 def _indices(names: tuple[str, ...], who: np.ndarray) -> np.ndarray:
@@ -199,8 +199,8 @@ def _inputs(p: int, clock: Clock, controls: Any, dtype: Any) -> tuple[np.ndarray
 
 def _held(us: Array, places: np.ndarray, steps: int, p: int) -> Array:
     """Return the input in force from each stamp on, 0 before the first."""
-    found = np.zeros((steps, p))
+    inputs = np.zeros((steps, p))
     if len(us):
         which = np.searchsorted(places, np.arange(steps), side="right") - 1
-        found[which >= 0] = us[which[which >= 0]]
-    return found
+        inputs[which >= 0] = us[which[which >= 0]]
+    return inputs

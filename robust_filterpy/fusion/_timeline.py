@@ -154,21 +154,21 @@ class Timeline:
 
     def failures(self, entries: list[Entry]) -> dict[str, int]:
         """Return how many readings of each sensor could not be used, in these entries and those no longer kept."""
-        found = dict(self.unusable)
+        counts = dict(self.unusable)
         for entry in entries:
             for name, _ in entry.moment.failed if entry.moment is not None else ():
-                found[name] = found.get(name, 0) + 1
-        return found
+                counts[name] = counts.get(name, 0) + 1
+        return counts
 
     def last_words(self, entries: int) -> dict[str, float | int]:
         """Return when each sensor has spoken last, in the first entries; who never has is left out."""
-        found: dict[str, float | int] = {}
+        latest: dict[str, float | int] = {}
         for entry in reversed(self.entries[:entries]):
-            for name in entry.spoke - found.keys():
-                found[name] = entry.key
-            if len(found) == len(self.setup.layout.names):
-                return found
-        return {**self.earlier, **found}
+            for name in entry.spoke - latest.keys():
+                latest[name] = entry.key
+            if len(latest) == len(self.setup.layout.names):
+                return latest
+        return {**self.earlier, **latest}
 
     def intervals(self, entries: int) -> dict[str, float]:
         """Return the median seconds between two readings of each sensor, in the first entries; of two at least."""

@@ -73,7 +73,7 @@ _RECENT, _ENOUGH, _CLIP = 20.0, 30.0, 3.0
 class Watch(NamedTuple):
     """What is known of the health of each component and sensor; nothing in here is ever written to."""
 
-    known: Array
+    statistics: Array
     """(M, 8 + C + C + 1): the columns above, the shares of the classes of noise, and the sums: of two sizes of grown
     noise, and of outliers of each class but the first."""
     response: Array
@@ -119,10 +119,10 @@ class Watch(NamedTuple):
 
 def fresh(states: int, components: int, sensors: int, scales: Array) -> Watch:
     """Return that nothing is the matter."""
-    known, age = np.zeros((components, _CLASSES + 2 * len(scales) + 1)), np.zeros((components, 2, _ONSETS))
-    known[:, _LAST], known[:, SLOW], known[:, _CLASSES], age[:, 0] = np.nan, 1.0, 1.0, 1.0
+    statistics, age = np.zeros((components, _CLASSES + 2 * len(scales) + 1)), np.zeros((components, 2, _ONSETS))
+    statistics[:, _LAST], statistics[:, SLOW], statistics[:, _CLASSES], age[:, 0] = np.nan, 1.0, 1.0, 1.0
     return Watch(
-        known, np.zeros((states, age.size)), np.zeros((2, age.size)), age, scales,
+        statistics, np.zeros((states, age.size)), np.zeros((2, age.size)), age, scales,
         np.full(components, _PRIOR),
         np.zeros((components, 4)), np.ones(components), np.zeros(sensors), np.ones(sensors), np.zeros(sensors),
         (None,) * sensors, np.zeros(sensors), np.full(sensors + 1, _ALARM), 1.0, 0.0, None, None,
@@ -157,14 +157,14 @@ def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
 def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     """Return what is known after the readings of one moment."""
     here = np.flatnonzero(now.y == now.y)
-    H, y, known, recent, due = now.H[here], now.y[here], watch.known.copy(), watch.recent, watch.due.copy()
-    PH, rows, quiet, learnt = now.state.P @ H.T, known[here], watch.score < _QUIET, None
+    H, y, statistics, recent, due = now.H[here], now.y[here], watch.statistics.copy(), watch.recent, watch.due.copy()
+    PH, rows, quiet, learnt = now.state.P @ H.T, statistics[here], watch.score < _QUIET, None
     S, slack, scales = H @ PH, watch.slack, watch.scales.tolist()
     if (rows[:, _COUNT] % _SELDOM == 0.0).any():
         memory, slack = now.state.memory, now.policy.slack(now.state.kept)
         learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
     said = zip(here.tolist(), rows.tolist(), now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
-    kept, counts = [], []
+    updated, counts = [], []
     for c, row, z, innovation, spread in said:
         s, R = owner[c], float(now.R[c])
         due[s] -= 1.0
@@ -176,14 +176,14 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
             recent[c, :3] += ([was, was * was, abs(was) >= _CLIP] - recent[c, :3]) / min(recent[c, 3], _RECENT)
         counts.append(_worth(_colour(row)) if row[_COUNT] >= _FIRST else 0.0)
         usual = learnt[c] if learnt and quiet[c] and not ill and row[_COUNT] % _SELDOM == 0.0 else []
-        kept.append(_after(row, z, innovation, spread, R, scales, usual, bool(quiet[c] and not ill)))
-    known[here] = kept
+        updated.append(_after(row, z, innovation, spread, R, scales, usual, bool(quiet[c] and not ill)))
+    statistics[here] = updated
     limit = watch.limit + (_ALARM - watch.limit) / _AVERAGED
     if slack > _SLACK:
         # A model that is known to be wrong is not looked at again before Q is thought right, one in doubt is soon.
         pace = _SOON if watch.model < _SURE else 0.0
         limit[-1] = watch.limit[-1] + pace * (_ALARM - watch.limit[-1])
-    watch = watch._replace(known=known, recent=recent, due=due, limit=limit, slack=slack)
+    watch = watch._replace(statistics=statistics, recent=recent, due=due, limit=limit, slack=slack)
     for i, w in enumerate(now.weights[here].tolist()):
         S[i, i] += rows[i, SLOW] * now.R[here[i]] / (w if w > _LEAST else _LEAST)
     return _scored(watch, here.tolist(), y, H, PH, np.linalg.inv(S), counts, now.R)
@@ -225,7 +225,7 @@ def _scored(
     watch: Watch, here: list[int], y: Array, H: Array, PH: Array, inverse: Array, counts: list[float], R: Array
 ) -> Watch:
     """Return what is known of biases and drifts after the readings of one moment, each of which counts for less."""
-    M, d = len(watch.known), -(H @ watch.response)
+    M, d = len(watch.statistics), -(H @ watch.response)
     own = d.reshape(len(y), *watch.age.shape)
     for i, c in enumerate(here):
         if counts[i]:
@@ -239,7 +239,7 @@ def _scored(
     evidence[0] += y @ said
     evidence[1] += (d * said).sum(axis=0)
     for c in here:
-        count = int(watch.known[c, _COUNT])
+        count = int(watch.statistics[c, _COUNT])
         j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1
         if 0 <= j < _ONSETS or count == _FIRST:
             # At the first reading that counts all begin.
@@ -248,19 +248,19 @@ def _scored(
             for part in (response, evidence):
                 part.reshape(-1, *age.shape)[:, c, :, which] = 0.0
     A, information = evidence.reshape(2, *age.shape)
-    precision = (age * age + 1e-300) / (_SIZE**2 * watch.known[:, SLOW] * R)[:, None, None]
+    precision = (age * age + 1e-300) / (_SIZE**2 * watch.statistics[:, SLOW] * R)[:, None, None]
     whole = information + precision
     lasting = 0.5 * (A * A / whole + np.log(precision / whole)) + _WIDTHS
-    score = np.maximum(lasting.reshape(M, -1).max(axis=1), watch.known[:, _NOISE]) + _PRIOR
+    score = np.maximum(lasting.reshape(M, -1).max(axis=1), watch.statistics[:, _NOISE]) + _PRIOR
     return watch._replace(response=response, evidence=evidence, age=age, score=score)
 
 
 def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:
     """Return which sensors a test speaks against, and, last, whether Q is too small by a factor, (S + 1,)."""
-    found = np.zeros(len(watch.limit), dtype=bool)
-    found[owner[watch.score > watch.limit[owner]]] = True
-    found[-1] = watch.slack > _SLACK and math.log(watch.slack) > watch.limit[-1]
-    return found
+    alarm = np.zeros(len(watch.limit), dtype=bool)
+    alarm[owner[watch.score > watch.limit[owner]]] = True
+    alarm[-1] = watch.slack > _SLACK and math.log(watch.slack) > watch.limit[-1]
+    return alarm
 
 
 def cleared(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
@@ -278,15 +278,15 @@ def suspected(watch: Watch, followed: np.ndarray, owner: np.ndarray) -> np.ndarr
 def begun_anew(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
     """Return that nothing has been seen of lasting faults, since the state is another one, nor of some sensors' noise.
     """
-    known, age = watch.known.copy(), watch.age * [[1.0], [0.0]]
-    sums = slice(_CLASSES + (known.shape[1] - _CLASSES) // 2, None)
-    known[sensors[owner], _NOISE], known[sensors[owner], sums] = 0.0, 0.0
-    return watch._replace(known=known, response=0.0 * watch.response, evidence=0.0 * watch.evidence, age=age)
+    statistics, age = watch.statistics.copy(), watch.age * [[1.0], [0.0]]
+    sums = slice(_CLASSES + (statistics.shape[1] - _CLASSES) // 2, None)
+    statistics[sensors[owner], _NOISE], statistics[sensors[owner], sums] = 0.0, 0.0
+    return watch._replace(statistics=statistics, response=0.0 * watch.response, evidence=0.0 * watch.evidence, age=age)
 
 
 def worths(watch: Watch) -> Array:
     """Return how much a reading of each component counts, by its correlation with the one before, in (0, 1], (M,)."""
-    return np.array([_worth(_colour(row)) for row in watch.known.tolist()])
+    return np.array([_worth(_colour(row)) for row in watch.statistics.tolist()])
 
 
 def _colour(row: list[float]) -> float:
@@ -307,6 +307,6 @@ def recovered(watch: Watch, owner: np.ndarray) -> np.ndarray:
     ill = watch.fault > 0.0
     if not ill.any():
         return ill
-    mean, square, far, count = watch.recent.T
-    well = (count >= _ENOUGH) & (np.abs(mean) < 0.5) & (square < 1.5) & (far < 0.08) & (watch.known[:, _REPEATS] < 2.0)
+    (mean, square, far, count), repeats = watch.recent.T, watch.statistics[:, _REPEATS]
+    well = (count >= _ENOUGH) & (np.abs(mean) < 0.5) & (square < 1.5) & (far < 0.08) & (repeats < 2.0)
     return np.array([bool(ill[s] and well[owner == s].all()) for s in range(len(watch.fault))])

@@ -180,9 +180,9 @@ class Fusion:
 
     def _until(self, key: float | int | None = None) -> tuple[Moment, float | int | None, int]:
         """Return what there is after all entries up to a stamp; say which sensor's readings cannot be used."""
-        found = self._timeline.until(key)
+        result = self._timeline.until(key)
         self._say_failures()
-        return found
+        return result
 
     def _say_failures(self) -> None:
         """Warn of each sensor's first reading for which its function had no answer."""
@@ -253,13 +253,13 @@ class Fusion:
         horizon, place = line.horizon, layout.places[sensor]
         if horizon is not None and key < horizon:
             return self._refused(sensor, key, horizon)
-        found = line.find(key)
-        again = found is not None and sensor in found.spoke
-        if found is not None and again and not replace:
-            if not np.array_equal(found.z[place], z, equal_nan=True):
+        previous = line.find(key)
+        again = previous is not None and sensor in previous.spoke
+        if previous is not None and again and not replace:
+            if not np.array_equal(previous.z[place], z, equal_nan=True):
                 raise ValueError(
                     f"sensor {sensor!r}: expected one reading for each stamp, got {z} at {self._clock.stamp(key)} "
-                    f"after {found.z[place]}; pass replace=True if it is a correction"
+                    f"after {previous.z[place]}; pass replace=True if it is a correction"
                 )
             self._counts[sensor]["duplicate"] += 1
             return "duplicate"
@@ -501,10 +501,10 @@ class Fusion:
         rows = read(self._setup, self._clock, table, time, sensor, value, None)
         if not len(rows.keys):
             raise ValueError("table: expected a row for each reading, got none")
-        found, reasons = found_delays(self._setup, self._begin, rows, float(longest))
+        shifts, reasons = found_delays(self._setup, self._begin, rows, float(longest))
         for name, why in reasons.items():
             warn(f"sensor {name!r}: its delay cannot be seen in this recording: {why}", FusionWarning)
-        return {name: found[name] + one.delay for name, one in self._setup.layout.sensors.items()}
+        return {name: shifts[name] + one.delay for name, one in self._setup.layout.sensors.items()}
 
     def verdicts(self, t: Any = None) -> dict[str, Verdict]:
         """Return what is the matter with each sensor, and with the model of the motion under "motion".
@@ -533,7 +533,7 @@ class Fusion:
             raise ValueError("verdicts: expected a fusion that watches its sensors; make it with watch=True")
         now = self.estimate(t).time
         moment, _, entries = self._timeline.until(None if t is None else self._clock.key(t))
-        found = of_all(self._setup.layout, moment)
+        verdicts = of_all(self._setup.layout, moment)
         said, intervals = self._timeline.last_words(entries), self._timeline.intervals(entries)
         begun = self._timeline.begun
         for name, one in self._setup.layout.sensors.items():
@@ -543,8 +543,8 @@ class Fusion:
             since = said.get(name, begun)
             if since is not None and self._clock.between(since, self._clock.key(now)) > limit:
                 stamp = self._clock.stamp(said[name]) if name in said else None
-                found[name] = silent(stamp, self._counts[name]["refused"])
-        return found
+                verdicts[name] = silent(stamp, self._counts[name]["refused"])
+        return verdicts
 
     def report(self, t: Any = None) -> str:
         """Return the verdicts in words, a line for each sensor, and one for the motion if its model was found wrong.
@@ -558,9 +558,9 @@ class Fusion:
         -------
         str
         """
-        found = self.verdicts(t)
-        lines = [words(name, verdict) for name, verdict in found.items() if name != "motion"]
-        return "\n".join(lines + ([] if found["motion"].since is None else [words("motion:", found["motion"])]))
+        verdicts = self.verdicts(t)
+        lines = [words(name, verdict) for name, verdict in verdicts.items() if name != "motion"]
+        return "\n".join(lines + ([] if verdicts["motion"].since is None else [words("motion:", verdicts["motion"])]))
 
     def step(
         self,
@@ -600,18 +600,18 @@ class Fusion:
         if state is not None:
             moving.restore(state)
         stamps, who, *columns = table_columns(table, time, sensor, value)
-        known = np.full((len(stamps), 2, len(names)), np.nan)
+        estimates = np.full((len(stamps), 2, len(names)), np.nan)
         outcomes, errors = np.full((2, len(stamps)), None, dtype=object)
         for k, (t, name, *z) in enumerate(zip(stamps, who.tolist(), *columns, strict=True)):
             try:
                 m = self._setup.layout.sensors[name].dim_z if name in self.sensors else len(z)
                 outcomes[k] = moving.observe(name, t, z[:m])
-                found = moving.estimate()
-                known[k] = found.x, np.sqrt(found.P.diagonal())
+                estimate = moving.estimate()
+                estimates[k] = estimate.x, np.sqrt(estimate.P.diagonal())
             except (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
                 errors[k] = str(error)
-        by_name = {name: known[:, 0, i] for i, name in enumerate(names)}
-        by_name.update({f"{name}_std": known[:, 1, i] for i, name in enumerate(names)})
+        by_name = {name: estimates[:, 0, i] for i, name in enumerate(names)}
+        by_name.update({f"{name}_std": estimates[:, 1, i] for i, name in enumerate(names)})
         return moving.state(), {"outcome": outcomes, "error": errors, **by_name}
 
     def state(self) -> dict[str, Array]:

@@ -109,8 +109,8 @@ class Motion:
         if self.together is not None:
             return self.together(dts)
         lengths, which = np.unique(dts, return_inverse=True)
-        found = [self.matrices(dt) for dt in lengths.tolist()]
-        F, Q, B = (np.array([one[i] for one in found])[which] for i in range(3))
+        matrices = [self.matrices(dt) for dt in lengths.tolist()]
+        F, Q, B = (np.array([one[i] for one in matrices])[which] for i in range(3))
         return F, Q, B
 
     def over(self, dt: float, x: Array, u: Array) -> Moved:
@@ -331,9 +331,9 @@ def _van_loan(A: Array, driven: Array, B: Array, dt: float) -> tuple[Array, Arra
     h = dt / 2.0**doublings
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -A * h, driven * h, A.T * h
-    found = expm(block)
-    F = found[n:, n:].T
-    Q = F @ found[:n, n:]
+    exponential = expm(block)
+    F = exponential[n:, n:].T
+    Q = F @ exponential[:n, n:]
     inputs = np.zeros((n + p, n + p))
     inputs[:n, :n], inputs[:n, n:] = A * h, B * h
     G = expm(inputs)[:n, n:]
@@ -345,19 +345,19 @@ def _van_loan(A: Array, driven: Array, B: Array, dt: float) -> tuple[Array, Arra
 
 def _columns(name: str, value: ArrayLike, n: int) -> Array:
     """Return a matrix of n rows, or raise."""
-    found = _checks.numbers(name, value)
-    if found.ndim == 1 and len(found) == n:
-        found = found[:, None]
-    if found.ndim != 2 or len(found) != n:
-        raise ValueError(f"{name}: expected {n} rows, as A has, got {_checks.described(found)}")
-    return found
+    matrix = _checks.numbers(name, value)
+    if matrix.ndim == 1 and len(matrix) == n:
+        matrix = matrix[:, None]
+    if matrix.ndim != 2 or len(matrix) != n:
+        raise ValueError(f"{name}: expected {n} rows, as A has, got {_checks.described(matrix)}")
+    return matrix
 
 
 def _finite(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     """Return what a user's function returned, or raise."""
-    found = _checks.numbers(name, value)
-    if found.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape}, got {_checks.described(found)}")
-    if not np.isfinite(found).all():
-        raise ValueError(f"{name}: expected finite numbers, got {found}")
-    return found
+    array = _checks.numbers(name, value)
+    if array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {_checks.described(array)}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {array}")
+    return array

@@ -278,9 +278,9 @@ def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, same:
         # An outlier and no more: the state has gone on as ever.
         return moment if near[OVER] and p[near].sum() >= _SURE else moment._replace(doubt=doubt)
     # Nothing is left to be decided.
-    kept = None if doubt.off < 0 and not p[~near].any() and doubt.sure else doubt
+    remaining = None if doubt.off < 0 and not p[~near].any() and doubt.sure else doubt
     if doubt.sure and same:
-        return moment._replace(doubt=kept)
+        return moment._replace(doubt=remaining)
     x, P = doubt.x[at, :n], doubt.P[at, :n, :n]
     if not doubt.sure:
         apart = doubt.x[:, :n] - x
@@ -289,4 +289,4 @@ def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, same:
     state = now._replace(x=x, P=P, memory=was.memory, kept=setup.policy.start(x, P, len(now.sizes)))
     # The tests of sensors were of another state.
     watch = moment.watch and begun_anew(before.watch, np.zeros(len(before.watch.fault), dtype=bool), setup.layout.party)
-    return moment._replace(state=state, watch=watch, doubt=kept, anew=True)
+    return moment._replace(state=state, watch=watch, doubt=remaining, anew=True)

@@ -88,11 +88,11 @@ class Recording:
         -------
         dict of str to ndarray, shape (K,)
         """
-        found = {"time": self.times}
+        columns = {"time": self.times}
         for i, name in enumerate(self.names):
-            found[name] = self.x[:, i]
-            found[f"{name}_std"] = np.sqrt(self.P[:, i, i])
-        return found
+            columns[name] = self.x[:, i]
+            columns[f"{name}_std"] = np.sqrt(self.P[:, i, i])
+        return columns
 
 
 def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -> Recording:
@@ -173,7 +173,7 @@ def _watched(
 
 def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:
     """Return which sensors have been silent, from the first stamp on that tells it, and who has spoken again."""
-    found, keys = [], rows.keys
+    verdicts, keys = [], rows.keys
     for name, place in layout.places.items():
         spoke = np.flatnonzero((~np.isnan(rows.zs[:, place])).any(axis=1))
         gaps = Clock.seconds(keys[spoke])
@@ -183,12 +183,12 @@ def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:
             limit = 5.0 * usual if every is None else 3.0 * every
             if not np.isfinite(limit):
                 continue
-            told = int(np.searchsorted(keys, Clock.moved(keys[spoke[i]].item(), float(limit)), side="right"))
-            if told < (spoke[i + 1] if i + 1 < len(spoke) else len(keys)):
-                found.append((told, name, described("silent", Clock.stamp(keys[spoke[i]].item()))))
+            detected = int(np.searchsorted(keys, Clock.moved(keys[spoke[i]].item(), float(limit)), side="right"))
+            if detected < (spoke[i + 1] if i + 1 < len(spoke) else len(keys)):
+                verdicts.append((detected, name, described("silent", Clock.stamp(keys[spoke[i]].item()))))
                 if i + 1 < len(spoke):
-                    found.append((int(spoke[i + 1]), name, described("healthy")))
-    return found
+                    verdicts.append((int(spoke[i + 1]), name, described("healthy")))
+    return verdicts
 
 
 def _without_lies(layout: Layout, rows: Rows, said: list[tuple[int, str, Verdict]]) -> Array:
@@ -243,8 +243,8 @@ def _smoothed(
     kf.R = covariance(layout, last.state.sizes) * np.multiply.outer(root, root)
     us = np.broadcast_to(drift, (len(dts), motion.dim_x))
     influence = setup.policy.choices.influence if setup.policy.noise is None else None
-    found = smooth(kf, rows.zs, Fs=F, Qs=Q, us=us, influence=influence)
-    return found.x, found.P, found.weights
+    smoothed = smooth(kf, rows.zs, Fs=F, Qs=Q, us=us, influence=influence)
+    return smoothed.x, smoothed.P, smoothed.weights
 
 
 def _narrowed(begin: Moment, filtered: tuple[Array, Array], F: Array, Q: Array, drift: Array) -> tuple[Array, Array]:
@@ -258,8 +258,8 @@ def _narrowed(begin: Moment, filtered: tuple[Array, Array], F: Array, Q: Array, 
         grown = F[k + 1] @ spread @ F[k + 1].T + Q[k + 1]
         gain = np.linalg.lstsq(grown, F[k + 1] @ spread, rcond=None)[0].T
         at, cov = before + gain @ (at - moved), spread + gain @ (cov - grown) @ gain.T
-    start, told = begin.state.x, begin.state.P
-    known = _WIDER * np.diag(np.abs(cov.diagonal()))
-    share = np.linalg.lstsq(told + known, told, rcond=None)[0]
-    narrow = known @ share
+    start, prior = begin.state.x, begin.state.P
+    bound = _WIDER * np.diag(np.abs(cov.diagonal()))
+    share = np.linalg.lstsq(prior + bound, prior, rcond=None)[0]
+    narrow = bound @ share
     return start + share.T @ (at - start), 0.5 * (narrow + narrow.T)

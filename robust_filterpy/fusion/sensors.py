@@ -200,23 +200,23 @@ class Layout:
         m = self.sensors[name].dim_z
         if isinstance(z, np.ma.MaskedArray):
             z = np.ma.filled(z.astype(float), np.nan)
-        found = np.full(m, np.nan) if z is None else _checks.numbers(f"z of {name!r}", z).ravel()
-        if len(found) != m:
+        values = np.full(m, np.nan) if z is None else _checks.numbers(f"z of {name!r}", z).ravel()
+        if len(values) != m:
             raise ValueError(f"z of {name!r}: expected {m} number(s), got {_checks.shown(z)}")
-        if np.isinf(found).any():
-            raise ValueError(f"z of {name!r}: expected finite numbers or NaN (missing), got {found}")
-        return found.copy()
+        if np.isinf(values).any():
+            raise ValueError(f"z of {name!r}: expected finite numbers or NaN (missing), got {values}")
+        return values.copy()
 
     def never_together(self, zs: Array) -> list[tuple[str, ...]]:
         """Return groups of sensors that have all spoken often, and never two of them at one stamp."""
         spoke = {name: (~np.isnan(zs[:, place])).any(axis=1) for name, place in self.places.items()}
-        found = []
+        groups = []
         for party in self.parties:
             of_each = np.array([spoke[name] for name in party])
             often = (of_each.sum(axis=1) >= OFTEN).all()
             if len(party) > 1 and often and (of_each.sum(axis=0) < 2).all():
-                found.append(party)
-        return found
+                groups.append(party)
+        return groups
 
     def seen_from(self, x: Array, z: Array) -> Seen:
         """Return readings and H as they are about a state; sensors without a reading are not asked."""
@@ -241,7 +241,7 @@ class Layout:
 def _grouping(sensors: dict[str, Sensor], party: np.ndarray) -> Any:
     """Return which components fail together, or raise for a group of one."""
     grouped = np.repeat([s.group is not None for s in sensors.values()], [s.dim_z for s in sensors.values()])
-    found = tuple(tuple(np.flatnonzero(party == k).tolist()) for k in dict.fromkeys(party[grouped].tolist()))
+    groups = tuple(tuple(np.flatnonzero(party == k).tolist()) for k in dict.fromkeys(party[grouped].tolist()))
     names = [sensor.group for sensor in sensors.values()]
     for name, sensor in sensors.items():
         if sensor.group is not None and sensor.dim_z == 1 and names.count(sensor.group) < 2:
@@ -249,7 +249,7 @@ def _grouping(sensors: dict[str, Sensor], party: np.ndarray) -> Any:
                 f"sensor {name!r}: expected another sensor of the group {sensor.group!r}, got none; name another one "
                 "so, or leave group out"
             )
-    return found or "component"
+    return groups or "component"
 
 
 def _compared(sensor: Sensor, x: Array, z: Array) -> tuple[Array, Array]:
@@ -265,9 +265,9 @@ def _compared(sensor: Sensor, x: Array, z: Array) -> tuple[Array, Array]:
 
 def _returned(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     """Return what a user's function returned, or raise."""
-    found = _checks.numbers(name, value)
-    if found.size == int(np.prod(shape)) and found.shape != shape:
-        found = found.reshape(shape)
-    if found.shape != shape or not np.isfinite(found).all():
+    array = _checks.numbers(name, value)
+    if array.size == int(np.prod(shape)) and array.shape != shape:
+        array = array.reshape(shape)
+    if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {_checks.shown(value)}")
-    return found
+    return array

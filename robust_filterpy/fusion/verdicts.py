@@ -82,11 +82,11 @@ def described(fault: str, since: Any = None, probability: float = 1.0, size: flo
 
 def silent(since: Any, refused: int) -> Verdict:
     """Return the verdict about a sensor that has said nothing for too long."""
-    found = described("silent", since)
+    verdict = described("silent", since)
     if not refused:
-        return found
+        return verdict
     clocks = "check the clocks, of the sensor with the newest stamp too"
-    return found._replace(remedy=f"{refused} of its readings were refused: {clocks}")
+    return verdict._replace(remedy=f"{refused} of its readings were refused: {clocks}")
 
 
 def watched(line: Any, i: int, moment: Moment) -> Moment:
@@ -127,11 +127,11 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
     party, departs = line.setup.layout.party, watch.fault == _DEPARTS
     # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the
     # stretch begins. How fast one drifts is seen the better the longer.
-    told = watch.fault > _DEPARTS
-    alone = told.sum() < 2 and not (alarm.any() or departs.any() or (followed & ~told).any())
+    faulty = watch.fault > _DEPARTS
+    alone = faulty.sum() < 2 and not (alarm.any() or departs.any() or (followed & ~faulty).any())
     gone = np.array([
         one and not (alone and at >= _early(line, i, LONGEST if fault in _SLOW else STRETCH))
-        for one, fault, at in zip(told, watch.fault, watch.since, strict=True)
+        for one, fault, at in zip(faulty, watch.fault, watch.since, strict=True)
     ])  # fmt: skip
     watch = watch._replace(due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
     if not (alarm.any() or (followed & ~gone).any()):
@@ -148,8 +148,8 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
         if first >= i:
             return watch
         suspects = _watch.suspected(watch, (alarm[:-1] | followed | departs) & ~gone, party) & ~gone[party]
-        found = _faults.judged(_stretch(line, first, i, _watch.worths(watch)), gone[party], suspects)
-        best = _by_sensor(found, party)
+        causes = _faults.judged(_stretch(line, first, i, _watch.worths(watch)), gone[party], suspects)
+        best = _by_sensor(causes, party)
         (who, fault), probability = max(best.items(), key=lambda one: one[1])
         doubts = [sum(p for (s, _), p in best.items() if s == one) for one in range(len(departs))]
         if who < 0 or doubts[who] <= _LIKELY or fault not in _SLOW:
@@ -158,7 +158,7 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
     if who < 0:
         watch = _doubted(_set_free(watch, departs, party), doubts)
         if fault < 0 and probability >= _SURE:
-            onset = next(one.onset for one in found if one.fault == fault)
+            onset = next(one.onset for one in causes if one.fault == fault)
             watch = watch._replace(model=probability, model_since=line.keys[first + onset])
         return watch
     if doubts[who] <= _LIKELY:
@@ -166,13 +166,13 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
     others = departs.copy()
     others[who] = False
     watch = _doubted(_set_free(watch, others, party), doubts)
-    top = next(one for one in found if one.component >= 0 and party[one.component] == who and one.fault == fault)
+    top = next(one for one in causes if one.component >= 0 and party[one.component] == who and one.fault == fault)
     sure = probability >= _SURE
     if watch.fault[who] > _DEPARTS and not sure:
         return watch
     shown = (fault, probability) if sure else (_DEPARTS, doubts[who])
     return _with(watch, who, *shown, top, line.keys[first + top.onset],
-                 line.stands(first)[0].watch.known[:, SLOW], party)  # fmt: skip
+                 line.stands(first)[0].watch.statistics[:, SLOW], party)  # fmt: skip
 
 
 def _early(line: Any, i: int, length: int) -> Any:
@@ -206,10 +206,10 @@ def _with(
     )  # fmt: skip
 
 
-def _by_sensor(found: list[Found], owner: np.ndarray) -> dict[tuple[int, int], float]:
+def _by_sensor(causes: list[Found], owner: np.ndarray) -> dict[tuple[int, int], float]:
     """Return the probability of each fault of each sensor; -1 is no sensor."""
     sums: dict[tuple[int, int], float] = {}
-    for one in found:
+    for one in causes:
         key = (-1 if one.component < 0 else int(owner[one.component]), one.fault)
         sums[key] = sums.get(key, 0.0) + one.probability
     return sums
@@ -233,8 +233,8 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     scales, shares = setup.policy.shares(state.memory)
     return Stretch(
         state.x, state.P, F, Q * setup.policy.slack(state.kept), drift, seconds_,
-        np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.known[:, SLOW] * R, scales, shares,
-        worth,
+        np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.statistics[:, SLOW] * R, scales,
+        shares, worth,
     )  # fmt: skip
 
 
@@ -272,12 +272,12 @@ def words(name: str, verdict: Verdict) -> str:
 
 def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
     """Return the verdict about each sensor, and about the "motion"."""
-    found = dict.fromkeys((*layout.names, "motion"), described("healthy"))
+    verdicts = dict.fromkeys((*layout.names, "motion"), described("healthy"))
     if moment.watch is not None:
         for verdict, party in zip(_of_sensors(moment.watch), layout.parties, strict=True):
-            found.update({name: _shared(verdict, name, party) for name in party})
-        found["motion"] = _of_motion(moment.watch)
-    return {**found, **_of_doubt(layout.names, moment.doubt)}
+            verdicts.update({name: _shared(verdict, name, party) for name in party})
+        verdicts["motion"] = _of_motion(moment.watch)
+    return {**verdicts, **_of_doubt(layout.names, moment.doubt)}
 
 
 def _shared(verdict: Verdict, name: str, party: tuple[str, ...]) -> Verdict:
@@ -295,20 +295,20 @@ def _of_doubt(names: tuple[str, ...], doubt: Any) -> dict[str, Verdict]:
     since, p = Clock.stamp(doubt.since), doubt.probability
     if not doubt.sure:
         return {names[doubt.sensor]: described("undecided", since, p)}
-    found = {names[doubt.off]: described("false", since, p)} if doubt.off >= 0 else {}
-    return {**found, "motion": described("jumped", since, p)} if doubt.moved else found
+    verdicts = {names[doubt.off]: described("false", since, p)} if doubt.off >= 0 else {}
+    return {**verdicts, "motion": described("jumped", since, p)} if doubt.moved else verdicts
 
 
 def _of_sensors(watch: Watch) -> list[Verdict]:
     """Return the verdict about each sensor."""
-    found = []
+    verdicts = []
     for s, fault in enumerate(watch.fault.astype(int)):
         sized = FAULTS[fault] in ("biased", "drifting", "noisier")
         since = None if watch.since[s] is None else Clock.stamp(watch.since[s])
-        found.append(
+        verdicts.append(
             described(FAULTS[fault], since, float(watch.odds[s]), float(watch.size[s]) if sized else float("nan"))
         )
-    return found
+    return verdicts
 
 
 def _of_motion(watch: Watch) -> Verdict:
