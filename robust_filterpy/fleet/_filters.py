@@ -93,8 +93,8 @@ def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
 def start(kf: Any) -> dict[str, Array]:
     """Return what a filter's steps move, as it is; of sensors of which nothing is known yet, zeros."""
     empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in moved_shapes(kf).items()}
-    known = kf.state()
-    return {name: known.get(name, value) for name, value in empty.items()}
+    state = kf.state()
+    return {name: state.get(name, value) for name, value in empty.items()}
 
 
 def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
@@ -206,7 +206,7 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, row
     z, Bu = work.z[every], series.model.Bu
     if work.u is not None and series.B is not None:
         Bu = np.ascontiguousarray(work.u[every] @ series.B.T)
-    kept = Output(
+    output = Output(
         np.empty((len(rows), steps, n)), np.empty((len(rows), steps, 1, n)), np.empty((len(rows), 0, n)),
         np.empty((len(rows), 0, n, n)), np.empty((len(rows), steps, m)), np.zeros(len(rows)),
     )  # fmt: skip
@@ -215,7 +215,7 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, row
 
     def by_kernel(own: slice, k: int) -> np.ndarray:
         """Take steps of some keys from one on and return the first that the kernel declines, of each."""
-        keys, out = rows[own], Output(*(a[own] for a in kept))
+        keys, out = rows[own], Output(*(a[own] for a in output))
         model = series.model._replace(Bu=Bu if len(Bu) == 1 else Bu[own])
         # Copies, since what is written to a part of a fancy index is lost.
         x, P, memory = (whole[keys] for whole in moving)

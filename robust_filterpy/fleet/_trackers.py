@@ -32,8 +32,8 @@ def start(tracker: ParameterTracker) -> dict[str, Array]:
 
 def shapes(tracker: ParameterTracker) -> dict[str, _state.Shape]:
     """Return the shapes of that; how long a recording is kept for a start or watched, no one knows beforehand."""
-    found: dict[str, _state.Shape] = {name: value.shape for name, value in start(tracker).items()}
-    return {**found, **{name: (None, *found[name][1:]) for name in ("start", "followed")}}
+    sizes: dict[str, _state.Shape] = {name: value.shape for name, value in start(tracker).items()}
+    return {**sizes, **{name: (None, *sizes[name][1:]) for name in ("start", "followed")}}
 
 
 def advance(tracker: ParameterTracker, work: Work) -> None:

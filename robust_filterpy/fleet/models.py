@@ -144,10 +144,10 @@ class Model(ABC):
     @cached_property
     def fingerprint(self) -> float:
         """A number that another model does not have: of its matrices, to nine digits, choices and sampling period."""
-        found = hashlib.sha256(self.kind.encode())
+        hashed = hashlib.sha256(self.kind.encode())
         for name, value in (*self._said(), ("dt", self.dt)):
-            found.update(f"{name}:{_spelt(value)}\n".encode())
-        return float(int.from_bytes(found.digest()[:6], "big"))
+            hashed.update(f"{name}:{_spelt(value)}\n".encode())
+        return float(int.from_bytes(hashed.digest()[:6], "big"))
 
     def adopt(self, state: Any) -> dict[str, Array]:
         """Return a state of another model as one of this one: asked for, it is gone on from.
@@ -166,8 +166,8 @@ class Model(ABC):
         ValueError
             If it is of another class or structure, or damaged.
         """
-        found = checked(state, self)
-        return {LABEL: self.label.copy(), **found, "model": np.array([self.fingerprint])}
+        entries = checked(state, self)
+        return {LABEL: self.label.copy(), **entries, "model": np.array([self.fingerprint])}
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what can be made anew."""

@@ -77,14 +77,14 @@ def _as_array(batch: Any, widths: list[int]) -> tuple[np.ndarray, Reasons]:
     rows = list(batch) if isinstance(batch, Iterable) and not isinstance(batch, (str, bytes)) else [batch]
     rows = [[row] if widths == [1] and not isinstance(row, (list, tuple, np.ndarray)) else row for row in rows]
     width = next((len(row) for row in rows if hasattr(row, "__len__") and len(row) in widths), widths[-1])
-    found, said = np.full((len(rows), width), None, dtype=object), {}
+    cells, said = np.full((len(rows), width), None, dtype=object), {}
     for i, row in enumerate(rows):
         if isinstance(row, (list, tuple, np.ndarray)) and len(row) == width:
             for j, value in enumerate(row):
-                found[i, j] = value
+                cells[i, j] = value
         else:
             said[i] = f"row: expected {width} number(s), got {_checks.shown(row)}"
-    return found, said
+    return cells, said
 
 
 def read_table(table: Any, model: Any, key: str | None) -> Rows:
@@ -97,12 +97,12 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
         chosen = [name for name in names if name not in (key, model.time) and name not in given]
     missing = [name for name in (key, model.time, *chosen, *given) if name is not None and name not in names]
     if missing:
-        told = "key= names that of the device, time= and measurements= of the model the others"
-        raise ValueError(f"table: expected the columns {missing}, got {names}; {told}")
+        mend = "key= names that of the device, time= and measurements= of the model the others"
+        raise ValueError(f"table: expected the columns {missing}, got {names}; {mend}")
     m, p = model.widths
-    for what, found, allowed in (("measurements", chosen, (m,)), ("inputs", given, (0, p))):
-        if len(found) not in allowed:
-            raise ValueError(f"{what}: expected {allowed[-1]} column(s) for the model, got {list(found)}")
+    for what, selected, allowed in (("measurements", chosen, (m,)), ("inputs", given, (0, p))):
+        if len(selected) not in allowed:
+            raise ValueError(f"{what}: expected {allowed[-1]} column(s) for the model, got {list(selected)}")
     said: Reasons = {}
     keys = None if key is None else _keys(key, frame[key], said)
     stamps = None if model.time is None else _stamps.as_numpy(frame[model.time])
@@ -115,9 +115,9 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
         """Return columns as a table of the kind of the batch, with its keys and times."""
         import narwhals as nw
 
-        kept = frame.select(copied) if len(rows) == len(frame) else frame.select(copied)[rows]
+        output = frame.select(copied) if len(rows) == len(frame) else frame.select(copied)[rows]
         if not copied and hasattr(table, "index"):
-            kept = nw.from_native(table[[]].iloc[rows], eager_only=True)
+            output = nw.from_native(table[[]].iloc[rows], eager_only=True)
         series = [
             nw.new_series(
                 name, *((values, nw.Float64) if values.dtype == float else (values.tolist(), nw.String)),
@@ -125,8 +125,8 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
             )
             for name, values in columns.items()
         ]  # fmt: skip
-        if len(kept.columns) or hasattr(table, "index"):
-            return back(kept.with_columns(series))
+        if len(output.columns) or hasattr(table, "index"):
+            return back(output.with_columns(series))
         return back(nw.concat([one.to_frame() for one in series], how="horizontal"))
 
     return Rows(keys, times, z, u, said, like, stamps is not None and _are_instants(stamps))
@@ -159,14 +159,14 @@ def _keys(key: str, column: Any, said: Reasons) -> Sequence[Any]:
     values = column.to_numpy()
     if values.dtype.kind in "iub":
         return values
-    found = values.tolist()
-    for row, name in enumerate(found):
+    keys = values.tolist()
+    for row, name in enumerate(keys):
         if type(name).__name__ in _MISSING or name != name:
-            said[row], found[row] = f"{key}: expected a name or number in each row, got none", NOBODY
+            said[row], keys[row] = f"{key}: expected a name or number in each row, got none", NOBODY
         elif not isinstance(name, Hashable):
             said[row] = f"{key}: expected a name or number in each row, got {_checks.shown(name)}"
-            found[row] = NOBODY
-    return found
+            keys[row] = NOBODY
+    return keys
 
 
 def _are_instants(stamps: np.ndarray) -> bool:
@@ -178,8 +178,8 @@ def _are_instants(stamps: np.ndarray) -> bool:
 
 def measured(columns: Sequence[tuple[str, np.ndarray]], n: int, said: Reasons) -> Array:
     """Return measurements, shape (n, m), NaN where one is missing or is no number, which is named."""
-    found = [_column(name, values, said, "a finite number or NaN (missing)", True) for name, values in columns]
-    return np.column_stack(found) if found else np.empty((n, 0))
+    numbers = [_column(name, values, said, "a finite number or NaN (missing)", True) for name, values in columns]
+    return np.column_stack(numbers) if numbers else np.empty((n, 0))
 
 
 def inputs(columns: Sequence[tuple[str, np.ndarray]], said: Reasons) -> Array:
@@ -191,20 +191,20 @@ def inputs(columns: Sequence[tuple[str, np.ndarray]], said: Reasons) -> Array:
 def _column(name: str, values: np.ndarray, said: Reasons, what: str, gaps: bool) -> Array:
     """Return a column as finite numbers, NaN for every other one; those that are not missing are named."""
     if values.dtype.kind in "fiub":
-        found = values.astype(float)
-        bad = np.isinf(found) if gaps else ~np.isfinite(found)
+        numbers = values.astype(float)
+        bad = np.isinf(numbers) if gaps else ~np.isfinite(numbers)
     else:
-        found, bad = np.full(len(values), np.nan), np.zeros(len(values), dtype=bool)
+        numbers, bad = np.full(len(values), np.nan), np.zeros(len(values), dtype=bool)
         for row, value in enumerate(values.tolist() if values.dtype.kind != "O" else values):
             try:
-                found[row] = _number(value)
-                bad[row] = np.isinf(found[row]) if gaps else not np.isfinite(found[row])
+                numbers[row] = _number(value)
+                bad[row] = np.isinf(numbers[row]) if gaps else not np.isfinite(numbers[row])
             except (TypeError, ValueError, OverflowError):
                 bad[row] = True
     for row in np.flatnonzero(bad).tolist():
         say(said, row, f"{name}: expected {what}, got {_checks.shown(values[row])}")
-    found[bad] = np.nan
-    return found
+    numbers[bad] = np.nan
+    return numbers
 
 
 def _number(value: Any) -> float:

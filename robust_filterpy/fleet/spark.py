@@ -107,14 +107,14 @@ def step_stream(
 
     schema, grouped = _schema(frame, model, key), frame.groupBy(key)
 
-    def taken(parts: Iterator[Any], kept: Any) -> tuple[bytes | None, Any]:
+    def taken(parts: Iterator[Any], stored: Any) -> tuple[bytes | None, Any]:
         """Return one key's state after a micro-batch, None if that has not changed, and the rows of the result."""
         import pandas as pd
 
         table = pd.concat(list(parts), ignore_index=True)
         # The name as the table has it: Spark hands over another type.
         own = table[key].tolist()[0]
-        before = None if kept is None else {own: _unpacked(kept[0])}
+        before = None if stored is None else {own: _unpacked(stored[0])}
         states, output = step(model, before, table, key=key, sort=True)
         return (pack(states[own]) if own in states and own not in states.odd else None), output
 
@@ -141,15 +141,15 @@ def _processor(taken: Callable[[Iterator[Any], Any], tuple[bytes | None, Any]], 
 
         def init(self, handle: Any) -> None:
             """Have the store make room for a state."""
-            self.kept = handle.getValueState("state", _STATE, milliseconds)
+            self.stored = handle.getValueState("state", _STATE, milliseconds)
 
         def handleInputRows(self, key: Any, rows: Iterator[Any], timerValues: Any) -> Iterator[Any]:
             """Take one key's samples of a micro-batch."""
-            before = self.kept.get() if self.kept.exists() else None
+            before = self.stored.get() if self.stored.exists() else None
             after, output = taken(rows, before)
             # A sample that is refused is a sign of life too.
             if after is not None or before is not None:
-                self.kept.update(before if after is None else (after,))
+                self.stored.update(before if after is None else (after,))
             yield output
 
         def close(self) -> None:

@@ -152,9 +152,9 @@ class States(Mapping[Any, dict[str, Array]]):
         (since,) = seconds(np.array([time], dtype=object), said)
         if said:
             raise ValueError(said[0])
-        kept = np.flatnonzero(~(self.columns["time"][:, 0] < since))
-        keys = [self.name(i) for i in kept.tolist()]
-        return States(self.label, keys, {name: column[kept] for name, column in self.columns.items()}, self.odd)
+        remaining = np.flatnonzero(~(self.columns["time"][:, 0] < since))
+        keys = [self.name(i) for i in remaining.tolist()]
+        return States(self.label, keys, {name: column[remaining] for name, column in self.columns.items()}, self.odd)
 
     def _places(self) -> dict[Any, int]:
         """Return the row of each key."""
@@ -212,20 +212,20 @@ class States(Mapping[Any, dict[str, Array]]):
 
         n = len(self.keys_of_rows)
         kind = pa.array([_state.read(self.label[1:])], pa.string())
-        found = {
+        columns = {
             key: pa.array(self.keys_of_rows),
             "kind": pa.DictionaryArray.from_arrays(pa.array(np.zeros(n, dtype=np.int32)), kind),
         }
         for name, column in self.columns.items():
             if column.dtype == object:
-                found[name] = pa.array([np.ravel(value) for value in column], pa.list_(pa.float64()))
+                columns[name] = pa.array([np.ravel(value) for value in column], pa.list_(pa.float64()))
             else:
                 size = int(np.prod(column.shape[1:], dtype=int))
                 if not size:
                     continue
                 flat = pa.array(np.ascontiguousarray(column).reshape(-1))
-                found[name] = flat if column.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, size)
-        return pa.table(found)
+                columns[name] = flat if column.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, size)
+        return pa.table(columns)
 
 
 #: Entries that a state may lack: nothing has been learnt of a sensor yet.
@@ -279,8 +279,8 @@ def checked(state: Any, model: Model) -> dict[str, Array]:
                 return {**unknown, **quick}
     needed = {name: shape for name, shape in shapes.items() if name not in FLEET and name not in unknown}
     optional = {name: shape for name, shape in shapes.items() if name not in needed}
-    found = {**unknown, **_state.checked(state, model.kind, _as_vector(needed), optional, model.gaps)}
-    return {name: value if None in shapes[name] else value.reshape(shapes[name]) for name, value in found.items()}
+    entries = {**unknown, **_state.checked(state, model.kind, _as_vector(needed), optional, model.gaps)}
+    return {name: value if None in shapes[name] else value.reshape(shapes[name]) for name, value in entries.items()}
 
 
 def _as_vector(shapes: Mapping[str, _state.Shape]) -> dict[str, _state.Shape]:
@@ -292,18 +292,18 @@ def _ragged(column: Any, width: list[int]) -> np.ndarray:
     """Return an array of arrays, of rows of this width, from a column of lists."""
     import pyarrow as pa
 
-    found, size = np.full(len(column), None, dtype=object), max(int(np.prod(width)), 1)
+    arrays, size = np.full(len(column), None, dtype=object), max(int(np.prod(width)), 1)
     plain = pa.types.is_list(column.type) and pa.types.is_floating(column.type.value_type)
     lengths = column.value_lengths().fill_null(0).to_numpy() if plain else np.ones(1, dtype=int)
     if plain and not (lengths % size).any():
         numbers = np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=float).reshape(-1, *width)
         ends = [0, *(np.cumsum(lengths) // size).tolist()]
         for i, (begin, end) in enumerate(pairwise(ends)):
-            found[i] = numbers[begin:end]
+            arrays[i] = numbers[begin:end]
     else:
         for i, value in enumerate(column):
-            found[i] = np.reshape(np.asarray(value.as_py(), dtype=float), (-1, *width))
-    return found
+            arrays[i] = np.reshape(np.asarray(value.as_py(), dtype=float), (-1, *width))
+    return arrays
 
 
 def _from_table(table: Any, model: Model) -> States:
@@ -337,9 +337,9 @@ def _from_table(table: Any, model: Model) -> States:
             flat = column if pa.types.is_floating(column.type) else column.flatten()
             columns[name] = np.asarray(flat.to_numpy(zero_copy_only=False), dtype=float).reshape(n, *shape)
     kinds = table.column("kind").to_pylist() if n and table.column("kind").unique().to_pylist() != [model.kind] else []
-    found = States(model.label, keys, columns)
+    states = States(model.label, keys, columns)
     odd = [i for i, other in enumerate(kinds) if other != model.kind]
-    return found if not odd else _without(found, odd, kinds)
+    return states if not odd else _without(states, odd, kinds)
 
 
 def _without(states: States, rows: Sequence[int], kinds: Sequence[str]) -> States:
@@ -347,6 +347,6 @@ def _without(states: States, rows: Sequence[int], kinds: Sequence[str]) -> State
     odd = {}
     for i in rows:
         odd[states.keys_of_rows[i]] = {**states.row(i), _state.LABEL: _state.spelt(kinds[i] or "", _state.FORMAT)}
-    kept = np.setdiff1d(np.arange(len(states.keys_of_rows)), rows)
-    keys = [states.keys_of_rows[i] for i in kept.tolist()]
-    return States(states.label, keys, {name: column[kept] for name, column in states.columns.items()}, odd)
+    remaining = np.setdiff1d(np.arange(len(states.keys_of_rows)), rows)
+    keys = [states.keys_of_rows[i] for i in remaining.tolist()]
+    return States(states.label, keys, {name: column[remaining] for name, column in states.columns.items()}, odd)

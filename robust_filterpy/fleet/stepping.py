@@ -29,9 +29,9 @@ class Outcome(NamedTuple):
     """Which keys have a state now, shape (K,)."""
     columns: Array
     """What the model gives for each row, shape (N, c), NaN where it was refused."""
-    kept: np.ndarray
+    retained: np.ndarray
     """Rows that were not dropped."""
-    told: Reasons
+    reasons: Reasons
     """What is wrong with rows."""
     refused: dict[int, str]
     """Keys whose states were refused, and why."""
@@ -39,21 +39,21 @@ class Outcome(NamedTuple):
     @property
     def errors(self) -> np.ndarray:
         """What is wrong with each row that was not dropped, or None."""
-        found = np.full(len(self.columns), None, dtype=object)
-        for row, text in self.told.items():
-            found[row] = text
-        return found[self.kept]
+        errors = np.full(len(self.columns), None, dtype=object)
+        for row, text in self.reasons.items():
+            errors[row] = text
+        return errors[self.retained]
 
 
 def owned(model: Model, state: Any) -> dict[str, Array]:
     """Return the entries of a state of this model, or raise."""
-    found = checked(state, model)
-    if "model" in found and found["model"][0] != model.fingerprint:
+    entries = checked(state, model)
+    if "model" in entries and entries["model"][0] != model.fingerprint:
         raise _state.StateError(
             "state: expected one of this model, got one of a model with other matrices, choices or sampling period; "
             "model.adopt(state) goes on from it nevertheless"
         )
-    return found
+    return entries
 
 
 def started(model: Model, count: int) -> dict[str, np.ndarray]:
@@ -91,11 +91,11 @@ class Batch(NamedTuple):
 
 
 def advance(
-    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
+    model: Model, entries: dict[str, np.ndarray], begun: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
 ) -> Outcome:
     """Take the samples of many keys, whose states are written over."""
     if model.expires is None or rows.times is None or not len(order):
-        return _advanced(model, entries, known, rows, order, starts)
+        return _advanced(model, entries, begun, rows, order, starts)
     ages = silences(rows.times[order], starts, entries["time"][:, 0])
     anew = np.flatnonzero(ages > model.expires)
     for place in anew.tolist():
@@ -110,19 +110,19 @@ def advance(
     lives = {name: column[of] for name, column in entries.items()}
     for name, column in started(model, int(fresh.sum())).items():
         lives[name][fresh] = column
-    found = _advanced(model, lives, known[of] & ~fresh, rows, order, parts)
-    standing = np.flatnonzero(found.moved & ~np.isin(np.arange(len(of)), list(found.refused)))
+    outcome = _advanced(model, lives, begun[of] & ~fresh, rows, order, parts)
+    standing = np.flatnonzero(outcome.moved & ~np.isin(np.arange(len(of)), list(outcome.refused)))
     last = dict(zip(of[standing].tolist(), standing.tolist(), strict=True))
     for name, column in entries.items():
         column[list(last)] = lives[name][list(last.values())]
-    moved = known.copy()
+    moved = begun.copy()
     moved[list(last)] = True
-    refused = {int(of[part]): text for part, text in found.refused.items() if int(of[part]) not in last}
-    return found._replace(entries=entries, moved=moved, refused=refused)
+    refused = {int(of[part]): text for part, text in outcome.refused.items() if int(of[part]) not in last}
+    return outcome._replace(entries=entries, moved=moved, refused=refused)
 
 
 def _advanced(
-    model: Model, entries: dict[str, np.ndarray], known: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
+    model: Model, entries: dict[str, np.ndarray], begun: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
 ) -> Outcome:
     """Take the samples of many keys, none of which starts anew among them."""
     of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -143,7 +143,7 @@ def _advanced(
     batch = Batch(rows, order, starts, of, model.late == "drop", clocks, line)
     work, at, held = _steps(model, entries, batch, z, u)
     model.advance(work)
-    return _gathered(model, known, batch, work, at, held)
+    return _gathered(model, begun, batch, work, at, held)
 
 
 def _steps(
@@ -211,7 +211,7 @@ def _held(u: Array, at: np.ndarray, bounds: np.ndarray, before: Array) -> Array:
     return np.ascontiguousarray(whole[source[last]])
 
 
-def _gathered(model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.ndarray, held: Array | None) -> Outcome:
+def _gathered(model: Model, begun: np.ndarray, batch: Batch, work: Work, at: np.ndarray, held: Array | None) -> Outcome:
     """Return what became of the rows, and write times, inputs and counts into the states."""
     entries, bounds = work.entries, work.bounds
     rows, order, starts, line = batch.rows, batch.order, batch.starts, batch.line
@@ -233,16 +233,16 @@ def _gathered(model: Model, known: np.ndarray, batch: Batch, work: Work, at: np.
     taken = at >= 0
     columns = np.full((len(rows.z), len(model.columns)), np.nan)
     columns[order[taken]] = work.columns[at[taken]]
-    kept = np.ones(len(rows.z), dtype=bool)
+    retained = np.ones(len(rows.z), dtype=bool)
     if batch.drops:
-        kept[order[list(line.late)]] = False
+        retained[order[list(line.late)]] = False
     _count(entries, batch, taken, said, refused)
-    told = dict(rows.said)
+    reasons = dict(rows.said)
     for place, text in said.items():
-        say(told, int(order[place]), text)
+        say(reasons, int(order[place]), text)
     _keep(batch, work, at, held)
-    moved = known | (np.bincount(batch.of[taken], minlength=len(known)) > 0)
-    return Outcome(entries, moved, columns, np.flatnonzero(kept), told, refused)
+    moved = begun | (np.bincount(batch.of[taken], minlength=len(begun)) > 0)
+    return Outcome(entries, moved, columns, np.flatnonzero(retained), reasons, refused)
 
 
 def _count(

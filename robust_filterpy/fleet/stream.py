@@ -72,19 +72,19 @@ class StreamStep:
         model = self.model
         row, time, wrong = self._row(message)
         try:
-            kept = state.get_bytes(self.name)
-            before = None if kept is None else unpack(kept)
-            after, found = step(model, before, row)
+            stored = state.get_bytes(self.name)
+            before = None if stored is None else unpack(stored)
+            after, output = step(model, before, row)
         except (*REFUSED, KeyError) as error:
             return {**time, **dict.fromkeys(model.columns), "error": str(error), "dropped": 0}
         dropped = 0 if after is None or "refused" not in after else int(after["refused"][1])
         if after is not None:
             state.set_bytes(self.name, pack(after))
-        if not len(found["error"]):
+        if not len(output["error"]):
             return None
-        columns = {name: found[name][0].item() for name in model.columns}
+        columns = {name: output[name][0].item() for name in model.columns}
         numbers = {name: None if math.isnan(value) else value for name, value in columns.items()}
-        said = "; ".join(one for one in (wrong, found["error"][0]) if one) or None
+        said = "; ".join(one for one in (wrong, output["error"][0]) if one) or None
         return {**time, **numbers, "error": said, "dropped": dropped}
 
     def _row(self, message: Any) -> tuple[np.ndarray, dict[str, Any], str]:

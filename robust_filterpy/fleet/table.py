@@ -90,8 +90,8 @@ def filter_table(
         model, table = table, model
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-    found = _taken(model, None, table, key, sort, whole=True)[1]
-    refused, keys = reasons(found, key)
+    output = _taken(model, None, table, key, sort, whole=True)[1]
+    refused, keys = reasons(output, key)
     bad, rows = Counter(name for name, _ in refused), Counter(keys)
     most = [(name, why) for name, why in dict(reversed(refused)).items() if 2 * bad[name] > rows[name]]
     if 2 * len(refused) > len(keys) or most:
@@ -102,7 +102,7 @@ def filter_table(
             f"filter_table: {len(refused)} of {len(keys)} rows have an error, most of those of {len(most)} {key}(s): "
             f"{which}; the first: {first}{mend}"
         )
-    return found
+    return output
 
 
 def step(
@@ -186,8 +186,8 @@ def step(
     if 0 in outcome.refused:
         raise _state.StateError(outcome.refused[0])
     after = States(model.label, [], outcome.entries).row(0) if outcome.moved[0] else None
-    columns = {name: outcome.columns[outcome.kept, j] for j, name in enumerate(model.columns)}
-    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors})
+    columns = {name: outcome.columns[outcome.retained, j] for j, name in enumerate(model.columns)}
+    return after, rows.like(outcome.retained, {**columns, "error": outcome.errors})
 
 
 def step_table(
@@ -224,27 +224,27 @@ def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: b
             say(rows.said, row, f"time: expected one near the others of its {key}, got one far before them")
             rows.times[row] = np.nan
     places = before.find(keys.names)
-    entries, known = started(model, len(keys.names)), places >= 0
+    entries, begun = started(model, len(keys.names)), places >= 0
     for name, column in entries.items():
-        column[known] = before.columns[name][places[known]]
+        column[begun] = before.columns[name][places[begun]]
     entries["model"][:] = model.fingerprint
-    outcome = advance(model, entries, known, rows, keys.order, keys.starts)
-    for row, sentence in outcome.told.items():
+    outcome = advance(model, entries, begun, rows, keys.order, keys.starts)
+    for row, sentence in outcome.reasons.items():
         own = NOBODY if rows.keys is None else rows.keys[row]
         if own is not NOBODY:
-            outcome.told[row] = f"{key} {(own.item() if isinstance(own, np.generic) else own)!r}: {sentence}"
+            outcome.reasons[row] = f"{key} {(own.item() if isinstance(own, np.generic) else own)!r}: {sentence}"
     outcome.moved[list(outcome.refused)] = False
     names, moved = keys.names, np.flatnonzero(outcome.moved)
     if len(moved) < len(names):
         names, places = [names[i] for i in moved.tolist()], places[moved]
         entries = {name: column[moved] for name, column in entries.items()}
     after = before.updated(names, places, entries)
-    every = len(outcome.kept) == len(rows.z)
+    every = len(outcome.retained) == len(rows.z)
     columns = {
-        name: outcome.columns[:, j] if every else outcome.columns[outcome.kept, j]
+        name: outcome.columns[:, j] if every else outcome.columns[outcome.retained, j]
         for j, name in enumerate(model.columns)
     }
-    return after, rows.like(outcome.kept, {**columns, "error": outcome.errors})
+    return after, rows.like(outcome.retained, {**columns, "error": outcome.errors})
 
 
 def _out_of_order(times: np.ndarray, starts: np.ndarray) -> bool:

@@ -231,11 +231,11 @@ def grouped(keys: Sequence[object] | None, n: int) -> tuple[list[object], np.nda
     if keys is None:
         return [None], np.arange(n), np.array([0, n])
     if isinstance(keys, np.ndarray):
-        found, first, codes = np.unique(keys, return_index=True, return_inverse=True)
+        unique, first, codes = np.unique(keys, return_index=True, return_inverse=True)
         by_place = np.argsort(first)
-        names: list[object] = found[by_place].tolist()
-        rank = np.empty(len(found), dtype=int)
-        rank[by_place] = np.arange(len(found))
+        names: list[object] = unique[by_place].tolist()
+        rank = np.empty(len(unique), dtype=int)
+        rank[by_place] = np.arange(len(unique))
         codes = rank[codes]
     else:
         names = list(dict.fromkeys(keys))
