@@ -47,14 +47,14 @@ SHOWN, SHOWN_BETTER = 3, 2
 #: Rule: what stands in the kernel, and what instead.
 RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "a scale of Q for each copy": (
-        ("(j < q ? rule->process[j] : origin[i] * origin[k])", "j < q ? 1 : origin[i] * origin[k]"),
+        ("j < q ? rule->process[j] : origin[i] * origin[k]", "j < q ? 1 : origin[i] * origin[k]"),
     ),
     "parts of the state": (("(F[i * n + k] != 0 || Q[i * n + k] != 0)", "1"),),
     "a candidate for a jump": (("rule->jump * (1 - unseen[i])", "0"),),
     "a sample is worth 100 to 1 for it": (("real_min(w.logs[q], LEARNT_EVIDENCE * evidence)", "w.logs[q]"),),
     "nor tells of the scale of Q": (("known_well && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
     "how often the state jumps": (("returns ? -each : each", "0"),),
-    "it knows no last class": (("c < rule->q ? w->before : w->usual", "w->before"),),
+    "it knows no last class": (("learnt_usual(K, known, w.usual)", "learnt_predicted(K, known, w.usual)"),),
     "it is hidden while less likely than not": (("!(work[q * n + i] > REAL(0.5))", "0"),),
     "a start elsewhere, with .2": (
         ("waits[j] > 0 && S[j * m + j] > 0",
@@ -66,8 +66,8 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
         ("learnt_predicted(K, s->memory + i * width, w->before)", "learnt_usual(K, s->memory + i * width, w->before)"),
         ("before[j] > 0 ? total * counts[i * K + j] * p[j] / before[j] : 0", "p[j] / K"),
     ),
-    "sensors may fail together, t": (("rule->learns && count > 1", "0"),),
-    "most plausible sensor first": (("best < 0 || mean < least", "best < 0"),),
+    "sensors may fail together, t": (("follows && !grouped && count > 1", "0"),),
+    "most plausible sensor first": (("best < 0 || far < least", "best < 0"),),
     "shortened to 8 deviations (here to 30)": (
         ("LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise)",
          "30 * real_sqrt(S + (rule->scales[K - 1] - 1) * noise)"),
