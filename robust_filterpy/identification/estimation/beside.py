@@ -100,8 +100,8 @@ class Settled(NamedTuple):
     def after(self, first: int) -> Settled:
         """Return the same for the recording from a sample on."""
         breaks = [one._replace(time=max(one.time - first, 0)) for one in self.trend.breaks]
-        kept = tuple(one for one in breaks if one.kind == "ramp" or one.time)
-        return self._replace(trend=Trend(self.trend.values[first:], kept))
+        remaining = tuple(one for one in breaks if one.kind == "ramp" or one.time)
+        return self._replace(trend=Trend(self.trend.values[first:], remaining))
 
 
 class Search(NamedTuple):
@@ -150,31 +150,31 @@ class Search(NamedTuple):
                 return self._beside_levels(trend)
             held = self._replace(u=other)._beside_levels(trend)
             return held._replace(held=True, findings=(*held.findings, trend.input))
-        told = self._beside_levels(trend)
+        nominal = self._beside_levels(trend)
         if not places.size:
-            return told
+            return nominal
         stage("the model without outliers of u")
         try:
             held = self._replace(u=other)._beside_levels(trend)
         except ValueError:
-            return told
-        gain = 2.0 * (held.evidence - told.evidence)
-        breaks = [sum(one.kind in ("step", "ramp") for one in each.findings) for each in (held, told)]
+            return nominal
+        gain = 2.0 * (held.evidence - nominal.evidence)
+        breaks = [sum(one.kind in ("step", "ramp") for one in each.findings) for each in (held, nominal)]
         if gain < PRICE * np.log(len(self.u)) * (1 + breaks[0] - breaks[1]):
-            return told
+            return nominal
         text = (
             f"u has {places.size} values unlike the others that y does not follow: the model is of the values before "
             "them, held; give u as it acted"
         )
-        found = Finding("input outliers", text, gain, (int(places[0]), int(places[-1]) + 1))
-        return held._replace(held=True, findings=(*held.findings, found))
+        finding = Finding("input outliers", text, gain, (int(places[0]), int(places[-1]) + 1))
+        return held._replace(held=True, findings=(*held.findings, finding))
 
     def left(
         self, best: Beside, output: Array, residual: Array, rest: Array, direct: bool, meaning: str,
         driven: Array | None = None, clear: Array | None = None,
     ) -> tuple[Finding, ...]:  # fmt: skip
         """Find what a model leaves: another plant, wraps, feedback; from residuals that no outlier touches, if any."""
-        found: list[Finding] = []
+        findings: list[Finding] = []
         several, shown = len(self.spans) > 1, residual if clear is None else clear
         for i, part in enumerate(self.spans):
             for j, noise in enumerate(best.noises):
@@ -185,11 +185,11 @@ class Search(NamedTuple):
                     if not (other or several):
                         other = another_gain(shown[part, j], own if driven is None else driven[:, j])
                     more += other
-                found += self._named(i, j, more)
+                findings += self._named(i, j, more)
         # Of what is rounding alone nothing went back to the input.
         if best.u.shape[1] and not all(one.is_rounding for one in best.noises):
-            found += feedback([(best.u[part] - rest, residual[part]) for part in self.spans], direct, meaning)
-        return tuple(found)
+            findings += feedback([(best.u[part] - rest, residual[part]) for part in self.spans], direct, meaning)
+        return tuple(findings)
 
     def _beside_levels(self, trend: str | Settled) -> Beside:
         """Find the model beside levels that break."""
@@ -202,23 +202,23 @@ class Search(NamedTuple):
         if trend not in ("line", "breaks") or not self.u.shape[1] or (rounding and not line):
             return plain
         stage("steps and ramps of the levels of y")
-        best, kept = plain, -np.inf
+        best, best_worth = plain, -np.inf
         for output in self.starts(self.u, plain.model):
-            found, breaks = self._alternated(output, line)
-            if found is None:
+            fitted, breaks = self._alternated(output, line)
+            if fitted is None:
                 continue
-            found = self.settled(found)
+            fitted = self.settled(fitted)
             count = sum(len(one.breaks) for one in breaks.values())
-            gain = 2.0 * (found.evidence - plain.evidence)
+            gain = 2.0 * (fitted.evidence - plain.evidence)
             worth = gain - PRICE * np.log(len(self.y)) * count
-            if worth > (kept if line else max(kept, 0.0)):
-                best, kept = found if line else self._with_breaks(found, breaks, gain), worth
+            if worth > (best_worth if line else max(best_worth, 0.0)):
+                best, best_worth = fitted if line else self._with_breaks(fitted, breaks, gain), worth
         return best
 
     def _alternated(self, output: Array, line: bool) -> tuple[Beside | None, dict[tuple[int, int], Trend]]:
         """Find levels and model in turns until the breaks stay where they are."""
         before: Any = None
-        found, kept = None, {}
+        fitted, levels = None, {}
         for _ in range(1 if line and self.fits_sizes else _ROUNDS):
             breaks = self._levels(self.y - output, line)
             times = {place: one.times for place, one in breaks.items() if one.breaks}
@@ -226,10 +226,10 @@ class Search(NamedTuple):
                 return None, {}
             if times == before and not line:
                 break
-            before, kept = times, breaks
-            found = self._fitted(breaks, None if found is None else found.end)
-            output = self.alone(found.model, self.y - found.levels, self.u)
-        return found, kept
+            before, levels = times, breaks
+            fitted = self._fitted(breaks, None if fitted is None else fitted.end)
+            output = self.alone(fitted.model, self.y - fitted.levels, self.u)
+        return fitted, levels
 
     def _fitted(self, breaks: dict[tuple[int, int], Trend], end: Any = None) -> Beside:
         """Find the model beside breaks at given places."""
@@ -245,14 +245,14 @@ class Search(NamedTuple):
 
     def _levels(self, left: Array, line: bool) -> dict[tuple[int, int], Trend]:
         """Return the levels of each output in each recording, by their numbers."""
-        found = {}
+        levels = {}
         for i, part in enumerate(self.spans):
             for j, own in enumerate(left[part].T):
                 if np.count_nonzero(~np.isnan(own)) >= _LEAST_SAMPLES:
-                    found[i, j] = piecewise_level(own, self.u[part], line)
+                    levels[i, j] = piecewise_level(own, self.u[part], line)
                 elif line and self.fits_sizes:
-                    found[i, j] = Trend(np.zeros(own.size), (Break("ramp", 0, 0.0, 0.0),))
-        return found
+                    levels[i, j] = Trend(np.zeros(own.size), (Break("ramp", 0, 0.0, 0.0),))
+        return levels
 
     def _with_breaks(self, best: Beside, breaks: dict[tuple[int, int], Trend], gain: float) -> Beside:
         """Return a model with its breaks in words."""
@@ -271,12 +271,12 @@ class Search(NamedTuple):
 
 def of_impulses(y: Array, u: Array, spans: Any) -> Array:
     """Return what long impulse responses make of the inputs, NaN where a recording is too short to tell."""
-    found = np.full(y.shape, np.nan)
+    output = np.full(y.shape, np.nan)
     for part in spans:
         for j, own in enumerate(y[part].T):
             if u.shape[1] and np.count_nonzero(~np.isnan(own)) >= _LEAST_SAMPLES:
-                found[part, j] = impulse_output(own, u[part])
-    return found
+                output[part, j] = impulse_output(own, u[part])
+    return output
 
 
 def far_outside(u: Array) -> Any:
@@ -286,19 +286,19 @@ def far_outside(u: Array) -> Any:
     return (np.abs(u - middle) > far * max(high - middle, middle - low)) & (high > low)
 
 
-def break_finding(found: Any, index: Any, gain: float, samples: int, u: Array) -> Finding:
+def break_finding(change: Any, index: Any, gain: float, samples: int, u: Array) -> Finding:
     """Return a break in words."""
-    when = f"sample {found.time}" + ("" if index is None else f" ({index[found.time]})")
-    if found.kind == "step":
-        text = f"the level of y steps by {found.size:.4g} at {when}"
+    when = f"sample {change.time}" + ("" if index is None else f" ({index[change.time]})")
+    if change.kind == "step":
+        text = f"the level of y steps by {change.size:.4g} at {when}"
     else:
-        text = f"the level of y changes by {found.size:.4g} a sample from {when} on"
+        text = f"the level of y changes by {change.size:.4g} a sample from {when} on"
     for column in u.reshape(len(u), -1).T:
         level = float(np.nanmedian(column))
         if abs(level) > _STAYS * mad_scale(column[~np.isnan(column)] - level):
             text += f", or a gain does, since u stays near {level:.3g}"
             break
-    return Finding(found.kind, f"{text}; taken off", min(found.evidence, gain), (found.time, samples))
+    return Finding(change.kind, f"{text}; taken off", min(change.evidence, gain), (change.time, samples))
 
 
 def _held_back(u: Array) -> tuple[Array, Any]:

@@ -122,14 +122,14 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
     # What comes after an outlier tells whether it was the measurement's, and is interpolated, or the process's, and
     # acts on. A prediction, which must not look ahead, takes something between, and is wrong for a while in either
     # case.
-    prepared, known = model.prepared(y, u)
+    prepared, measured = model.prepared(y, u)
     if prepared.nf or not prepared.na:
         return None
     p, first = np.concatenate((model.theta, [model.offset])), prepared.first
-    found = found_outliers(prepared, p, ~known, model.noise)
-    full = CompletedModel(prepared, found.wrong, found.counts.astype(float))
-    clear = ~touched(found.wrong, response(prepared, p), first)
-    clear = clear if (clear & known[first:]).sum() >= _LEAST_CLEAR * known.sum() else known[first:]
+    outliers = found_outliers(prepared, p, ~measured, model.noise)
+    full = CompletedModel(prepared, outliers.wrong, outliers.counts.astype(float))
+    clear = ~touched(outliers.wrong, response(prepared, p), first)
+    clear = clear if (clear & measured[first:]).sum() >= _LEAST_CLEAR * measured.sum() else measured[first:]
     before = np.zeros(first)
     residual = np.concatenate((before, full.residuals(p)))
     return Cleaned(prepared.with_output(full.output(p)), residual, np.concatenate((before > 0.0, clear)))
@@ -141,8 +141,8 @@ def _even(deviations: Array) -> float:
     # samples that stay is 0 if
     #     (1 - s) 2 t phi(t) = s (2 t^3/3 - 2 t)/sqrt(2 pi V),   exp(t^2/2) (t^2/3 - 1) = (1 - s)/s sqrt(V)
     # Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
-    found: Any = Noise(START, 1.0, known=True).settled(deviations).influence
-    odds = (1.0 - found.contamination) / found.contamination * found.scale_ratio
+    mixture: Any = Noise(START, 1.0, known=True).settled(deviations).influence
+    odds = (1.0 - mixture.contamination) / mixture.contamination * mixture.scale_ratio
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 
 
@@ -217,13 +217,13 @@ class _Block(NamedTuple):
         unknowns = self.unknowns(wrong, counts.astype(float))
         return _Found(wrong, counts, scale, unknowns, output[~self.missing & (output > 0.0)])
 
-    def unmixed(self, found: _Found) -> tuple[Any, Any]:
+    def unmixed(self, judged: _Found) -> tuple[Any, Any]:
         """Return wrong samples and residuals that count, whose patterns may hide each other: looked for all at once."""
         # Each sample near outliers has a variance of its own around what the others say. The likelihood of what is
         # measured is largest with most of these at 0 (Tipping, Journal of Machine Learning Research 1, 2001; the steps
         # are MacKay's, Neural Computation 4, 1992).
-        R, wrong, counts, unknowns = found.scale**2, found.wrong.copy(), found.counts.copy(), found.unknowns
-        large = ~counts | (np.abs(unknowns.residual) > self.threshold * found.scale)
+        R, wrong, counts, unknowns = judged.scale**2, judged.wrong.copy(), judged.counts.copy(), judged.unknowns
+        large = ~counts | (np.abs(unknowns.residual) > self.threshold * judged.scale)
         # Whatever depends on the same residuals as an outlier, or may have made one large.
         unsure = wrong | np.concatenate((np.zeros(self.first, dtype=bool), large))
         near = np.convolve(unsure, np.ones(2 * self.h.size - 1))[self.h.size - 1 :][: unsure.size] > 0.5
@@ -238,10 +238,10 @@ class _Block(NamedTuple):
             possible = np.isfinite(unknowns.residual).all() and (uncertain >= 0.0).all() and (size < _BEYOND).all()
             if not possible:
                 # Parameters far off make more of the samples than numbers hold.
-                return found.wrong, found.counts
+                return judged.wrong, judged.counts
             square = size**2
             shown = np.clip(1.0 - uncertain / variance[wrong], _NOTHING, 1.0)
-            counts, far = np.abs(unknowns.residual) < self.threshold * found.scale, self.missing.copy()
+            counts, far = np.abs(unknowns.residual) < self.threshold * judged.scale, self.missing.copy()
             far[wrong] |= square > self.threshold**2 * uncertain
             variance[wrong] = np.where(self.missing[wrong], np.inf, square / shown)
             if np.array_equal(counts, before[0]) and np.array_equal(far, before[1]):
@@ -256,9 +256,9 @@ class _Block(NamedTuple):
         """Return which leaves less, with what each outlier costs."""
         scale = min(one.scale, other.scale)
 
-        def cost(found: _Found) -> float:
-            rest = found.unknowns.residual[found.counts] / scale
-            outliers = (found.wrong & ~self.missing).sum() + (~found.counts).sum()
+        def cost(judged: _Found) -> float:
+            rest = judged.unknowns.residual[judged.counts] / scale
+            outliers = (judged.wrong & ~self.missing).sum() + (~judged.counts).sum()
             return float(rest @ rest + self.threshold**2 * outliers)
 
         return min(one, other, key=cost)

@@ -157,7 +157,7 @@ class Estimated(NamedTuple):
 
 def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: Array | None = None) -> Estimated:
     """Find the model of an output; its ``warning`` says what is doubtful."""
-    structure, offset, known = problem.structure, problem.offset, problem.R
+    structure, offset, variance = problem.structure, problem.offset, problem.R
     signal, missing = problem.u - problem.rest, np.isnan(y)
     units = Units.of(y[:, None], signal, problem.spans, offset)
     units = units._replace(y=np.where(units.y > 0.0, units.y, 1.0))
@@ -166,9 +166,9 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     _require_samples(problem, missing, model.first)
     require_informative(model, missing)
     with one_thread():
-        told = problem.limits
-        limits = None if told is None else told.times(1.0 / units.factor(structure))
-        R, least = None if known is None else known / unit**2, least_variance(y, unit)
+        given = problem.limits
+        limits = None if given is None else given.times(1.0 / units.factor(structure))
+        R, least = None if variance is None else variance / unit**2, least_variance(y, unit)
         at = None if begin is None else units.forth(model, begin)
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
@@ -182,26 +182,26 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     # Where an outlier stood in the regressor: what was measured, less what stands there now.
     replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
     p, held = units.back(model, best.p), np.zeros(model.n, dtype=bool)
-    if told is not None and limits is not None:
-        # Exactly as told, not as units have rounded it.
-        p = told.inside(p)
+    if given is not None and limits is not None:
+        # Exactly as given, not as units have rounded it.
+        p = given.inside(p)
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
     others = [(excess, units.back(model, end.p)) for end, excess in ranked[1:]]
     whole = recorded if columns is None else Levelled(recorded, columns)
-    found = _as_model(problem, whole, best._replace(p=p), unit, missing, replaced, held, others)
-    found = replace(found, dt=problem.dt, endings=endings, warning=doubt)
+    estimate = _as_model(problem, whole, best._replace(p=p), unit, missing, replaced, held, others)
+    estimate = replace(estimate, dt=problem.dt, endings=endings, warning=doubt)
     sizes, p = p[recorded.n :], p[: recorded.n]
     recorded = recorded if columns is None else recorded.with_output(recorded.y - columns @ sizes)
     if not isinstance(recorded, SeveralRecordings):
-        return Estimated(_with_inputs_from_zero(found, recorded, p, problem.rest), p, sizes)
+        return Estimated(_with_inputs_from_zero(estimate, recorded, p, problem.rest), p, sizes)
     several = range(len(problem.begins))
     levels = np.array([resting_level(one.parts(q)) for one, q in (recorded.of(i, p) for i in several)])
-    found = _with_inputs_from_zero(found, *recorded.of(-1, p), problem.rest)
+    estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), problem.rest)
     own = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
     known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, own, strict=True))
-    found = replace(found, levels=levels + (found.level - levels[-1]), recordings=known_again)
-    return Estimated(found, p, sizes)
+    estimate = replace(estimate, levels=levels + (estimate.level - levels[-1]), recordings=known_again)
+    return Estimated(estimate, p, sizes)
 
 
 def _with_levels(
@@ -246,10 +246,10 @@ class Units(NamedTuple):
 
     def factor(self, structure: Structure) -> Array:
         """Return what makes parameters those of the recording as it was measured, shape (n_theta,)."""
-        found = np.ones(structure.n_theta)
+        factor = np.ones(structure.n_theta)
         for place, size in zip(structure.polynomials.b, self.u, strict=True):
-            found[place] = self.y[0] / size
-        return found
+            factor[place] = self.y[0] / size
+        return factor
 
     def back(self, model: PolynomialModel, p: Array) -> Array:
         """Return the free parameters for the recording as it was measured."""
@@ -290,7 +290,7 @@ def _as_model(
     # One parameter more is one residual less to tell of the noise.
     samples = int(rows.sum())
     noise = end.noise.times(unit)
-    found = noise.R
+    R = noise.R
     jacobian, shown = known_part(model, end)
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
@@ -304,7 +304,7 @@ def _as_model(
     weights[missing] = np.nan
     offset = float(p[at]) if model.offset else 0.0
     inner, q = model.inner(p) if isinstance(model, Levelled) else (model, p)
-    total = problem.R or found * samples / (samples - model.n + held.sum())
+    total = problem.R or R * samples / (samples - model.n + held.sum())
     return Model(
         structure=structure,
         theta=p[:n],
@@ -334,7 +334,7 @@ def _offset_std(P: Array, jacobian: Array, at: int) -> float:
 
 def _at_limits(structure: Structure, held: Any, limits: Limits) -> str:
     """Say which parameters ended at a limit, or nothing."""
-    names = [name for name, at, told in zip(structure.names, held, limits.fixed, strict=False) if at and not told]
+    names = [name for name, at, fixed in zip(structure.names, held, limits.fixed, strict=False) if at and not fixed]
     if not names:
         return ""
     return f"{', '.join(names)} ended at a bound; standard deviations are those of a model in which they stay there"
@@ -382,12 +382,12 @@ def _with_inputs_from_zero(model: Model, recorded: PolynomialModel, p: Array, re
     )
 
 
-def _as_measured(noise: Noise, residual: Array, replaced: Array, known: Any) -> Noise:
+def _as_measured(noise: Noise, residual: Array, replaced: Array, measured: Any) -> Noise:
     """Return the noise that the prediction will meet: of y as it was measured, outliers and all."""
     if not replaced.any():
         return noise
-    told = replace(noise, known=True).settled((residual + replaced)[known])
-    return replace(told, known=noise.known)
+    learnt = replace(noise, known=True).settled((residual + replaced)[measured])
+    return replace(learnt, known=noise.known)
 
 
 def _own_fit(y: Array, residual: Array, rows: Any) -> float:

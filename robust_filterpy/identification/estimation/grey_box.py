@@ -40,12 +40,12 @@ def identified_grey_box(
     recording = recorded(ANY_TIMES, y, u, t=t)
     outputs, inputs, spans = recording.y, recording.u, recording.spans
     require_motion(outputs, inputs)
-    known = [~np.isnan(outputs[part]) for part in spans]
-    told = [GreyRecording(recording.times[part], np.nan_to_num(outputs[part]), inputs[part]) for part in spans]
-    _require_functions(structure, told[0])
+    measured = [~np.isnan(outputs[part]) for part in spans]
+    recordings = [GreyRecording(recording.times[part], np.nan_to_num(outputs[part]), inputs[part]) for part in spans]
+    _require_functions(structure, recordings[0])
 
     def of(y: Array, u: Array) -> list[GreyRecording]:
-        return [one._replace(y=np.nan_to_num(y[part]), u=u[part]) for one, part in zip(told, spans, strict=True)]
+        return [one._replace(y=np.nan_to_num(y[part]), u=u[part]) for one, part in zip(recordings, spans, strict=True)]
 
     def alone(model: GreyBoxModel, y: Array, u: Array) -> Array:
         equations = structure.residuals_of(of(y, u), model.starts, False)
@@ -55,11 +55,11 @@ def identified_grey_box(
 
     def find(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
         y = outputs - levels
-        model = _modelled(structure, of(y, u), known, influence)
+        model = _modelled(structure, of(y, u), measured, influence)
         return Beside(model, levels, u, evidence_of_outputs(model.noise, y - alone(model, y, u), spans))
 
     def starts(u: Array, plain: GreyBoxModel) -> list[Array]:
-        return [of_impulses(outputs, u, spans) if all(one.is_sampled for one in told) else alone(plain, outputs, u)]
+        return [of_impulses(outputs, u, spans) if all(r.is_sampled for r in recordings) else alone(plain, outputs, u)]
 
     search = Search(outputs, inputs, spans, find, alone, starts)
     best = search.best(trend)
@@ -72,25 +72,25 @@ def identified_grey_box(
 
 
 def _modelled(
-    structure: GreyBox, told: list[GreyRecording], known: list[Any], influence: Influence | None
+    structure: GreyBox, recordings: list[GreyRecording], measured: list[Any], influence: Influence | None
 ) -> GreyBoxModel:
     """Return the model of recordings as they are."""
-    starts = np.repeat(structure.x0[None], len(told), axis=0)
-    model = structure.residuals_of(told, starts, structure.start == "free")
+    starts = np.repeat(structure.x0[None], len(recordings), axis=0)
+    model = structure.residuals_of(recordings, starts, structure.start == "free")
     z = np.concatenate((model.p.free(model.p.centre), np.zeros(model.n - model.k)))
     if not model.settled(z):
         raise ValueError(
             "p0: expected first guesses with which f has finite outputs; the equations are unstable there, or too "
             "stiff for 128 steps between samples"
         )
-    rows = np.concatenate([good.ravel() for good in known])
+    rows = np.concatenate([good.ravel() for good in measured])
     if rows.sum() < 2 * model.n:
         raise ValueError(f"y: expected at least {2 * model.n} measured samples, got {int(rows.sum())}")
-    p = told[0].y.shape[1]
-    which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in told])[rows]
+    p = recordings[0].y.shape[1]
+    which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in recordings])[rows]
     # Without noise R would end at 0.
-    sizes = np.nanstd(np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(told, known, strict=True)]), 0)
-    least = np.maximum(ROUNDING**2 * sizes**2, np.finfo(float).tiny)
+    outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(recordings, measured, strict=True)])
+    least = np.maximum(ROUNDING**2 * np.nanstd(outputs, 0) ** 2, np.finfo(float).tiny)
     noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), which)
     stage("search from the first guesses")
     end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)
@@ -107,12 +107,12 @@ def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
     p = np.array([*structure.p0.values()])
     require_inputs(structure, one, p)
     for name, function, size in (("f", structure.f, structure.x0.size), ("h", structure.h, one.y.shape[1])):
-        found = structure.x0 if function is None else np.asarray(function(structure.x0, one.u[0], p), dtype=float)
-        if np.size(found) != size:
+        value = structure.x0 if function is None else np.asarray(function(structure.x0, one.u[0], p), dtype=float)
+        if np.size(value) != size:
             what = "one derivative for each state" if name == "f" else "one number for each output"
-            raise ValueError(f"{name}: expected {what}, {size} of them, got {np.size(found)}")
-        if not np.isfinite(found).all():
-            raise ValueError(f"{name}: expected finite numbers with p0 and x0, got {found}")
+            raise ValueError(f"{name}: expected {what}, {size} of them, got {np.size(value)}")
+        if not np.isfinite(value).all():
+            raise ValueError(f"{name}: expected finite numbers with p0 and x0, got {value}")
 
 
 def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any) -> GreyBoxModel:
@@ -159,10 +159,10 @@ def _untold(
     _, values, right = np.linalg.svd(
         weighted[:, :k] * size / np.where(slope == 0.0, np.inf, slope), full_matrices=False
     )
-    found, unseen = [], np.zeros(k, dtype=bool)
+    groups, unseen = [], np.zeros(k, dtype=bool)
     for value, direction in zip(values, right, strict=True):
         if value * _UNTOLD < 1.0:
             part = np.abs(direction) > _PART
-            found.append(tuple(np.array(structure.free_names)[part].tolist()))
+            groups.append(tuple(np.array(structure.free_names)[part].tolist()))
             unseen |= part & (value <= _NOTHING * values[0])
-    return tuple(found), unseen
+    return tuple(groups), unseen

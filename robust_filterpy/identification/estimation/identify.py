@@ -184,12 +184,12 @@ def identify(
     >>> model.theta.round(1), round(model.offset)
     (array([-1.5,  0.7,  1. ,  0.5]), 20)
     """
-    found: Model | StateSpaceModel | GreyBoxModel
+    model: Model | StateSpaceModel | GreyBoxModel
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
     with stages("identify", progress):
         if isinstance(structure, (StateSpace, GreyBox)):
-            found = _of_outputs(y, u, structure, influence, trend, groups, t, {
+            model = _of_outputs(y, u, structure, influence, trend, groups, t, {
                 "offset": offset, "R": R, "fixed": fixed, "bounds": bounds, "sampled": sampled
             })  # fmt: skip
         else:
@@ -203,11 +203,11 @@ def identify(
                 if not isinstance(value, (bool, np.bool_)):
                     raise TypeError(f"{name}: expected True or False, got {_checks.shown(value)}")
             limits = Limits.of(structure, fixed, bounds)
-            found = _of_polynomials(y, u, structure, influence, bool(offset), R, trend, groups, limits, bool(sampled))
-    for words in (said(found.findings), found.warning):
+            model = _of_polynomials(y, u, structure, influence, bool(offset), R, trend, groups, limits, bool(sampled))
+    for words in (said(model.findings), model.warning):
         if words:
             warn(f"identify: {words}")
-    return found
+    return model
 
 
 def _of_polynomials(
@@ -231,12 +231,12 @@ def _of_polynomials(
     )  # fmt: skip
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
-    found = identified_polynomials(problem, recording.y, recording.axis.index, chosen)
-    return replace(found, findings=(*recording.findings, *found.findings))
+    model = identified_polynomials(problem, recording.y, recording.axis.index, chosen)
+    return replace(model, findings=(*recording.findings, *model.findings))
 
 
 def _of_outputs(
-    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, trend: Any, groups: Any, t: Any, told: Any
+    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, trend: Any, groups: Any, t: Any, given: Any
 ) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
     physical, kind = isinstance(structure, GreyBox), type(structure).__name__
@@ -245,7 +245,7 @@ def _of_outputs(
         "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
         "fixed": (None, own), "bounds": (None, own), "sampled": (True, "its P is the curvature at the minimum"),
     }  # fmt: skip
-    for name, value in told.items():
+    for name, value in given.items():
         if value is not only[name][0]:
             expected, mend = only[name]
             raise ValueError(f"{name}: expected {expected} for a {kind}, got {_checks.shown(value)}; {mend}")

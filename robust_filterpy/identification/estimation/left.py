@@ -65,8 +65,8 @@ def parts_of(samples: int, others: bool) -> Any:
     span = max(_LEAST_PART, min(samples // _PARTS, _MOST_PART))
     if others:
         span = min(span, samples)
-    found = np.arange(samples % span, samples - span + 1, span)[:, None] + np.arange(span)
-    return found if others or len(found) > 1 else found[:0]
+    parts = np.arange(samples % span, samples - span + 1, span)[:, None] + np.arange(span)
+    return parts if others or len(parts) > 1 else parts[:0]
 
 
 def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Finding, ...]:
@@ -78,16 +78,16 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
     whitening = whitening_of(autocovariances(residual))
     # Two neighbours together are surer of a plant that differs from the model less.
     for windows in (parts, np.hstack((parts[:-1], parts[1:]))):
-        found = dependence(residual[windows], signals[windows], lags, whitening) if len(windows) else None
-        if found is None or not found.found.any():
+        test = dependence(residual[windows], signals[windows], lags, whitening) if len(windows) else None
+        if test is None or not test.found.any():
             continue
-        where = windows[found.found]
+        where = windows[test.found]
         first, last = int(where[0, 0]), int(where[-1, -1]) + 1
         text = (
-            f"between samples {first} and {last} up to {100 * float(found.share.max()):.0f} % of what the model leaves "
+            f"between samples {first} and {last} up to {100 * float(test.share.max()):.0f} % of what the model leaves "
             "follow u: the plant is another one there, a sensor is stuck, or the structure is too small"
         )
-        return (Finding("another plant", text, _evidence(found.chance), (first, last)),)
+        return (Finding("another plant", text, _evidence(test.chance), (first, last)),)
     return ()
 
 
@@ -106,18 +106,18 @@ def another_gain(residual: Array, x: Array) -> tuple[Finding, ...]:
 def feedback(parts: list[tuple[Array, Array]], direct: bool, meaning: str) -> tuple[Finding, ...]:
     """Find out whether inputs follow the residuals of any model."""
     lags = range(int(direct), _RESIDUALS + 1)
-    pasts, told, wanted = [], [], []
+    pasts, lagged, wanted = [], [], []
     for u, left in parts:
         if len(u) <= 2 * _PAST:
             continue
         residual = np.column_stack([_ordinary(one) for one in left.T])
         rows = np.arange(_PAST, len(u))
         pasts.append(np.hstack((*(u[rows - lag] for lag in range(1, _PAST + 1)), np.ones((rows.size, 1)))))
-        told.append(np.hstack([residual[rows - j] for j in lags]))
+        lagged.append(np.hstack([residual[rows - j] for j in lags]))
         wanted.append(u[rows])
     if not pasts:
         return ()
-    X, E, U = np.concatenate(pasts), np.concatenate(told), np.concatenate(wanted)
+    X, E, U = np.concatenate(pasts), np.concatenate(lagged), np.concatenate(wanted)
     freedom = len(X) - X.shape[1] - E.shape[1]
     if freedom < 2 * X.shape[1]:
         return ()
@@ -129,10 +129,10 @@ def feedback(parts: list[tuple[Array, Array]], direct: bool, meaning: str) -> tu
     varies = total > 1e-9 * np.square(U).sum(axis=0)
     share = np.where(varies, explained / np.where(varies, total, 1.0), 0.0)
     chance = fisher.sf(share / E.shape[1] / (np.maximum(1.0 - share, 1e-12) / freedom), E.shape[1], freedom)
-    found = (share > _SHARE) & (chance < _CHANCE)
-    if not found.any():
+    follows = (share > _SHARE) & (chance < _CHANCE)
+    if not follows.any():
         return ()
-    which = ", ".join(str(j) for j in np.flatnonzero(found))
+    which = ", ".join(str(j) for j in np.flatnonzero(follows))
     text = (
         f"input {which} follows what y did before, {100 * float(share.max()):.0f} % of what is new in it: the "
         f"recording comes from a closed loop; {meaning}"
@@ -147,10 +147,10 @@ def _evidence(chance: Array) -> float:
 
 def _ordinary(residual: Array) -> Array:
     """Return residuals in units of their scale, clipped, 0 where there are none."""
-    known = ~np.isnan(residual)
-    centre = float(np.median(residual[known])) if known.any() else 0.0
-    scale = mad_scale(residual[known] - centre) if known.any() else 0.0
-    return np.where(known, np.clip((np.nan_to_num(residual) - centre) / (scale or 1.0), -_CLIP, _CLIP), 0.0)
+    measured = ~np.isnan(residual)
+    centre = float(np.median(residual[measured])) if measured.any() else 0.0
+    scale = mad_scale(residual[measured] - centre) if measured.any() else 0.0
+    return np.where(measured, np.clip((np.nan_to_num(residual) - centre) / (scale or 1.0), -_CLIP, _CLIP), 0.0)
 
 
 def _basis(X: Array) -> Any:

@@ -31,18 +31,18 @@ class Limits(NamedTuple):
     @classmethod
     def of(cls, structure: Structure, fixed: Any, bounds: Any) -> Limits:
         """Return them from names, checked."""
-        told = {"fixed": dict(_mapping("fixed", fixed)), "bounds": _mapping("bounds", bounds)}
+        given = {"fixed": dict(_mapping("fixed", fixed)), "bounds": _mapping("bounds", bounds)}
         if structure.integrated:
-            told["fixed"] = {"d1": -1.0, **told["fixed"]}
-            if told["fixed"]["d1"] != -1.0:
+            given["fixed"] = {"d1": -1.0, **given["fixed"]}
+            if given["fixed"]["d1"] != -1.0:
                 raise ValueError(f"fixed: expected no d1 for {structure}, which has it at -1, got {fixed!r}")
         lower, upper = np.full(structure.n_theta, -np.inf), np.full(structure.n_theta, np.inf)
-        for argument, values in told.items():
+        for argument, values in given.items():
             for name, value in values.items():
                 place = _place(structure, argument, name)
                 if argument == "fixed":
                     lower[place] = upper[place] = _finite(name, value)
-                elif name in told["fixed"]:
+                elif name in given["fixed"]:
                     raise ValueError(f"bounds: expected parameters that are not fixed, got {_checks.shown(name)}")
                 else:
                     lower[place], upper[place] = _interval(name, value)
@@ -91,10 +91,10 @@ class Limits(NamedTuple):
     def held(self, p: Array, gradient: Array) -> Any:
         """Return which free parameters are fixed, or at a limit beyond which the loss would fall."""
         n = self.lower.size
-        found = np.zeros(p.size, dtype=bool)
+        held = np.zeros(p.size, dtype=bool)
         at_lower, at_upper = p[:n] <= self.lower, p[:n] >= self.upper
-        found[:n] = self.fixed | (at_lower & (gradient[:n] > 0.0)) | (at_upper & (gradient[:n] < 0.0))
-        return found
+        held[:n] = self.fixed | (at_lower & (gradient[:n] > 0.0)) | (at_upper & (gradient[:n] < 0.0))
+        return held
 
 
 def _drawn(rng: Any, order: int) -> Array:

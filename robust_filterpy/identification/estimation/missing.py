@@ -174,7 +174,7 @@ class Unknowns:
 
     def _explained(self, ahead: int, coupling: Callable[[Any, Any], Array]) -> Array:
         """Return c' G^-1 c for each sample, where c(k, p) couples it to unknowns from L - 1 before to some after it."""
-        places, covariances, found = self._places, self._normal.inverse, np.zeros(self._size)
+        places, covariances, explained = self._places, self._normal.inverse, np.zeros(self._size)
         low, high = (np.searchsorted(places, np.arange(self._size) + by) for by in (1 - self._h.size, ahead + 1))
         # Samples that are near to equally many unknowns go together.
         near = np.argsort(high - low, kind="stable")[np.count_nonzero(high == low) :]
@@ -186,8 +186,8 @@ class Unknowns:
             for d in range(width):
                 left, right = c[:, : width - d], c[:, d:]
                 once = np.einsum("ij,ij,ij->i", left, right, covariances[d][i[:, : width - d]])
-                found[k] += 2.0 * once if d else once
-        return found
+                explained[k] += 2.0 * once if d else once
+        return explained
 
 
 class CompletedModel:
@@ -237,10 +237,10 @@ class CompletedModel:
             for rows, samples in self.model.pieces:
                 own = self.unknown[samples]
                 if own.any():
-                    found = Unknowns(residual[rows], h, own, self.weights[rows], self.model.first)
-                    y[samples][own] += found.correction
-                    residual[rows] = found.residual
-                    pieces.append((rows, found))
+                    unknowns = Unknowns(residual[rows], h, own, self.weights[rows], self.model.first)
+                    y[samples][own] += unknowns.correction
+                    residual[rows] = unknowns.residual
+                    pieces.append((rows, unknowns))
             self._latest = _Interpolated(p.copy(), y, residual, pieces)
         return self._latest
 
@@ -291,17 +291,17 @@ class Neighbours:
         self._turns = [np.flatnonzero(turn == t) for t in range(int(turn.max()) + 1)]
         # Where a block is not full, the rest of it is a matrix of its own.
         own = np.tile(np.eye(self._reach), (turn.size, 1, 1))
-        beside = np.zeros_like(own)
+        across = np.zeros_like(own)
         for d, i, j, within in self._pairs():
             g, a, b, values = self._block[i], self._slot[i], self._slot[j], band[d, i]
             own[g[within], a[within], b[within]] = own[g[within], b[within], a[within]] = values[within]
-            beside[g[~within], a[~within], b[~within]] = values[~within]
+            across[g[~within], a[~within], b[~within]] = values[~within]
         self._inverse, self._gain = np.empty_like(own), np.empty_like(own)
         for t, at in enumerate(self._turns):
             if t:
-                own[at] -= beside[at - 1].transpose(0, 2, 1) @ self._gain[at - 1]
+                own[at] -= across[at - 1].transpose(0, 2, 1) @ self._gain[at - 1]
             self._inverse[at] = np.linalg.inv(own[at])
-            self._gain[at] = self._inverse[at] @ beside[at]
+            self._gain[at] = self._inverse[at] @ across[at]
 
     def solve(self, right: Array) -> Array:
         """Return G^-1 times a vector or some columns."""
@@ -327,11 +327,11 @@ class Neighbours:
             gain = self._gain[at - 1]
             across[at - 1] = -gain @ whole[at]
             whole[at - 1] -= across[at - 1] @ gain.transpose(0, 2, 1)
-        found = np.zeros((self._reach, self._slot.size))
+        band = np.zeros((self._reach, self._slot.size))
         for d, i, j, within in self._pairs():
             g, a, b = self._block[i], self._slot[i], self._slot[j]
-            found[d, i] = np.where(within, whole[g, a, b], across[g, a, b])
-        return found
+            band[d, i] = np.where(within, whole[g, a, b], across[g, a, b])
+        return band
 
     def _pairs(self) -> Iterator[tuple[int, Any, Any, Any]]:
         """Yield rows of one chain that are d apart, and which of them are in the same block."""

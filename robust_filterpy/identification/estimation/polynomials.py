@@ -41,9 +41,9 @@ def identified_polynomials(problem: Problem, y: Array, index: Any, trend: str | 
 
     def find(u: Array, levels: Array, columns: list[Array], end: Any) -> Beside:
         at = np.hstack(columns) if columns else None
-        found = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, end)
-        moved = levels if at is None else levels + (at @ found.sizes)[:, None]
-        return Beside(found.model, moved, u, found.model.evidence, end=found.p)
+        estimate = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, end)
+        moved = levels if at is None else levels + (at @ estimate.sizes)[:, None]
+        return Beside(estimate.model, moved, u, estimate.model.evidence, end=estimate.p)
 
     def alone(model: Model, y: Array, u: Array) -> Array:
         return np.concatenate([_output_of(model, y[part, 0], u[part]) for part in spans])[:, None]
@@ -54,10 +54,10 @@ def identified_polynomials(problem: Problem, y: Array, index: Any, trend: str | 
         if _is_slow(plain, len(y)) and len(spans) == 1:
             try:
                 differences = acted._replace(u=np.diff(u, axis=0), rest=np.zeros(u.shape[1]), sampled=False)
-                found = estimated(differences, np.diff(own)).model
+                model = estimated(differences, np.diff(own)).model
             except ValueError:
                 return
-            yield replace(found, operating_point=acted.rest).simulate(u)[:, None]
+            yield replace(model, operating_point=acted.rest).simulate(u)[:, None]
 
     def settled(best: Beside) -> Beside:
         return _without_endless_motion(problem.of_inputs(best.u), own, best)
@@ -108,10 +108,10 @@ def _judged(model: Model, y: Array, u: Array, predicted: Array, several: bool) -
         output = model.simulate(u) if model.structure.nd else predicted - trend
         return np.nan_to_num(output - model.level), residual
     # A part that is nearly all outliers is of another plant, whatever replaces them.
-    told = ~np.isnan(y) & (np.arange(y.size) >= whole.prepared.first)
-    clear = whole.clear & told
+    measured = ~np.isnan(y) & (np.arange(y.size) >= whole.prepared.first)
+    clear = whole.clear & measured
     least = _LEAST_CLEAR_BESIDE if several else _LEAST_CLEAR
-    own = parts[clear[parts].sum(axis=1) < least * told[parts].sum(axis=1)].ravel()
+    own = parts[clear[parts].sum(axis=1) < least * measured[parts].sum(axis=1)].ravel()
     clear[own] = False
     left, output = np.where(clear, whole.residual, np.nan), whole.prepared.y - whole.residual
     if own.size:
@@ -139,8 +139,8 @@ def _without_endless_motion(problem: Problem, y: Array, best: Beside) -> Beside:
         f"a pole at {slowest:.6g} would keep what was in motion when y began beyond its {y.size} samples, which cannot "
         "tell it from none: the model begins at rest"
     )
-    found = Finding("slow start", text, 2.0 * (still.log_likelihood - model.log_likelihood), (0, y.size))
-    return best._replace(model=still, evidence=still.evidence, findings=(*best.findings, found))
+    finding = Finding("slow start", text, 2.0 * (still.log_likelihood - model.log_likelihood), (0, y.size))
+    return best._replace(model=still, evidence=still.evidence, findings=(*best.findings, finding))
 
 
 def _is_slow(model: Model, samples: int) -> bool:
@@ -154,36 +154,36 @@ def _is_slow(model: Model, samples: int) -> bool:
 def _output_of(model: Model, y: Array, u: Array) -> Array:
     """Return a model's output, with the motion in which it began if that dies."""
     rest, run = model.simulate(u), model.free_run(y, u)
-    motion, known = run - rest, ~np.isnan(run)
+    motion, defined = run - rest, ~np.isnan(run)
     late = motion[y.size // 2 :]
     dies = np.sqrt(np.mean(np.square(late))) < _SMALL * mad_scale(y[~np.isnan(y)] - np.nanmedian(y))
-    return np.where(known & dies, np.nan_to_num(run), rest)
+    return np.where(defined & dies, np.nan_to_num(run), rest)
 
 
 def _without_leverage(problem: Problem, y: Array) -> Beside:
     """Find the linear regression on the caller's rows, without those far outside that y does not follow."""
 
-    def beside(wrong: Any) -> Beside:
+    def without(wrong: Any) -> Beside:
         model = estimated(problem, np.where(wrong, np.nan, y)).model
         return Beside(model, np.zeros((y.size, 1)), problem.u)
 
     far = np.column_stack([far_outside(column) for column in problem.u.T]).any(axis=1)
     if not far.any():
-        return beside(far)
+        return without(far)
     try:
-        model = beside(far).model
+        model = without(far).model
     except ValueError:
-        return beside(False)
+        return without(False)
     sure = model.R + np.einsum("ij,jk,ik->i", problem.u, model.P, problem.u)
     left = y - problem.u @ model.theta - model.offset
     places = np.flatnonzero(far & (np.abs(left) > _LEVERAGE * np.sqrt(sure)))
     # Outliers of y hit these as often as any other.
     if places.size <= 2.0 * getattr(model.noise.influence, "contamination", 0.0) * far.sum():
-        return beside(False)
+        return without(False)
     text = (
         f"u has {places.size} rows far outside the others that y does not follow: they do not count; what was "
         "measured wrongly there is u"
     )
     place = (int(places[0]), int(places[-1]) + 1)
-    found = Finding("input outliers", text, float(np.sum(left[places] ** 2 / sure[places])), place)
-    return beside(np.isin(np.arange(y.size), places))._replace(findings=(found,))
+    finding = Finding("input outliers", text, float(np.sum(left[places] ** 2 / sure[places])), place)
+    return without(np.isin(np.arange(y.size), places))._replace(findings=(finding,))

@@ -131,8 +131,8 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tu
     size[size == 0.0] = 1.0
     # Derivatives of theta by psi, (J'J)^-1 J', without forming J'J.
     left, values, right = np.linalg.svd(weighted / size, full_matrices=False)
-    kept = values > 1e-10 * values[0]
-    effect = (right[kept].T / values[kept]) @ left[:, kept].T / size[:, None] / np.sqrt(slope)
+    determined = values > 1e-10 * values[0]
+    effect = (right[determined].T / values[determined]) @ left[:, determined].T / size[:, None] / np.sqrt(slope)
     parts = (noise,) if isinstance(noise, Noise) else noise.parts
     outputs = [slice(None)] if isinstance(noise, Noise) else [noise.which == j for j in range(len(parts))]
     # What rounding leaves follows the signal: at rest its colour and its zeros say nothing of errors elsewhere.
@@ -150,7 +150,7 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tu
             else fftconvolve(effect[:, own], h[None, ::-1], axes=1) * np.sqrt(np.mean(psi[own] ** 2))
             for own, h in zip(outputs, colours, strict=True)
         ])  # fmt: skip
-    more = residual.size / (residual.size - int(kept.sum()))
+    more = residual.size / (residual.size - int(determined.sum()))
     P, plain = more * (carried @ carried.T), more * (white @ white.T)
     before, after = plain.diagonal()[:shared], P.diagonal()[:shared]
     return P, float(np.sqrt(np.mean(np.divide(after, before, out=np.ones(before.size), where=before > 0.0))))
@@ -203,8 +203,8 @@ def evidence(noise: Noise, residual: Array, rows: Any) -> float:
     if carried.size == 1:
         return alone
     left = lfilter(carried, [1.0], np.where(rows, residual, 0.0))[rows]
-    told = noise.settled(left)
-    return max(alone, told.log_likelihood(left) - 0.5 * (carried.size - 1) * float(np.log(shown.size)))
+    learnt = noise.settled(left)
+    return max(alone, learnt.log_likelihood(left) - 0.5 * (carried.size - 1) * float(np.log(shown.size)))
 
 
 def evidence_of_outputs(noise: tuple[Noise, ...], residual: Array, spans: Any) -> float:

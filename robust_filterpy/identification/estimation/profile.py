@@ -113,13 +113,13 @@ class Sections(NamedTuple):
 
     def multiplied(self, values: Array) -> Array:
         """Return the coefficients of all polynomials, without the leading ones."""
-        found, places = [], iter(self.places)
+        coefficients, places = [], iter(self.places)
         for degrees in self.degrees:
             product = np.ones(1)
             for _ in degrees:
                 product = np.convolve(product, np.append(1.0, values[next(places)]))
-            found.append(product[1:])
-        return np.concatenate(found)
+            coefficients.append(product[1:])
+        return np.concatenate(coefficients)
 
     def are_stable(self, values: Array) -> bool:
         """Tell whether all roots are within the unit circle."""
@@ -312,9 +312,9 @@ class _Loss(NamedTuple):
 
         def spread() -> Array:
             """Return the covariance of what is linear."""
-            found = np.zeros((p.size, p.size))
+            covariance = np.zeros((p.size, p.size))
             own = np.linalg.inv(square) / np.outer(size, size)
-            found[np.ix_(self.linear, self.linear)] = self.noise.variance / self.counted * own
-            return found
+            covariance[np.ix_(self.linear, self.linear)] = self.noise.variance / self.counted * own
+            return covariance
 
         return Place(self.counted * self.noise.cost(residual), p, spread)

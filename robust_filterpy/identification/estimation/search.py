@@ -124,19 +124,19 @@ def ends(
     if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
         return _ends_of_long(model, missing, influence, R, limits, least)
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
-    found = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing, noise)]
+    results = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing, noise)]
     loss = START if influence is None else influence
     same, worst = _SAME, np.inf
     if not (model.na or model.structure.nc or model.structure.nd):
         # No outlier is in a regressor: all that is left to find is within the precision of the search.
         same, worst = max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5), _HOPELESS
-    rough = [end for end, excess in _best_first(model, missing, found, limits, same) if excess < worst]
+    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if excess < worst]
     noises = [replace(end.noise, influence=loss) for end in rough]
-    found = [
+    results = [
         _searched(model, end.p, noise, missing, end.starts, _FULL, limits)
         for end, noise in zip(rough, noises, strict=True)
     ]
-    return _best_first(model, missing, found, limits)
+    return _best_first(model, missing, results, limits)
 
 
 def _ends_of_long(
@@ -163,11 +163,11 @@ def _ends_of_long(
     for end in (end for end, excess in ranked if excess < _HOPELESS):
         if all(mad_scale(end.residual - other.residual) > _UNMOVED * other.noise.R**0.5 for other in chosen):
             chosen.append(end)
-    found = []
+    results = []
     for end in chosen:
-        told = Outliers(missing, np.ones(model.y.size - model.first, dtype=bool), end.outliers.threshold)
-        found.append(_searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, told))
-    return _best_first(model, missing, found, limits)
+        outliers = Outliers(missing, np.ones(model.y.size - model.first, dtype=bool), end.outliers.threshold)
+        results.append(_searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, outliers))
+    return _best_first(model, missing, results, limits)
 
 
 def searched_again(model: Any, end: End, missing: Any, limits: Limits | None) -> End:
@@ -196,18 +196,18 @@ def _searched(
     starts: tuple[str, ...],
     effort: _Effort,
     limits: Limits | None = None,
-    told: Outliers | None = None,
+    before: Outliers | None = None,
 ) -> End:
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
     stage(f"search from: {starts[0]}")
     p = p if limits is None else limits.start(model, p)
-    outliers = found_outliers(model, p, missing, noise, told)
+    outliers = found_outliers(model, p, missing, noise, before)
     for turn in range(effort.cleanings):
         if turn:
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
-        found, _ = _maximised(model, p, noise, outliers, 1, effort, limits)
-        moved = np.inf if told is None else mad_scale(model.residuals(found.p) - model.residuals(p))
-        p, noise = found.p, found.noise
+        optimum, _ = _maximised(model, p, noise, outliers, 1, effort, limits)
+        moved = np.inf if before is None else mad_scale(model.residuals(optimum.p) - model.residuals(p))
+        p, noise = optimum.p, optimum.noise
         if np.isnan(noise.R) or moved < _UNMOVED * noise.R**0.5:
             break
         again = found_outliers(model, p, missing, noise, outliers)
@@ -215,10 +215,10 @@ def _searched(
         outliers = again
         if settled:
             break
-    found, full = _maximised(model, p, noise, outliers, effort.turns, effort, limits)
+    optimum, full = _maximised(model, p, noise, outliers, effort.turns, effort, limits)
     rows = _counting(full, full is model, outliers.wrong)
-    y = full.output(found.p) if isinstance(full, CompletedModel) else full.y
-    return End(starts, found.p, found.noise, y, outliers, rows, found.residual, found.converged)
+    y = full.output(optimum.p) if isinstance(full, CompletedModel) else full.y
+    return End(starts, optimum.p, optimum.noise, y, outliers, rows, optimum.residual, optimum.converged)
 
 
 def _maximised(
@@ -238,12 +238,12 @@ def _maximised(
             # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
             return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
         before = full.residuals(p)
-        found = minimised(full, p, noise, full.conditioned, clear, effort.steps, limits, _NEAR if turns == 1 else 0.0)
-        moved = np.linalg.norm(found.residual - before)
-        p, noise, weights = found.p, found.noise, found.noise.weights(found.residual)
-        if moved <= _SETTLED * np.linalg.norm(found.residual):
+        optimum = minimised(full, p, noise, full.conditioned, clear, effort.steps, limits, _NEAR if turns == 1 else 0.0)
+        moved = np.linalg.norm(optimum.residual - before)
+        p, noise, weights = optimum.p, optimum.noise, optimum.noise.weights(optimum.residual)
+        if moved <= _SETTLED * np.linalg.norm(optimum.residual):
             break
-    return found._replace(converged=True), full
+    return optimum._replace(converged=True), full
 
 
 def _counting(model: Any, measured: bool, unknown: Any) -> Any:
@@ -252,32 +252,32 @@ def _counting(model: Any, measured: bool, unknown: Any) -> Any:
 
 
 def _best_first(
-    model: PolynomialModel, missing: Any, found: list[End], limits: Limits | None = None, same: float = _SAME
+    model: PolynomialModel, missing: Any, ends: list[End], limits: Limits | None = None, same: float = _SAME
 ) -> list[Ranked]:
     """Sort ends by what the data say for them, and join those that are the same."""
     # Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
     # one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
     # nearly as good for a robust loss, the noise that their residuals show still tells them apart.
     # A start that takes many good samples for outliers may end where the noise cannot be computed.
-    found = [end for end in found if np.isfinite(end.noise.R) and np.isfinite(end.residual).all()]
-    if not found:
+    ends = [end for end in ends if np.isfinite(end.noise.R) and np.isfinite(end.residual).all()]
+    if not ends:
         raise np.linalg.LinAlgError(
             f"identify: from every start the search for {model.structure!r} ended in numbers that are not finite; "
             "take fewer parameters, or look for values in the recording that are no measurements and make them NaN"
         )
     # Where unknown outputs enter nearly every residual, they explain what they like, and the noise looks small.
-    shown = [_showing(model, end) for end in found]
+    shown = [_showing(model, end) for end in ends]
     enough = [n >= _SHOWN * model.n for n in shown]
-    found = list(compress(found, enough if any(enough) else [n > model.n for n in shown])) or found
-    likeliest = min(found, key=lambda end: end.noise.R)
+    ends = list(compress(ends, enough if any(enough) else [n > model.n for n in shown])) or ends
+    likeliest = min(ends, key=lambda end: end.noise.R)
     noise = likeliest.noise
     if noise.has_outliers and not isinstance(noise.influence, Contaminated):
         shown = likeliest.residual[likeliest.rows]
         noise = replace(noise, influence=START).settled(shown)
-    threshold = min(end.outliers.threshold for end in found)
+    threshold = min(end.outliers.threshold for end in ends)
     losses, n = [], model.structure.n_theta
     free = np.arange(model.n) if limits is None else np.flatnonzero(np.append(~limits.fixed, np.ones(model.n - n)))
-    for end in found:
+    for end in ends:
         jacobian, _ = known_part(model.with_output(end.y), end)
         root = np.sqrt(noise.weights(end.residual[end.rows]) / noise.R)
         # Offset and start first: what follows on the diagonal is what the data tell of theta without knowing them.
@@ -289,11 +289,11 @@ def _best_first(
     ranked: list[Ranked] = []
     for i in np.argsort(losses, kind="stable"):
         for j, (end, excess) in enumerate(ranked):
-            if mad_scale(end.residual - found[i].residual) < same * np.sqrt(noise.R):
-                ranked[j] = Ranked(end._replace(starts=(*end.starts, *found[i].starts)), excess)
+            if mad_scale(end.residual - ends[i].residual) < same * np.sqrt(noise.R):
+                ranked[j] = Ranked(end._replace(starts=(*end.starts, *ends[i].starts)), excess)
                 break
         else:
-            ranked.append(Ranked(found[i], float(losses[i] - min(losses))))
+            ranked.append(Ranked(ends[i], float(losses[i] - min(losses))))
     return ranked
 
 
@@ -313,18 +313,18 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
             yield Start(start.name, model.shared(start.p))
         return
     order = max(model.na, model.nf)
-    known = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
-    if model.na and not known.any():
+    rows = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
+    if model.na and not rows.any():
         raise ValueError(
             f"y: expected somewhere {model.na + 1} measured samples in a row for {model.structure!r}, got gaps in "
             "all of them, so that nothing shows the noise; identify an OutputError, which needs no outputs in a row"
         )
     if not model.nf:
-        yield regression_start(model, known)
+        yield regression_start(model, rows)
     if not order:
         return
     if not model.inputs:
-        yield autocorrelation_start(model, known)
+        yield autocorrelation_start(model, rows)
         return
     nb, nk = zip(*model.structure.inputs, strict=True)
     simple = PolynomialModel(OutputError(order, nb, nk), model.y, model.u, model.offset, model.moving)
@@ -342,12 +342,12 @@ def _whitened_starts(
     model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any, noise: Noise
 ) -> Iterator[Start]:
     """Yield starts of a model with a disturbance, from output-error models of whitened signals."""
-    known = ~missing[simple.first :]
+    rows = ~missing[simple.first :]
     q = model.from_output_error(simple.parts(p))
-    yield disturbance_start("output-error model and its disturbance", model, q, known)
+    yield disturbance_start("output-error model and its disturbance", model, q, rows)
     order = model.structure.nd + 2 * model.structure.nc
     for name, polynomial in (
-        ("whitened by the disturbance", whitened(simple, p, known, order)),
+        ("whitened by the disturbance", whitened(simple, p, rows, order)),
         ("differences", np.array([1.0, -1.0])),
     ):
         first = polynomial.size - 1
@@ -357,8 +357,8 @@ def _whitened_starts(
         q = _best_of(filtered, gaps, noise, output_error_starts(filtered, ~gaps[filtered.first :]))
         q[simple.structure.n_theta :] = 0.0
         if model.offset:
-            q[simple.structure.n_theta] = np.median(simple.equation_error(q)[known])
-        yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), known)
+            q[simple.structure.n_theta] = np.median(simple.equation_error(q)[rows])
+        yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), rows)
 
 
 def _best_of(
@@ -366,7 +366,7 @@ def _best_of(
 ) -> Array:
     """Return the free parameters of the best end from some starts; unsearched of the best start as it is."""
     if not searched:
-        known = ~missing[model.first :]
-        return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[known]))
+        rows = ~missing[model.first :]
+        return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[rows]))
     ends = [_searched(model, start.p, noise, missing, (start.name,), _ONCE) for start in starts]
     return _best_first(model, missing, ends)[0].end.p

@@ -295,10 +295,10 @@ def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) ->
     return best
 
 
-def impulse_start(model: StateSpaceResiduals, known: list[Any], lags: int) -> Array | None:
+def impulse_start(model: StateSpaceResiduals, measured: list[Any], lags: int) -> Array | None:
     """Return the start from impulse responses of so many lags, None if the recordings do not tell them."""
     m, least = model.inputs, 0 if model.shapes["D"][1] else 1
-    X, Y, seen = _stacked(model, known, range(least, least + lags))
+    X, Y, seen = _stacked(model, measured, range(least, least + lags))
     if len(X) < _EQUATIONS_EACH * X.shape[1]:
         return None
     columns = []
@@ -314,10 +314,10 @@ def impulse_start(model: StateSpaceResiduals, known: list[Any], lags: int) -> Ar
     hankel = np.block([[G[i + j] for j in range(len(G) - rows + 1)] for i in range(rows)])
     if min(hankel.shape) < model.order + model.outputs or not hankel.any():
         return None
-    return _from(model, known, *_realized(hankel, model.order, model.outputs), None)
+    return _from(model, measured, *_realized(hankel, model.order, model.outputs), None)
 
 
-def predictor_start(model: StateSpaceResiduals, known: list[Any], cleaned: list[Array], reach: int) -> Array | None:
+def predictor_start(model: StateSpaceResiduals, measured: list[Any], cleaned: list[Array], reach: int) -> Array | None:
     """Return the start from a long autoregression of cleaned outputs."""
     p, m, n = model.outputs, model.inputs, model.order
     feeds = bool(model.shapes["D"][1])
@@ -360,10 +360,10 @@ def predictor_start(model: StateSpaceResiduals, known: list[Any], cleaned: list[
     e = F[:, :p] - direct @ C
     moved = lstsq(np.hstack((states, U[:, :m], e))[inside], states[inside + 1])[0].T
     K = moved[:, n + m :] if model.shapes["K"][1] else None
-    return _from(model, known, moved[:, :n], C[:n].T, K)
+    return _from(model, measured, moved[:, :n], C[:n].T, K)
 
 
-def _from(model: StateSpaceResiduals, known: list[Any], A: Array, C: Array, K: Array | None) -> Array:
+def _from(model: StateSpaceResiduals, measured: list[Any], A: Array, C: Array, K: Array | None) -> Array:
     """Return the start with these matrices, and all else by robust regression."""
     n, p, m, zero = model.order, model.outputs, model.inputs, np.zeros
     count = len(model.recordings)
@@ -373,15 +373,15 @@ def _from(model: StateSpaceResiduals, known: list[Any], A: Array, C: Array, K: A
     q[model.places["K"]] = 0.0
     for name in ("A", "C", "K"):
         free[model.places[name]] = False
-    _with_linear(model, q, free, np.concatenate([part.ravel() for part in known]))
+    _with_linear(model, q, free, np.concatenate([part.ravel() for part in measured]))
     q[model.places["K"]] = gain
     return q
 
 
-def _stacked(model: StateSpaceResiduals, known: list[Any], lags: range) -> tuple[Array, Array, Any]:
+def _stacked(model: StateSpaceResiduals, measured: list[Any], lags: range) -> tuple[Array, Array, Any]:
     """Return delayed inputs and a constant for each recording, the outputs, and which of them are measured."""
     X, Y, seen = [], [], []
-    for i, ((y, u), good) in enumerate(zip(model.recordings, known, strict=True)):
+    for i, ((y, u), good) in enumerate(zip(model.recordings, measured, strict=True)):
         rows = np.arange(lags[-1], len(y))
         constant = np.tile(np.eye(len(model.recordings))[i], (rows.size, 1))
         X.append(np.hstack((*(u[rows - lag] for lag in lags), constant)))

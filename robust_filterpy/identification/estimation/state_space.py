@@ -73,25 +73,25 @@ def identified_state_space(
     trend: str = "breaks",
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs."""
-    told = recorded(Signals.of(y, u), y, u, groups)
-    require_motion(told.y, told.u)
-    spans = told.spans
+    recording = recorded(Signals.of(y, u), y, u, groups)
+    require_motion(recording.y, recording.u)
+    spans = recording.spans
 
     def each(y: Array, u: Array, of: Any) -> Array:
         return np.concatenate([of(y[part], u[part]) for part in spans])
 
-    def found(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
-        model = _modelled(told._replace(y=told.y - levels, u=u), spans, structure, influence)
-        left = each(told.y - levels, u, model.residuals)
+    def find(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
+        model = _modelled(recording._replace(y=recording.y - levels, u=u), spans, structure, influence)
+        left = each(recording.y - levels, u, model.residuals)
         return Beside(model, levels, u, evidence_of_outputs(model.noise, left, spans))
 
     search = Search(
-        told.y, told.u, spans, found, lambda model, y, u: each(y, u, model.free_run),
-        lambda u, plain: [of_impulses(told.y, u, spans)], index=told.axis.index,
+        recording.y, recording.u, spans, find, lambda model, y, u: each(y, u, model.free_run),
+        lambda u, plain: [of_impulses(recording.y, u, spans)], index=recording.axis.index,
     )  # fmt: skip
     with one_thread():
         best = search.best(trend)
-        model, y, u = best.model, told.y - best.levels, best.u
+        model, y, u = best.model, recording.y - best.levels, best.u
         output = each(y, u, model.free_run)
         left = search.left(
             best, output, each(y, u, model.residuals), model.operating_point, structure.feedthrough,
@@ -99,32 +99,32 @@ def identified_state_space(
             else "it is biased by that unless the noise is white: disturbance=True models the noise",
             _driven(model, output),
         )  # fmt: skip
-    trends = tuple((fingerprint(told.y[part]), best.levels[part]) for part in spans if best.levels[part].any())
-    return replace(model, findings=(*told.findings, *best.findings, *left), trends=trends)
+    trends = tuple((fingerprint(recording.y[part]), best.levels[part]) for part in spans if best.levels[part].any())
+    return replace(model, findings=(*recording.findings, *best.findings, *left), trends=trends)
 
 
 def _modelled(
-    told: Recording,
+    recording: Recording,
     spans: tuple[slice, ...],
     structure: StateSpace,
     influence: Influence | None,
 ) -> StateSpaceModel:
     """Return the model of recordings as they are."""
-    rest, units, parts, known = _scaled(told, spans)
+    rest, units, parts, measured = _scaled(recording, spans)
     orders = structure.orders
-    _require_informative(structure, parts, known, min(orders))
+    _require_informative(structure, parts, measured, min(orders))
     tried: list[_Found] = []
     for n in orders:
-        if tried and not _enough(structure, parts, known, n):
+        if tried and not _enough(structure, parts, measured, n):
             break
-        tried.append(_searched(structure, n, parts, known, influence))
-        best = int(np.argmin([found.criterion for found in tried]))
+        tried.append(_searched(structure, n, parts, measured, influence))
+        best = int(np.argmin([fit.criterion for fit in tried]))
         if len(tried) - 1 - best == _PATIENCE:
             break
     one = tried[best].model.matrices(tried[best].q)
     T = balancing(one.A, one.B, one.C)
-    model = _in_units(tried[best], T, units, told, spans, known, rest, structure)
-    return replace(model, orders=tuple((n, found.criterion) for n, found in zip(orders, tried, strict=False)))
+    model = _in_units(tried[best], T, units, recording, spans, measured, rest, structure)
+    return replace(model, orders=tuple((n, fit.criterion) for n, fit in zip(orders, tried, strict=False)))
 
 
 def _driven(model: StateSpaceModel, output: Array) -> Array:
@@ -136,17 +136,17 @@ def _driven(model: StateSpaceModel, output: Array) -> Array:
     return np.asarray(dlsim(system, deviation)[1])
 
 
-def _scaled(told: Recording, spans: tuple[slice, ...]) -> tuple[Array, Units, list[tuple[Array, Array]], list[Any]]:
+def _scaled(recording: Recording, spans: Any) -> tuple[Array, Units, list[tuple[Array, Array]], list[Any]]:
     """Return where inputs rest, the units, recordings in these, and what of them is measured; outputs must vary."""
-    rest = operating_point(told.u)
+    rest = operating_point(recording.u)
     for i, part in enumerate(spans):
-        for j in np.flatnonzero(np.isnan(told.y[part]).all(axis=0)):
+        for j in np.flatnonzero(np.isnan(recording.y[part]).all(axis=0)):
             raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
-    units = Units.of(told.y, told.u - rest, spans)
+    units = Units.of(recording.y, recording.u - rest, spans)
     for j in np.flatnonzero(units.y <= 1e-12 * np.abs(units.centre).max(axis=0)):
         raise ValueError(f"y: expected outputs that vary, got the same value throughout in output {j}")
-    y, u = units.normal(told.y), (told.u - rest) / units.u
-    return rest, units, [(y[part], u[part]) for part in spans], [~np.isnan(told.y[part]) for part in spans]
+    y, u = units.normal(recording.y), (recording.u - rest) / units.u
+    return rest, units, [(y[part], u[part]) for part in spans], [~np.isnan(recording.y[part]) for part in spans]
 
 
 def _first_noise(model: StateSpaceResiduals, rows: Any, influence: Influence | None) -> Noises:
@@ -156,17 +156,17 @@ def _first_noise(model: StateSpaceResiduals, rows: Any, influence: Influence | N
     return Noises(tuple(Noise(influence or Huber(), 1.0, False, least_variance(y, 1.0)) for y in outputs), which)
 
 
-def _enough(structure: StateSpace, parts: Any, known: Any, n: int) -> bool:
+def _enough(structure: StateSpace, parts: Any, measured: Any, n: int) -> bool:
     """Tell whether there are twice as many measured outputs as free parameters."""
     p, m = parts[0][0].shape[1], parts[0][1].shape[1]
     free = n * (m + p + p * structure.disturbance) + p * m * structure.feedthrough + len(parts) * (p + n)
-    return min(sum(int(good[:, j].sum()) for good in known) for j in range(p)) * p >= 2 * free
+    return min(sum(int(good[:, j].sum()) for good in measured) for j in range(p)) * p >= 2 * free
 
 
-def _require_informative(structure: StateSpace, parts: Any, known: Any, n: int) -> None:
+def _require_informative(structure: StateSpace, parts: Any, measured: Any, n: int) -> None:
     """Raise unless the recordings are long enough and the inputs excite them."""
     samples = sum(len(y) for y, _ in parts)
-    if not _enough(structure, parts, known, n):
+    if not _enough(structure, parts, measured, n):
         raise ValueError(
             f"y: expected more samples for {structure} with {parts[0][0].shape[1]} outputs and {parts[0][1].shape[1]} "
             f"inputs, got {samples}; record more, or take a smaller order"
@@ -189,28 +189,28 @@ def _require_informative(structure: StateSpace, parts: Any, known: Any, n: int) 
         )
 
 
-def _searched(structure: StateSpace, n: int, parts: Any, known: Any, influence: Influence | None) -> _Found:
+def _searched(structure: StateSpace, n: int, parts: Any, measured: Any, influence: Influence | None) -> _Found:
     """Search from every start."""
     model = StateSpaceResiduals(n, parts, structure.feedthrough, False)
-    rows = np.concatenate([good.ravel() for good in known])
+    rows = np.concatenate([good.ravel() for good in measured])
     first = _first_noise(model, rows, influence)
     stage(f"{n} states, search from impulse responses")
-    starts = [start for lags in _LENGTHS if (start := impulse_start(model, known, lags)) is not None]
+    starts = [start for lags in _LENGTHS if (start := impulse_start(model, measured, lags)) is not None]
     ends = [_descended(model, start, first, rows) for start in starts]
     best = min(ends, key=lambda end: -end.log_likelihood) if ends else None
-    cleaned = [y for y, _ in parts] if best is None else _cleaned(best, known)
+    cleaned = [y for y, _ in parts] if best is None else _cleaned(best, measured)
     stage(f"{n} states, search from long autoregressions")
     for reach in _REACHES:
-        start = predictor_start(model, known, cleaned, reach)
+        start = predictor_start(model, measured, cleaned, reach)
         if start is not None:
             ends.append(_descended(model, start, first, rows))
     if not ends:
         raise ValueError(f"y: expected a recording long enough for a start of order {n}; record more")
     best = max(ends, key=lambda end: end.log_likelihood)
-    found = _settled(best, influence)
+    fit = _settled(best, influence)
     if not structure.disturbance:
-        return found
-    return _with_disturbance(structure, found, known, influence)
+        return fit
+    return _with_disturbance(structure, fit, measured, influence)
 
 
 def _descended(
@@ -221,21 +221,21 @@ def _descended(
     return _Found(model, end.p, end.noise.learnt().refitted(end.residual[rows], 30), rows, end.converged)
 
 
-def _settled(found: _Found, influence: Influence | None, limits: Limits | None = None) -> _Found:
+def _settled(fit: _Found, influence: Influence | None, limits: Limits | None = None) -> _Found:
     """Return where the search ends with the noise learnt, or with the loss that was asked for."""
-    noise = found.noise
+    noise = fit.noise
     if influence is not None:
         noise = noise._replace(parts=tuple(replace(one, influence=influence) for one in noise.parts))
-    end = minimised(found.model, found.q, noise, found.rows, found.rows, limits=limits)
-    return found._replace(q=end.p, noise=end.noise, converged=end.converged)
+    end = minimised(fit.model, fit.q, noise, fit.rows, fit.rows, limits=limits)
+    return fit._replace(q=end.p, noise=end.noise, converged=end.converged)
 
 
-def _cleaned(found: _Found, known: Any) -> list[Array]:
+def _cleaned(fit: _Found, measured: Any) -> list[Array]:
     """Return outputs with what the model says in the place of outliers and gaps."""
-    residual, outputs, begin = found.model.residuals(found.q), [], 0
+    residual, outputs, begin = fit.model.residuals(fit.q), [], 0
     weights = np.zeros(residual.size)
-    weights[found.rows] = found.noise.weights(residual[found.rows])
-    for y, _ in found.model.recordings:
+    weights[fit.rows] = fit.noise.weights(residual[fit.rows])
+    for y, _ in fit.model.recordings:
         part = slice(begin, begin + y.size)
         begin += y.size
         own = residual[part].reshape(y.shape)
@@ -243,28 +243,28 @@ def _cleaned(found: _Found, known: Any) -> list[Array]:
     return outputs
 
 
-def _with_disturbance(structure: StateSpace, found: _Found, known: Any, influence: Influence | None) -> _Found:
+def _with_disturbance(structure: StateSpace, fit: _Found, measured: Any, influence: Influence | None) -> _Found:
     """Return the end of the search with a K, the weights of the innovations in turns with the parameters."""
-    n, parts = found.model.order, found.model.recordings
+    n, parts = fit.model.order, fit.model.recordings
     model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
-    one = found.model.matrices(found.q)
-    own = found.q[found.model.shared :].reshape(len(parts), -1)
+    one = fit.model.matrices(fit.q)
+    own = fit.q[fit.model.shared :].reshape(len(parts), -1)
     zero = model.packed(one, own[:, : model.outputs], own[:, model.outputs :])
-    cleaned = _cleaned(found, known)
-    starts = [zero] + [s for reach in _REACHES if (s := predictor_start(model, known, cleaned, reach)) is not None]
+    cleaned = _cleaned(fit, measured)
+    starts = [zero] + [s for reach in _REACHES if (s := predictor_start(model, measured, cleaned, reach)) is not None]
     ends = []
     for start in starts:
         model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
-        model.weights = [good.astype(float) for good in known]
-        end = found._replace(model=model, q=start)
+        model.weights = [good.astype(float) for good in measured]
+        end = fit._replace(model=model, q=start)
         for _ in range(_TURNS):
-            _weigh(end, known)
+            _weigh(end, measured)
             done = minimised(model, end.q, end.noise, end.rows, end.rows, _FIRST_STEPS)
             end = end._replace(q=done.p, noise=done.noise, converged=done.converged)
         ends.append(end)
     best = max(ends, key=lambda end: end.log_likelihood)
     for _ in range(2 * _TURNS):
-        _weigh(best, known)
+        _weigh(best, measured)
         before = best.log_likelihood
         done = minimised(best.model, best.q, best.noise, best.rows, best.rows)
         best = best._replace(q=done.p, noise=done.noise, converged=done.converged)
@@ -273,30 +273,30 @@ def _with_disturbance(structure: StateSpace, found: _Found, known: Any, influenc
     return best
 
 
-def _weigh(found: _Found, known: Any) -> None:
+def _weigh(fit: _Found, measured: Any) -> None:
     """Let outliers and gaps not enter the states."""
     for _ in range(2):
-        residual = found.model.residuals(found.q)
+        residual = fit.model.residuals(fit.q)
         weights = np.zeros(residual.size)
-        weights[found.rows] = found.noise.weights(residual[found.rows])
-        ends = np.cumsum([good.size for good in known])[:-1]
-        found.model.weights = [w.reshape(good.shape) for w, good in zip(np.split(weights, ends), known, strict=True)]
+        weights[fit.rows] = fit.noise.weights(residual[fit.rows])
+        ends = np.cumsum([good.size for good in measured])[:-1]
+        fit.model.weights = [w.reshape(good.shape) for w, good in zip(np.split(weights, ends), measured, strict=True)]
 
 
 def _in_units(
-    found: _Found,
+    fit: _Found,
     T: Array,
     units: Units,
-    told: Recording,
+    recording: Recording,
     spans: Any,
-    known: Any,
+    measured: Any,
     rest: Array,
     structure: StateSpace,
 ) -> StateSpaceModel:
     """Return the model in another basis, for the recordings as they were measured."""
-    one, n, p = found.model.matrices(found.q), found.model.order, found.model.outputs
+    one, n, p = fit.model.matrices(fit.q), fit.model.order, fit.model.outputs
     inverse = np.linalg.inv(T)
-    own = found.q[found.model.shared :].reshape(len(spans), -1)
+    own = fit.q[fit.model.shared :].reshape(len(spans), -1)
     Sy, Su = units.y, 1.0 / units.u
     matrices = Matrices(
         inverse @ one.A @ T, inverse @ one.B * Su, Sy[:, None] * (one.C @ T), Sy[:, None] * one.D * Su,
@@ -304,41 +304,41 @@ def _in_units(
     )  # fmt: skip
     levels = own[:, :p] * Sy + units.levels()
     starts = own[:, p:] @ inverse.T
-    parts = [(np.nan_to_num(told.y[part]), told.u[part] - rest) for part in spans]
+    parts = [(np.nan_to_num(recording.y[part]), recording.u[part] - rest) for part in spans]
     model = StateSpaceResiduals(n, parts, structure.feedthrough, structure.disturbance)
-    model.weights = found.model.weights
-    q, rows = model.packed(matrices, levels, starts), found.rows
+    model.weights = fit.model.weights
+    q, rows = model.packed(matrices, levels, starts), fit.rows
     residual = model.residuals(q)
-    scaled = tuple(one.times(size) for one, size in zip(found.noise.parts, Sy, strict=True))
-    noise = found.noise._replace(parts=scaled)
+    scaled = tuple(one.times(size) for one, size in zip(fit.noise.parts, Sy, strict=True))
+    noise = fit.noise._replace(parts=scaled)
     P, colour = sandwich(model.jacobian(q)[rows], residual[rows], noise, model.shared)
     weights = np.full(residual.size, np.nan)
     weights[rows] = noise.weights(residual[rows])
-    total = rows.sum() / max(rows.sum() - found.free, 1)
+    total = rows.sum() / max(rows.sum() - fit.free, 1)
     s, last = model.shared, slice(model.n - n - p, model.n - n)
     final = model.matrices(q)
     return StateSpaceModel(
         structure=replace(structure, n=n), A=final.A, B=final.B, C=final.C, D=final.D, K=final.K, level=final.level,
         P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
         noise=tuple(replace(one, R=one.R * total) for one in scaled), weights=weights.reshape(-1, p),
-        log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(found), end=model.states(q, -1)[-1],
-        operating_point=rest, dt=told.axis.dt, levels=levels, colour=colour,
+        log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(fit), end=model.states(q, -1)[-1],
+        operating_point=rest, dt=recording.axis.dt, levels=levels, colour=colour,
     )  # fmt: skip
 
 
-def _doubt(found: _Found) -> str:
+def _doubt(fit: _Found) -> str:
     """Say what makes the estimate doubtful, or nothing."""
-    root = np.sqrt(found.noise.weights(found.model.residuals(found.q)[found.rows]) / found.noise.variance)
-    J = found.model.jacobian(found.q)[found.rows] * root[:, None]
+    root = np.sqrt(fit.noise.weights(fit.model.residuals(fit.q)[fit.rows]) / fit.noise.variance)
+    J = fit.model.jacobian(fit.q)[fit.rows] * root[:, None]
     size = np.linalg.norm(J, axis=0)
     values = np.linalg.svd(J / np.where(size > 0.0, size, 1.0), compute_uv=False)
-    told = int((values > 1e-6 * values[0]).sum())
-    expected = found.model.n - found.model.order**2
-    if told < expected:
+    rank = int((values > 1e-6 * values[0]).sum())
+    expected = fit.model.n - fit.model.order**2
+    if rank < expected:
         return (
-            f"the recording tells {told} of {expected} parameters: the order {found.model.order} may be more than it "
+            f"the recording tells {rank} of {expected} parameters: the order {fit.model.order} may be more than it "
             'shows, StateSpace("auto") finds one'
         )
-    if not (found.converged or all(one.is_rounding for one in found.noise.parts)):
+    if not (fit.converged or all(one.is_rounding for one in fit.noise.parts)):
         return "the search did not settle; the order may be more than the recording tells of"
     return ""

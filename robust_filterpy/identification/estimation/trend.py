@@ -88,11 +88,11 @@ def impulse_output(y: Array, u: Array) -> Array:
     """Return the part of the output that a robust long impulse response explains, without the constant, shape (N,)."""
     lags = max(min(LAGS_OF_IMPULSES, y.size // (8 * u.shape[1])), 2)
     columns = [np.concatenate((np.full(j, c[0]), c[: c.size - j])) - c.mean() for c in u.T for j in range(lags)]
-    X, known = np.column_stack((*columns, np.ones(y.size))), ~np.isnan(y)
+    X, measured = np.column_stack((*columns, np.ones(y.size))), ~np.isnan(y)
     level, before = Trend(np.zeros(y.size), ()), None
     output = np.zeros(y.size)
     for _ in range(_MOST_BREAKS):
-        theta = robust_regression(X[known], (y - level.values)[known])
+        theta = robust_regression(X[measured], (y - level.values)[measured])
         output = X[:, :-1] @ theta[:-1]
         level = piecewise_level(y - output, u)
         if not level.breaks or level.times == before:
@@ -108,10 +108,10 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
         fit = _Fit.of(r, ~np.isnan(r), u, [Break("ramp", 0, 0.0, 0.0)])
         return fit.trend([np.inf])
     skipped = min(int(_BEGINNING * N) + _LEAST_EDGE, N // 4)
-    known = ~np.isnan(r) & (np.arange(N) >= skipped)
+    rows = ~np.isnan(r) & (np.arange(N) >= skipped)
     edge = max(_LEAST_EDGE, int(_EDGE * (N - skipped)))
     times = np.arange(skipped + edge, N - edge)
-    fit = _Fit.of(r, known, u, [])
+    fit = _Fit.of(r, rows, u, [])
     for _ in range(_MOST_BREAKS):
         # A ramp may begin with the recording.
         places = (("step", times), ("ramp", np.concatenate(([0], times))))
@@ -119,16 +119,16 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
         # White residuals make the most of a break: what is little of that is less with a colour.
         if max(score.max() for score in scores) < 0.5 * PRICE * np.log(N):
             break
-        found = [
+        candidates = [
             Break(kind, int(at[score.argmax()]), 0.0, 0.0) for (kind, at), score in zip(places, scores, strict=True)
         ]
-        tried = [_Fit.of(r, known, u, [*fit.breaks, one]) for one in found]
+        tried = [_Fit.of(r, rows, u, [*fit.breaks, one]) for one in candidates]
         least = min(one.scale for one in tried)
-        fit = min(tried, key=lambda one: float(_loss(one.residual[known] / least).sum()))
+        fit = min(tried, key=lambda one: float(_loss(one.residual[rows] / least).sum()))
         if fit.breaks[-1].kind == "step":
             moved = fit.breaks[-1]._replace(time=int(times[fit.change()[times].argmin()]))
-            fit = _Fit.of(r, known, u, [*fit.breaks[:-1], moved])
-    steps = resolution(r[known])
+            fit = _Fit.of(r, rows, u, [*fit.breaks[:-1], moved])
+    steps = resolution(r[rows])
     while fit.breaks:
         count = len(fit.breaks)
         small = np.ptp(fit.X[:, -count:], axis=0) * np.abs(fit.theta[-count:]) <= steps
@@ -150,36 +150,36 @@ class _Fit(NamedTuple):
     theta: Array
     residual: Array
     scale: float
-    known: Any
+    rows: Any
 
     @classmethod
-    def of(cls, r: Array, known: Any, u: Array, breaks: list[Break]) -> _Fit:
+    def of(cls, r: Array, rows: Any, u: Array, breaks: list[Break]) -> _Fit:
         """Return the regression."""
         slow = [uniform_filter1d(u, w, axis=0, mode="nearest", origin=(w - 1) // 2) for w in _SLOW if 8 * w < r.size]
         X = np.column_stack((np.ones(r.size), *slow, *(one.column(r.size) for one in breaks)))
-        size = np.abs(X[known]).max(axis=0, initial=0.0)
+        size = np.abs(X[rows]).max(axis=0, initial=0.0)
         size[size == 0.0] = 1.0
-        theta = robust_regression(X[known] / size, r[known], 30) / size
+        theta = robust_regression(X[rows] / size, r[rows], 30) / size
         residual = r - X @ theta
-        return cls(breaks, X, theta, residual, max(mad_scale(residual[known]), np.finfo(float).tiny), known)
+        return cls(breaks, X, theta, residual, max(mad_scale(residual[rows]), np.finfo(float).tiny), rows)
 
     @property
     def evidence(self) -> float:
         """The log-likelihood of what is left, with its colour."""
-        e = self.residual[self.known]
+        e = self.residual[self.rows]
         noise = Noise(START, self.scale**2).settled(e)
-        return evidence(noise, np.where(self.known, self.residual, 0.0), self.known)
+        return evidence(noise, np.where(self.rows, self.residual, 0.0), self.rows)
 
     def trend(self, gains: Any) -> Trend:
         """Return its breaks, with the evidence of each."""
         sizes = self.theta[-len(self.breaks) :]
-        found = [b._replace(size=float(s), evidence=g) for b, s, g in zip(self.breaks, sizes, gains, strict=True)]
+        breaks = [b._replace(size=float(s), evidence=g) for b, s, g in zip(self.breaks, sizes, gains, strict=True)]
         values = self.X[:, -len(self.breaks) :] @ sizes
-        return Trend(values, tuple(sorted(found, key=lambda one: one.time)))
+        return Trend(values, tuple(sorted(breaks, key=lambda one: one.time)))
 
     def without(self, i: int, r: Array, u: Array) -> _Fit:
         """Return the regression without a break."""
-        return _Fit.of(r, self.known, u, [*self.breaks[:i], *self.breaks[i + 1 :]])
+        return _Fit.of(r, self.rows, u, [*self.breaks[:i], *self.breaks[i + 1 :]])
 
     def moved(self, r: Array, u: Array, times: Any) -> _Fit:
         """Return the regression with each ramp where it leaves least, given the others."""
@@ -189,22 +189,22 @@ class _Fit(NamedTuple):
                 # Far from the least loss a score tells the place of a ramp roughly: most begin with the recording.
                 for at in (0, int(places[best.without(i, r, u).scores("ramp", places).argmax()])):
                     moved = [*best.breaks[:i], one._replace(time=at), *best.breaks[i + 1 :]]
-                    best = min(best, _Fit.of(r, self.known, u, moved), key=lambda fit: fit.scale)
+                    best = min(best, _Fit.of(r, self.rows, u, moved), key=lambda fit: fit.scale)
         return best
 
     def change(self) -> Array:
         """Return what the loss would change by, were the last step at each sample."""
         after = (self.residual + self.X[:, -1] * self.theta[-1]) / self.scale
         before = after + self.theta[-1] / self.scale
-        gain = np.where(self.known, _loss(before) - _loss(after), 0.0)
+        gain = np.where(self.rows, _loss(before) - _loss(after), 0.0)
         return np.concatenate(([0.0], np.cumsum(gain)))
 
     def scores(self, kind: str, places: Any) -> Array:
         """Return the score statistic of one break more at each place: (c'psi)^2/(c'Wc - c'WX (X'WX)^-1 X'Wc)."""
-        e, N = np.where(self.known, self.residual / self.scale, np.inf), self.residual.size
-        psi = np.where(self.known, np.clip(e, -_K, _K), 0.0)
+        e, N = np.where(self.rows, self.residual / self.scale, np.inf), self.residual.size
+        psi = np.where(self.rows, np.clip(e, -_K, _K), 0.0)
         # A sample that Huber's loss clips tells little of a level, not nothing.
-        W, t = np.where(self.known, np.maximum(np.abs(e) < _K, 0.05), 0.0), np.arange(N) / N
+        W, t = np.where(self.rows, np.maximum(np.abs(e) < _K, 0.05), 0.0), np.arange(N) / N
         WX = self.X * W[:, None]
         after = lambda v: np.cumsum(v[::-1], axis=0)[::-1][places]  # noqa: E731
         pull, square, cross = after(psi), after(W), after(WX)
