@@ -21,7 +21,7 @@ class Part(NamedTuple):
     start: int
     """Place of the first sensor."""
     number: int
-    found: Any
+    correction: Any
     """A correction, or what makes one by ``as_arrays``."""
 
 
@@ -33,28 +33,28 @@ class Parts(NamedTuple):
     sensors: int
     """How many there are in all."""
     parts: tuple[Part, ...]
-    told: tuple[Choices, Array | None, bool] | None
+    settings: tuple[Choices, Array | None, bool] | None
     """What the density of the whole follows from; None where that of the last part is shown."""
 
     @classmethod
-    def of(cls, before: Any, sensors: int, part: Part, told: Any) -> Parts:
+    def of(cls, before: Any, sensors: int, part: Part, settings: Any) -> Parts:
         """Return these with one more; a part that it covers shows nothing any more."""
         earlier: tuple[Part, ...] = ()
         if type(before) is cls and before.sensors == sensors:
             before, earlier = before.before, before.parts
         end = part.start + part.number
         left = tuple(p for p in earlier if p.start < part.start or p.start + p.number > end)
-        return cls(before, sensors, (*left, part), told)
+        return cls(before, sensors, (*left, part), settings)
 
     def as_arrays(self) -> Correction:
         """Return them beside each other."""
         last: Any = _arrays(self.before)
         for part in self.parts:
-            last = embed_block(last, _arrays(part.found), part.start, self.sensors)
-        if self.told is None:
+            last = embed_block(last, _arrays(part.correction), part.start, self.sensors)
+        if self.settings is None:
             return last  # type: ignore[no-any-return]
         seen = np.where(np.isnan(last.weights), np.nan, last.y)
-        return last._replace(log_density=log_density(seen, last.S, *self.told))  # type: ignore[no-any-return]
+        return last._replace(log_density=log_density(seen, last.S, *self.settings))  # type: ignore[no-any-return]
 
     @property
     def log_density(self) -> float:
@@ -69,6 +69,6 @@ def log_density(y: Array, S: Array, choices: Choices, memory: Array | None, skip
     return correct(nothing.ravel(), nothing, y, none, S, choices, widths, skip).log_density
 
 
-def _arrays(found: Any) -> Any:
+def _arrays(correction: Any) -> Any:
     """Return a correction as arrays, or None."""
-    return found if found is None or isinstance(found, Correction) else found.as_arrays()
+    return correction if correction is None or isinstance(correction, Correction) else correction.as_arrays()

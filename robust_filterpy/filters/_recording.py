@@ -99,8 +99,8 @@ class RecordingMixin(Shell):
     def _run(self, rows: Problem, shown: Rows, update_first: bool, first: int, last: int) -> None:
         """Take steps of a recording at once."""
         policy, (x, P), m = self._policy, state_of(self), rows.zs.shape[1]
-        known = self._known(m).memory
-        state = policy.standing(self._kept, x.ravel(), P, known)
+        memory = self._known(m).memory
+        state = policy.standing(self._kept, x.ravel(), P, memory)
         run(
             policy, state, rows.zs, rows[1:6], shown, of=type(self).__name__, first=first, last=last,
             alpha_sq=float(self._alpha_sq), update_first=update_first,
@@ -109,7 +109,7 @@ class RecordingMixin(Shell):
         self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
         self._kept = policy.kept_of(self._kept, state)
         if policy.noise is None and policy.learns:
-            look_for_repeats(self, state.learnt, known)
+            look_for_repeats(self, state.learnt, memory)
         self._learn(state.learnt, len(state.learnt))
         weights: Any = shown.weights
         if policy.noise is None:
@@ -149,8 +149,8 @@ def _columns(given: dict[str, Any]) -> list[Any]:
     columns = []
     for name, values in given.items():
         if values is not None and (not hasattr(values, "__len__") or len(values) < n):
-            found = len(values) if hasattr(values, "__len__") else shown(values)
-            raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {found}")
+            got = len(values) if hasattr(values, "__len__") else shown(values)
+            raise ValueError(f"{name}: expected an entry for each of the {n} measurements in zs, got {got}")
         columns.append(values)
     # An iterator reads what has a length but no places, such as the values of a dictionary or a data frame's column.
     return [

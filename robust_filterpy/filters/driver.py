@@ -54,31 +54,31 @@ def _step(
     """Take one step by the definition and show it in a row, if it has one."""
     F, Q, H, R, Bu, alpha_sq = model
     weights, outlying, log_density = np.full(len(z), np.nan), 0.0, 0.0
-    x, P, memory, kept = state.x, state.P, state.learnt, None
+    x, P, memory, carried = state.x, state.P, state.learnt, None
     if len(state.means) > 1:
-        kept = Kept(*(part.copy() for part in (*state[:3], x, P)))
+        carried = Kept(*(part.copy() for part in (*state[:3], x, P)))
     for predicts in (not update_first, update_first):
         if predicts:
-            x, P, kept = policy.predicted(kept, x, P, F, Q, Bu, alpha_sq)
+            x, P, carried = policy.predicted(carried, x, P, F, Q, Bu, alpha_sq)
             require_finite_prediction(x, P)
             _show(shown.means_p, shown.covariances_p, row, x, P)
             continue
         if measured(z, len(z)) is not None:
             at = x
 
-            def correct(known: Known, P: Array, at: Array = at) -> Any:
+            def correct(before: Known, P: Array, at: Array = at) -> Any:
                 """Correct with this P."""
-                return policy.corrected(known, at, P, z, H, R, None, None)
+                return policy.corrected(before, at, P, z, H, R, None, None)
 
-            found, kept = without_rounding(of, correct, Known(memory, kept), P, H, R)
-            require_finite_correction(found)
-            x, P, weights, log_density = found.x, found.P, found.weights, found.log_density
-            memory = memory if found.memory is None else found.memory
-            outlying = getattr(found, "outlier_probabilities", 0.0)
+            correction, carried = without_rounding(of, correct, Known(memory, carried), P, H, R)
+            require_finite_correction(correction)
+            x, P, weights, log_density = correction.x, correction.P, correction.weights, correction.log_density
+            memory = memory if correction.memory is None else correction.memory
+            outlying = getattr(correction, "outlier_probabilities", 0.0)
         _show(shown.means, shown.covariances, row, x, P)
     state.x[:], state.P[:], state.learnt[:] = x, P, memory
     if len(state.means):
-        for whole, now in zip(state[:3], policy.current(kept, x, P), strict=False):
+        for whole, now in zip(state[:3], policy.current(carried, x, P), strict=False):
             whole[:] = now
     if shown.log_likelihood is not None:
         shown.log_likelihood[:] += log_density
@@ -86,7 +86,7 @@ def _step(
         if column is not None and row is not None:
             column[row] = value
     if shown.scale is not None and row is not None:
-        shown.scale[row] = policy.process_scale(kept, len(x))
+        shown.scale[row] = policy.process_scale(carried, len(x))
 
 
 def _show(means: Array | None, covariances: Array | None, row: int | None, x: Array, P: Array) -> None:
@@ -97,35 +97,35 @@ def _show(means: Array | None, covariances: Array | None, row: int | None, x: Ar
         covariances[row] = P.ravel() if covariances.shape[1] == P.size else P.diagonal()
 
 
-def require_finite_correction(found: Any) -> None:
+def require_finite_correction(correction: Any) -> None:
     """Raise unless x and P of a correction are finite."""
-    if not (np.isfinite(found.x).all() and np.isfinite(found.P).all()):
+    if not (np.isfinite(correction.x).all() and np.isfinite(correction.P).all()):
         raise ValueError("update: expected a finite x and P, got NaN or infinity; check z, P and R, or units")
 
 
 def without_rounding(
-    name: str, correct: Callable[[Any, Array], Any], known: Any, P: Array, H: Array | None, R: Array
+    name: str, correct: Callable[[Any, Array], Any], before: Any, P: Array, H: Array | None, R: Array
 ) -> Any:  # fmt: skip
     """Return the correction of P, of what the policy knows; where rounding has left S no inverse, of a mended P."""
     try:
-        return correct(known, P)
+        return correct(before, P)
     except SingularInnovationError:
-        kept, stack = known.kept, P[None]
-        if hasattr(kept, "covariances") and kept.P.tobytes() == P.tobytes():
-            stack = np.concatenate([stack, kept.covariances])
+        carried, stack = before.kept, P[None]
+        if hasattr(carried, "covariances") and carried.P.tobytes() == P.tobytes():
+            stack = np.concatenate([stack, carried.covariances])
         mended = None if H is None else _mended(stack, H, R)
         if mended is None:
             raise
         if len(mended) > 1:
-            known = known._replace(kept=kept._replace(covariances=mended[1:], P=mended[0]))
-        found = correct(known, mended[0])
+            before = before._replace(kept=carried._replace(covariances=mended[1:], P=mended[0]))
+        correction = correct(before, mended[0])
     warn(
         f"{name}: H P H' is negative by rounding, since P holds numbers as large as {np.abs(P).max():.3g}; the nearest "
         f"covariance took the place of P; leave out states that no sensor sees, or begin with a smaller P",
         RobustFilterWarning,
         of=name,
     )
-    return found
+    return correction
 
 
 def _mended(stack: Array, H: Array, R: Array) -> Array | None:

@@ -193,29 +193,29 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             return
         apart, seen = self.sigmas - self.x, predicted - mean
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
-        found, kept = self._corrected(self.P, values, y, C, S, R, np.subtract, (m,))
-        last = found if isinstance(found, Correction) else found.as_arrays()._replace(memory=found.memory)
+        last, carried = self._corrected(self.P, values, y, C, S, R, np.subtract, (m,))
+        last = last if isinstance(last, Correction) else last.as_arrays()._replace(memory=last.memory)
         require_finite(x=self.x + last.x)
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
         self.sigmas = self.sigmas + last.x + (noise - seen) @ self._shrinking(last, C).T
-        self._keep(last._replace(x=np.mean(self.sigmas, axis=0)), kept, values)
+        self._keep(last._replace(x=np.mean(self.sigmas, axis=0)), carried, values)
 
     def _moving(self) -> dict[str, Any]:
         """Return x, P, the members and where the random numbers are."""
         words, name = _numbered(self.rng.bit_generator.state)
         return {**super()._moving(), "sigmas": self.sigmas, "random": words, "generator": spelt(name)}
 
-    def _go_on(self, found: dict[str, Array]) -> None:
+    def _go_on(self, entries: dict[str, Array]) -> None:
         """Take over a checked state, with a generator of its own at the same place."""
-        now, name = self.rng.bit_generator, read(found["generator"])
-        if name != type(now).__name__ or found["random"].size != _numbered(now.state)[0].size:
+        now, name = self.rng.bit_generator, read(entries["generator"])
+        if name != type(now).__name__ or entries["random"].size != _numbered(now.state)[0].size:
             raise ValueError(
                 f"state: expected random numbers of a {type(now).__name__}, got those of a {name or 'none'}"
             )
         generator = type(now)()
-        generator.state = _put_back(now.state, found["random"].tolist()[::-1])
-        super()._go_on(found)
-        self.sigmas, self.rng = found["sigmas"], np.random.Generator(generator)
+        generator.state = _put_back(now.state, entries["random"].tolist()[::-1])
+        super()._go_on(entries)
+        self.sigmas, self.rng = entries["sigmas"], np.random.Generator(generator)
 
     def _shrinking(self, last: Correction, C: Array) -> Array:
         """Return the gain C L with which noisy members have covariance P - C B C': B = 2 L - L S L."""
@@ -225,9 +225,9 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         values, vectors = np.linalg.eigh(root.T @ last.information[pick] @ root)
         inner = (vectors * (1.0 - np.sqrt(np.clip(1.0 - values, 0.0, 1.0)))) @ vectors.T
         half = np.linalg.solve(root, C[:, part].T)
-        found = np.zeros_like(C)
-        found[:, part] = np.linalg.solve(root.T, inner @ half).T
-        return found
+        gain = np.zeros_like(C)
+        gain[:, part] = np.linalg.solve(root.T, inner @ half).T
+        return gain
 
 
 def _numbered(value: Any) -> tuple[Array, str]:

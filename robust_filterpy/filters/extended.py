@@ -315,8 +315,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         shape = np.shape(at) or (1,)
         if self._stepped(values, None, y, H, None, R, difference_of(residual, shape)):
             return
-        last, kept = self._corrected(P, values, y, H, None, R, residual, shape)
-        self._keep(last._replace(x=x.ravel() + last.x), kept, values)
+        last, carried = self._corrected(P, values, y, H, None, R, residual, shape)
+        self._keep(last._replace(x=x.ravel() + last.x), carried, values)
 
     def _checked(self, H: Any, n: int) -> Array:
         """Return the Jacobian that the user's function gave, checked."""

@@ -214,8 +214,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     @whole
     def _predict(self, u: Any, B: Any, F: Any, Q: Any) -> None:
         """Predict by the definition."""
-        x, P, kept = regardless(self._predicted, u, B, F, Q)
-        self.x, self.P, self._kept = x, P, kept
+        x, P, carried = regardless(self._predicted, u, B, F, Q)
+        self.x, self.P, self._kept = x, P, carried
         self.x_prior, self.P_prior = x.copy(), P.copy()
 
     def get_prediction(
@@ -235,16 +235,16 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        found: tuple[Array, Array, Any] = regardless(self._predicted, u, B, F, self._noise_of_number(Q))
-        return found[:2]
+        predicted: tuple[Array, Array, Any] = regardless(self._predicted, u, B, F, self._noise_of_number(Q))
+        return predicted[:2]
 
     def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
         """Return the predicted mean, in the shape of x, the covariance and what the policy keeps beside them."""
         x, P = state_of(self)
         F, noise, Bu = self._transition(x.shape, u, B, F, Q)
-        x, P, kept = self._policy.predicted(self._kept, x, P, F, noise, Bu, self._alpha_sq)
+        x, P, carried = self._policy.predicted(self._kept, x, P, F, noise, Bu, self._alpha_sq)
         require_finite_prediction(x, P)
-        return x, P, kept
+        return x, P, carried
 
     def _transition(self, shape: tuple[int, ...], u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
         """Return checked F, Q, and B u in the shape of x, None if there is none."""
@@ -362,8 +362,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             self._skip()
             return
         passed = None if H is own else H
-        last, kept = regardless(self._corrected, x, P, values, H, R, M, self._known(len(H), passed))
-        self._keep(last, kept, np.atleast_1d(values), passed)
+        last, carried = regardless(self._corrected, x, P, values, H, R, M, self._known(len(H), passed))
+        self._keep(last, carried, np.atleast_1d(values), passed)
 
     def _measurement(self, z: Any, R: Any, H: Any, M: Any, n: int) -> tuple[Array, Array, Any, Any]:
         """Return checked H, R, z (a float, an array of shape (m,), or None if all is missing) and M."""
@@ -385,14 +385,14 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
                 raise ValueError("M: expected finite numbers, got NaN or infinity")
         return H, R, values, M
 
-    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any, known: Any) -> tuple[Any, Any]:
+    def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any, before: Any) -> tuple[Any, Any]:
         """Return the correction of x by checked values, and what the policy keeps beside it; changes nothing."""
 
-        def correct(known: Any, P: Array) -> Any:
+        def correct(before: Any, P: Array) -> Any:
             """Correct with this P."""
-            return self._policy.corrected(known, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse)
+            return self._policy.corrected(before, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse)
 
-        return without_rounding(type(self).__name__, correct, known, P, H, R)  # type: ignore[no-any-return]
+        return without_rounding(type(self).__name__, correct, before, P, H, R)  # type: ignore[no-any-return]
 
     def get_update(self, z: ArrayLike | None = None) -> tuple[Array, Array]:
         """Return what `update` would make of x and P, and change nothing.
@@ -448,15 +448,15 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         values = np.atleast_1d(values)
         y = values - finite_product(H, x.ravel())
         # Of the correction by this S only what psi leaves of y is used: the gain is K. Nothing insists.
-        known, C = self._known(m)._replace(kept=None), P @ H.T
-        found: Any = None
+        before, C = self._known(m)._replace(kept=None), P @ H.T
+        correction: Any = None
         if self._inverse is None:
-            found = moments.correct(self._choices, known.memory, P, values, y, C, np.asarray(S, dtype=float), R)
-        if found is None:
+            correction = moments.correct(self._choices, before.memory, P, values, y, C, np.asarray(S, dtype=float), R)
+        if correction is None:
             innovation = Innovation(values, y, C, S, R, H)
-            found, _ = Bounded(self._choices).corrected_by_moments(known, x.ravel(), P, innovation, self._inverse)
-        last = found if isinstance(found, Correction) else found.as_arrays()
-        self._learn(found.memory, m)
+            correction, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._inverse)
+        last = correction if isinstance(correction, Correction) else correction.as_arrays()
+        self._learn(correction.memory, m)
         SI = self.SI
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
@@ -519,19 +519,19 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         )
         values = measured(z_i, k, missing=True)
         # A part tells nothing of how long the whole has been refused.
-        known = self._known(k, first=start)
-        known = known._replace(kept=None) if self.noise is None else known
-        found, kept = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None, known)
-        told = None if self.noise is not None else (self._choices, self._whole_memory(), self._inverse is not None)
-        parts = Parts.of(self._record(), m, Part(start, k, found), told)
-        self._learn(found.memory, k, first=start)
+        before = self._known(k, first=start)
+        before = before._replace(kept=None) if self.noise is None else before
+        correction, carried = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None, before)
+        settings = None if self.noise is not None else (self._choices, self._whole_memory(), self._inverse is not None)
+        parts = Parts.of(self._record(), m, Part(start, k, correction), settings)
+        self._learn(correction.memory, k, first=start)
         z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
         z[part] = values
         # S and SI stay what they were, as in filterpy.
         S, SI = self.S, self.SI
-        self.x, self.P, self._last = found.x.reshape(x.shape), found.P, parts
+        self.x, self.P, self._last = correction.x.reshape(x.shape), correction.P, parts
         if self.noise is not None:
-            self._kept, self._outlier_probability = kept, getattr(found, "outlier_probability", 0.0)
+            self._kept, self._outlier_probability = carried, getattr(correction, "outlier_probability", 0.0)
         self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
         self._y, self._K, self.S, self.SI = None, None, S, SI
         self._as_posterior()
@@ -589,9 +589,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             # As filterpy passes it to each prediction: a number means times I there, an array without axes does not.
             Qs = [self.Q if np.isscalar(self.Q) else self._noise_of_number(None)] * len(zs)
         given = {"zs": zs, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs, "Bs": Bs, "us": us}
-        found = self._filter_recording(given, update_first, saver, by_kernel, scales)
+        estimates = self._filter_recording(given, update_first, saver, by_kernel, scales)
         self._process_scales = scales
-        return found
+        return estimates
 
     def _steps_are_own(self) -> bool:
         """Return whether the kernel's steps of a recording are this filter's, by its class, its policy and itself."""

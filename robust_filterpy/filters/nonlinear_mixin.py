@@ -27,11 +27,11 @@ def drawn(points: Any, x: Array, P: Array) -> Array:
         return points.sigma_points(x, P)  # type: ignore[no-any-return]
     n = points.n
     U = points.sqrt((points.alpha**2 * (n + points.kappa) - n + n) * P)
-    found = np.empty((2 * n + 1, n))
-    found[0] = x
-    np.add(x, U, out=found[1 : n + 1])
-    np.subtract(x, U, out=found[n + 1 :])
-    return found
+    sigmas = np.empty((2 * n + 1, n))
+    sigmas[0] = x
+    np.add(x, U, out=sigmas[1 : n + 1])
+    np.subtract(x, U, out=sigmas[n + 1 :])
+    return sigmas
 
 
 def transformed(
@@ -66,20 +66,20 @@ class NonlinearFilterMixin(Shell):
         """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing."""
         # C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual
         # is handed it.
-        known = self._known(len(y))
+        before = self._known(len(y))
         if self._policy.by_kernel and self._inverse is None:
-            taken = moments.correct(self._choices, known.memory, P, z, y, C, S, R)
+            taken = moments.correct(self._choices, before.memory, P, z, y, C, S, R)
             if taken is not None:
-                return taken, known.kept
+                return taken, before.kept
 
-        def correct(known: Any, P: Array) -> Any:
+        def correct(before: Any, P: Array) -> Any:
             """Correct with the moments of P, where C is a Jacobian."""
             cross, spread = innovation_moments(P, C, R) if S is None else (C, S)
             innovation = Innovation(z, y, cross, spread, R, C if S is None else None)
             difference = difference_of(residual, shape)
-            return self._policy.corrected_by_moments(known, np.zeros(len(P)), P, innovation, self._inverse, difference)
+            return self._policy.corrected_by_moments(before, np.zeros(len(P)), P, innovation, self._inverse, difference)
 
-        return without_rounding(type(self).__name__, correct, known, P, C if S is None else None, R)
+        return without_rounding(type(self).__name__, correct, before, P, C if S is None else None, R)
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""

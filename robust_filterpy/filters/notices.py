@@ -37,7 +37,7 @@ class Share:
 
     def __init__(self) -> None:
         """Start an empty window."""
-        self.numbers = self.updates = self.clipped = self.kept = 0
+        self.numbers = self.updates = self.clipped = self.same = 0
         self.sign = 0.0
 
     def fills(self, m: int) -> bool:
@@ -56,10 +56,10 @@ class Share:
         self.numbers += len(observed)
         self.updates += 1
         self.clipped += sum(d <= 0.0 for d in observed)
-        self.kept += sign * self.sign > 0.0
+        self.same += sign * self.sign > 0.0
         self.sign = sign
         if self.updates >= _UPDATES and (self.numbers >= _NUMBERS or self._tells_early()):
-            share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.kept > 0.75 * self.updates
+            share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.same > 0.75 * self.updates
             least = _HALF if numbers >= _NUMBERS else _SURER
             self.__init__()  # type: ignore[misc]
             if kf.scaling == "innovation":
@@ -145,19 +145,19 @@ class Signs:
 
     def __init__(self, m: int) -> None:
         """Start without any."""
-        self.last, self.kept, self.pairs = [0.0] * m, [0] * m, [0] * m
+        self.last, self.same, self.pairs = [0.0] * m, [0] * m, [0] * m
 
     def count(self, y: list[float]) -> None:
         """Count an innovation; NaN and 0 have no sign."""
         for i, (now, before) in enumerate(zip(y, self.last, strict=True)):
             if now > 0.0 or now < 0.0:
                 self.pairs[i] += before != 0.0
-                self.kept[i] += now * before > 0.0
+                self.same[i] += now * before > 0.0
                 self.last[i] = 1.0 if now > 0.0 else -1.0
 
     def keeper(self) -> int | None:
         """Return a sensor whose innovations nearly all keep their sign, None if there is none."""
-        return next((i for i, kept in enumerate(self.kept) if kept >= _KEPT), None)
+        return next((i for i, count in enumerate(self.same) if count >= _KEPT), None)
 
 
 def judges(updates: int) -> bool:
@@ -211,7 +211,7 @@ def _judge(kf: Any, signs: Signs, where: str) -> None:
     if sensor is None:
         return
     warn(
-        f"{kind[0]}{where}: {signs.kept[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
+        f"{kind[0]}{where}: {signs.same[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
         f"of the one before (half is usual): the estimate lags behind, since the state moves as neither the model nor "
         f"Q foresees (a level on a slope, say), or the noise is colored; give the model that motion, or a larger Q; "
         f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "

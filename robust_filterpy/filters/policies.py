@@ -82,7 +82,7 @@ class Kept(NamedTuple):
     """Shape (n, n)."""
 
     @property
-    def copies(self) -> Copies:
+    def hypotheses(self) -> Copies:
         """The copies alone."""
         return Copies.unpacked(*self[:3])
 
@@ -137,7 +137,7 @@ class Bounded:
         return None if self.patience is None else nothing_refused(sensors)
 
     def predicted(
-        self, kept: Any, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
+        self, carried: Any, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
     ) -> tuple[Array, Array, Any]:
         """Return x = F x + B u, P = alpha^2 F P F' + Q."""
         x = F.dot(x)
@@ -147,51 +147,51 @@ class Bounded:
         if alpha_sq != 1.0:
             P *= alpha_sq
         P += Q
-        return x, 0.5 * (P + P.T), kept
+        return x, 0.5 * (P + P.T), carried
 
     def corrected(
-        self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+        self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
     ) -> tuple[Correction | moments.Taken, Any]:
         """Return the correction by a linear sensor."""
         if self.by_kernel and inv is None:
-            taken = moments.correct_linear(self.choices, known.memory, x, P, z, H, R, M)
+            taken = moments.correct_linear(self.choices, before.memory, x, P, z, H, R, M)
             if taken is not None:
-                return taken, known.kept
+                return taken, before.kept
         y = z - finite_product(H, x)
-        return self.corrected_by_moments(known, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), inv)
+        return self.corrected_by_moments(before, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), inv)
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        self, before: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction, Any]:  # fmt: skip
         """Return the correction, P widened where refused innovations have insisted for long enough."""
         if self.learns:
-            last = correct_by_custom(known.memory, x, P, innovation, self.choices, inv is not None)
+            last = correct_by_custom(before.memory, x, P, innovation, self.choices, inv is not None)
         else:
             _, y, C, S, _, _ = innovation
             last = correct(x, P, y, C, S, self.choices, skip_singular=inv is not None)
-        if self.patience is None or known.kept is None:
-            return last, known.kept
-        kept, full = watched(known.kept, self.patience, last, difference)
+        if self.patience is None or before.kept is None:
+            return last, before.kept
+        carried, full = watched(before.kept, self.patience, last, difference)
         if not full:
-            return last, kept
+            return last, carried
         _, _, C, S, R, H = innovation
         C = C if H is None else P @ H.T
         jump = jump_of(last, C, S - R if H is None else H @ C)
-        return (last, kept) if jump is None else (last._replace(P=last.P + jump), kept.recovered())
+        return (last, carried) if jump is None else (last._replace(P=last.P + jump), carried.recovered())
 
-    def current(self, kept: Any, x: Array, P: Array) -> Kept:
+    def current(self, carried: Any, x: Array, P: Array) -> Kept:
         """Return the one copy that there is."""
         return alone(x, P)
 
-    def standing(self, kept: Any, x: Array, P: Array, memory: Array) -> State:
+    def standing(self, carried: Any, x: Array, P: Array, memory: Array) -> State:
         """Return where a recording begins, in arrays of its own."""
         none = np.empty((0, len(x)))
         return State(none, none[:, :, None], none, memory.copy(), x.copy(), P.copy())
 
-    def kept_of(self, kept: Any, state: State) -> Any:
+    def kept_of(self, carried: Any, state: State) -> Any:
         """Return what is kept besides where a recording has come to."""
-        return kept
+        return carried
 
     def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
         """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
@@ -210,28 +210,28 @@ class Bounded:
         share = np.clip(np.nan_to_num(self.contamination(memory)), 0.01, 0.4)[:, None]
         return np.array([1.0, 100.0]), np.concatenate([1.0 - share, share], axis=1)
 
-    def slack(self, kept: Any) -> float:
+    def slack(self, carried: Any) -> float:
         """Return the factor of Q that is thought likely."""
         return 1.0
 
-    def process_scale(self, kept: Any, n: int) -> Array:
+    def process_scale(self, carried: Any, n: int) -> Array:
         """Return the mean factor of each state's Q."""
         return np.ones(n)
 
-    def entries(self, kept: Insistence | None, x: Array, P: Array) -> dict[str, Array]:
+    def entries(self, carried: Insistence | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the count and the refused innovation that the next one is compared with."""
-        if kept is None:
+        if carried is None:
             return {}
-        return {"counts": np.array([kept.refused, kept.recoveries], dtype=float), "insisting": kept.insisting}
+        return {"counts": np.array([carried.refused, carried.recoveries], dtype=float), "insisting": carried.insisting}
 
-    def resumed(self, found: dict[str, Array], x: Array, P: Array) -> Insistence | None:
+    def resumed(self, entries: dict[str, Array], x: Array, P: Array) -> Insistence | None:
         """Return the count of a state, if it is one."""
         if self.patience is None:
             return None
-        counts = found["counts"]
+        counts = entries["counts"]
         if (counts < 0).any() or (counts != np.floor(counts)).any():
             raise ValueError(f"state: expected whole counts >= 0, got {counts}")
-        return Insistence(int(counts[0]), int(counts[1]), found["insisting"])
+        return Insistence(int(counts[0]), int(counts[1]), entries["insisting"])
 
 
 def alone(x: Array, P: Array) -> Kept:
@@ -268,8 +268,8 @@ class Mixture:
 
     def __post_init__(self) -> None:
         """Make of what was told what the correction takes."""
-        told = isinstance(self.noise, Contaminated)
-        steady = Huber.from_contamination(self.noise.contamination) if told else Huber()  # type: ignore[union-attr]
+        is_given = isinstance(self.noise, Contaminated)
+        steady = Huber.from_contamination(self.noise.contamination) if is_given else Huber()  # type: ignore[union-attr]
         for name, value in (
             ("classes", noise_classes(self.noise, self.grouping)),
             ("scales", process_scales(self.process)),
@@ -302,52 +302,52 @@ class Mixture:
         begun = side_by_side.start(x, P, self.scales)
         return Kept(*begun.packed, x.copy(), P.copy()) if self.scales.count > 1 else None
 
-    def current(self, kept: Kept | None, x: Array, P: Array) -> Kept:
+    def current(self, carried: Kept | None, x: Array, P: Array) -> Kept:
         """Return the copies; all of them at x, P if these have been assigned from outside."""
-        if kept is None:
+        if carried is None:
             return alone(x, P)
-        if x.tobytes() == kept.x.tobytes() and P.tobytes() == kept.P.tobytes():
-            return kept
-        now, scales = kept.copies, len(self.scales.scales)
+        if x.tobytes() == carried.x.tobytes() and P.tobytes() == carried.P.tobytes():
+            return carried
+        now, scales = carried.hypotheses, len(self.scales.scales)
         count, belief = len(now.x), now.belief.copy()
         # Where the program puts the state there is no candidate.
         belief[scales:count] = 0.0
         belief[:scales] = side_by_side.slow(now, self.scales)
         x, P = x.copy(), P.copy()
         given = now.given and now.given._replace(x=x, P=P)
-        copies = Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given)
-        return Kept(*side_by_side.coupled(copies, P, self.scales).packed, x, P)
+        tiled = Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given)
+        return Kept(*side_by_side.coupled(tiled, P, self.scales).packed, x, P)
 
     def predicted(
-        self, kept: Kept | None, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
+        self, carried: Kept | None, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
     ) -> tuple[Array, Array, Kept | None]:
         """Return x and P of all copies after a prediction: mixed as the scale may have changed, then moved."""
         control = None if Bu is None else Bu.ravel()
-        now = self.current(kept, x.ravel(), P).copies
-        copies, *merged_to = half_step.predict(now, F, Q, self.scales, control, alpha_sq)
-        after = Kept(*copies.packed, *merged_to)
-        return after.x.reshape(x.shape).copy(), after.P.copy(), None if kept is None else after
+        now = self.current(carried, x.ravel(), P).hypotheses
+        moved, *merged_to = half_step.predict(now, F, Q, self.scales, control, alpha_sq)
+        after = Kept(*moved.packed, *merged_to)
+        return after.x.reshape(x.shape).copy(), after.P.copy(), None if carried is None else after
 
     def corrected(
-        self, known: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+        self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
     ) -> tuple[Correction | Mixed, Kept | None]:
         """Return the correction of every copy, merged."""
-        kept = self.current(known.kept, x, P)
+        prior = self.current(before.kept, x, P)
         # Raises where H x is not finite.
         finite_product(H, x)
-        found, *merged_to = half_step.correct(kept.copies, known.memory, z, H, R, self.classes, self.scales, M, inv)
-        after = Kept(*found.copies.packed, *merged_to)
-        if np.isnan(found.weights).all():
-            ordinary = ordinary_noise(R, known.memory)
-            return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), known.kept
+        last, *merged = half_step.correct(prior.hypotheses, before.memory, z, H, R, self.classes, self.scales, M, inv)
+        after = Kept(*last.copies.packed, *merged)
+        if np.isnan(last.weights).all():
+            ordinary = ordinary_noise(R, before.memory)
+            return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), before.kept
         record = Mixed(
-            after.x.copy(), after.P.copy(), *found[1:], kept.x.copy(), kept.P.copy(), H.copy(), R.copy(),
-            None if M is None else M.copy(), z, known.memory, together=self._named,
+            after.x.copy(), after.P.copy(), *last[1:], prior.x.copy(), prior.P.copy(), H.copy(), R.copy(),
+            None if M is None else M.copy(), z, before.memory, together=self._named,
         )  # fmt: skip
-        return record, None if known.kept is None else after
+        return record, None if before.kept is None else after
 
     def corrected_by_moments(
-        self, known: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        self, before: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction | Mixed, Any]:  # fmt: skip
         """Return the correction of one copy; what a line does not explain of z is a state of its own."""
@@ -362,26 +362,26 @@ class Mixture:
         y = np.where(H.any(axis=1), y, np.nan)
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
         prior = side_by_side.start(np.zeros(n + len(curvature)), states, process_scales(None))
-        found, *_ = half_step.correct(prior, known.memory, y, whole, R, self.classes, self.scales, None, inv, readings)
+        last, *_ = half_step.correct(prior, before.memory, y, whole, R, self.classes, self.scales, None, inv, readings)
         unexplained = curvature if curvature.size else np.zeros((m, m))
-        if np.isnan(found.weights).all():
-            ordinary = ordinary_noise(R, known.memory) + unexplained
-            return nothing_observed(x, P, H @ P @ H.T + ordinary, m), known.kept
+        if np.isnan(last.weights).all():
+            ordinary = ordinary_noise(R, before.memory) + unexplained
+            return nothing_observed(x, P, H @ P @ H.T + ordinary, m), before.kept
         # What F P F' leaves of asymmetry would grow where F does.
-        covariance = found.copies.P[0, :n, :n]
-        mean, covariance = x + found.copies.x[0, :n], 0.5 * (covariance + covariance.T)
+        covariance = last.copies.P[0, :n, :n]
+        mean, covariance = x + last.copies.x[0, :n], 0.5 * (covariance + covariance.T)
         return Mixed(
-            mean, covariance, *found[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, known.memory, unexplained,
+            mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory, unexplained,
             self._named,
-        ), known.kept  # fmt: skip
+        ), before.kept  # fmt: skip
 
-    def standing(self, kept: Kept | None, x: Array, P: Array, memory: Array) -> State:
+    def standing(self, carried: Kept | None, x: Array, P: Array, memory: Array) -> State:
         """Return where a recording begins, in arrays of its own."""
-        return half_step.begin(self.current(kept, x, P).copies, memory)._replace(x=x.copy(), P=P.copy())
+        return half_step.begin(self.current(carried, x, P).hypotheses, memory)._replace(x=x.copy(), P=P.copy())
 
-    def kept_of(self, kept: Kept | None, state: State) -> Kept | None:
+    def kept_of(self, carried: Kept | None, state: State) -> Kept | None:
         """Return what is kept besides where a recording has come to."""
-        return None if kept is None else Kept(*state[:3], state.x, state.P)
+        return None if carried is None else Kept(*state[:3], state.x, state.P)
 
     def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
         """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
@@ -409,34 +409,34 @@ class Mixture:
         """Logarithms of the scales of Q."""
         return np.log(self.scales.scales)
 
-    def slack(self, kept: Kept | None) -> float:
+    def slack(self, carried: Kept | None) -> float:
         """Return the factor of Q that is thought likely."""
-        if kept is None:
+        if carried is None:
             return 1.0
-        slow = kept.belief[: len(self.scales.scales)]
+        slow = carried.belief[: len(self.scales.scales)]
         return math.exp(float((self._logs @ (slow / slow.sum(axis=0))).mean()))
 
-    def process_scale(self, kept: Kept | None, n: int) -> Array:
+    def process_scale(self, carried: Kept | None, n: int) -> Array:
         """Return the mean factor of each state's Q."""
-        if kept is None:
+        if carried is None:
             return np.ones(n)
-        given = kept.copies.given
-        mean = np.asarray(self.scales.scales @ side_by_side.slow(kept.copies, self.scales))
+        given = carried.hypotheses.given
+        mean = np.asarray(self.scales.scales @ side_by_side.slow(carried.hypotheses, self.scales))
         return mean if given is None else mean * given.factor
 
-    def entries(self, kept: Kept | None, x: Array, P: Array) -> dict[str, Array]:
+    def entries(self, carried: Kept | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the copies as arrays of a state."""
-        if kept is None:
+        if carried is None:
             return {}
-        now = self.current(kept, x, P)
+        now = self.current(carried, x, P)
         return {"means": now.means, "covariances": now.covariances, "belief": now.belief}
 
-    def resumed(self, found: dict[str, Array], x: Array, P: Array) -> Kept | None:
+    def resumed(self, entries: dict[str, Array], x: Array, P: Array) -> Kept | None:
         """Return the copies of a state, if their probabilities are some."""
         if self.scales.count == 1:
             return None
-        side_by_side.require_belief("state: belief", found["belief"], self.scales)
-        return Kept(found["means"], found["covariances"], found["belief"], x.copy(), P.copy())
+        side_by_side.require_belief("state: belief", entries["belief"], self.scales)
+        return Kept(entries["means"], entries["covariances"], entries["belief"], x.copy(), P.copy())
 
 
 class Mixed(NamedTuple):

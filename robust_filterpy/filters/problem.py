@@ -73,8 +73,8 @@ def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
     us, Bs = _checks.entries("us", us), _checks.entries("Bs", Bs)
     for name, values in (("us", us), ("Bs", Bs)):
         if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
-            found = len(values) if hasattr(values, "__len__") else _checks.shown(values)
-            raise ValueError(f"{name}: expected an entry for each of the {steps} measurements, got {found}")
+            got = len(values) if hasattr(values, "__len__") else _checks.shown(values)
+            raise ValueError(f"{name}: expected an entry for each of the {steps} measurements, got {got}")
     if B is None and Bs is None:
         raise ValueError("us: expected no inputs for a filter without B; set kf.B")
     matrices: Any

@@ -46,7 +46,7 @@ class SeriesArguments(NamedTuple):
     """Start of each series, (series, n); a copy, as P."""
     P: Array
     """(series, n, n)"""
-    kept: Output
+    output: Output
     every: int
     """Distance of kept steps."""
     skips: bool
@@ -56,7 +56,7 @@ class SeriesArguments(NamedTuple):
         """Return what was asked for of the covariances."""
         if covariance == "none":
             return None
-        return self.kept.covariances[:, :, 0] if covariance == "diagonal" else self.kept.covariances
+        return self.output.covariances[:, :, 0] if covariance == "diagonal" else self.output.covariances
 
 
 def series_arguments(
@@ -98,11 +98,11 @@ def series_arguments(
     every = _every(keep, steps)
     rows = steps // every if every else 0
     shape = {"full": (n, n), "diagonal": (1, n), "none": (0, 0)}[covariance]
-    kept = Output(
+    output = Output(
         np.empty((series, rows, n)), np.empty((series, rows, *shape)), np.empty((series, 0, n)),
         np.empty((series, 0, n, n)), np.empty((series, rows, m)), np.zeros(series),
     )  # fmt: skip
-    return SeriesArguments(z, model, x, P, kept, every, skips)
+    return SeriesArguments(z, model, x, P, output, every, skips)
 
 
 def threads(n_threads: int | None) -> int:
@@ -129,18 +129,18 @@ def spread(part: Callable[[int, int], np.ndarray], series: int, n_threads: int) 
 
 def leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: int) -> Array:
     """Return a matrix with the axes (series or 1, step or 1) in front, or raise."""
-    found = numbers(name, value)
-    if found.ndim in (2, 3):
-        found = found[(None,) * (4 - found.ndim)]
-    good = found.ndim == 4 and found.shape[2:] == shape and found.shape[0] in (1, series)
-    if not good or found.shape[1] not in (1, steps):
+    matrices = numbers(name, value)
+    if matrices.ndim in (2, 3):
+        matrices = matrices[(None,) * (4 - matrices.ndim)]
+    good = matrices.ndim == 4 and matrices.shape[2:] == shape and matrices.shape[0] in (1, series)
+    if not good or matrices.shape[1] not in (1, steps):
         raise ValueError(
             f"{name}: expected shape {shape}, ({steps}, ..) with one a step, or ({series}, {steps} or 1, ..) with each "
             f"series' own, got {np.shape(value)}"
         )
-    if not np.isfinite(found).all():
+    if not np.isfinite(matrices).all():
         raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    return np.ascontiguousarray(found)
+    return np.ascontiguousarray(matrices)
 
 
 def _every(keep: Any, steps: int) -> int:
@@ -352,13 +352,13 @@ def filter_series(
             raise TypeError(f"state: expected what filter_series returned as state, got {type(state).__name__}")
         x0, P0 = state["x"], state["P"]
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
-    steps, kept = given.z.shape[1], given.kept
+    steps, output = given.z.shape[1], given.output
     policy = policy_of(influence, scaling, information, grouping, noise, process)
     is_mixture = policy.noise is not None
     stands = began(policy, given, learnt) if state is None else continued(policy, given, state)
     before = None if is_mixture or "spread" not in stands else stands["spread"][:, :, FILLED].copy()
-    scale = np.empty(kept.means.shape) if is_mixture else None
-    outlying = np.empty(kept.weights.shape) if is_mixture else None
+    scale = np.empty(output.means.shape) if is_mixture else None
+    outlying = np.empty(output.weights.shape) if is_mixture else None
 
     def part(low: int, high: int) -> np.ndarray:
         """Advance some series: all together by psi and the kernel, then each from where that declined."""
@@ -369,11 +369,11 @@ def filter_series(
 
     spread(part, len(given.z), threads(n_threads))
     if is_mixture or before is not None:
-        stuck = (kept.weights == 0.0).any(axis=1) if before is None else stands["spread"][:, :, FILLED] > before
+        stuck = (output.weights == 0.0).any(axis=1) if before is None else stands["spread"][:, :, FILLED] > before
         say_stuck_among("filter_series", "series", stuck)
     probability = None if outlying is None else policy.any_outlier(outlying)  # type: ignore[union-attr]
     return FilteredSeries(
-        kept.means, given.covariances(covariance), kept.log_likelihood, kept.weights, probability, scale, stands
+        output.means, given.covariances(covariance), output.log_likelihood, output.weights, probability, scale, stands
     )  # fmt: skip
 
 
@@ -383,7 +383,7 @@ def _together(choices: Choices, given: SeriesArguments, stands: dict[str, Array]
         return np.zeros(high - low, dtype=int)
     return kernel.filter_series(
         choices, given.z, Model(*given.model, np.zeros((1, 1, given.x.shape[1]))), stands["x"], stands["P"],
-        given.kept, memory=stands.get("spread"), every=given.every, span=(low, high),
+        given.output, memory=stands.get("spread"), every=given.every, span=(low, high),
     )[low:high]  # fmt: skip
 
 
@@ -392,10 +392,10 @@ def _alone(
     s: int, first: int,
 ) -> None:  # fmt: skip
     """Take the steps of one series from one on."""
-    kept, every, at = given.kept, given.every, {name: array[s] for name, array in stands.items()}
-    covariances = kept.covariances[s].reshape(len(kept.means[s]), -1) if kept.covariances[s].size else None
+    out, every, at = given.output, given.every, {name: array[s] for name, array in stands.items()}
+    covariances = out.covariances[s].reshape(len(out.means[s]), -1) if out.covariances[s].size else None
     scales, odds = (None if column is None else column[s] for column in (scale, outlying))
-    into = Rows(kept.means[s], covariances, None, None, kept.weights[s], odds, scales, kept.log_likelihood[s : s + 1])
+    into = Rows(out.means[s], covariances, None, None, out.weights[s], odds, scales, out.log_likelihood[s : s + 1])
     apart = Kept(at["means"], at["covariances"], at["belief"], at["x"], at["P"]) if "means" in at else None
     memory = at.get("learnt", at.get("spread", policy.begin(given.z.shape[2])))
     state = policy.standing(apart, at["x"], at["P"], memory)
@@ -411,7 +411,7 @@ def _alone(
             if column is not None:
                 column[error.step // every :] = np.nan  # type: ignore[attr-defined]
         # What was learnt of its noise stays.
-        kept.log_likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
+        out.log_likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
     for name, value in zip(("means", "covariances", "belief", "spread", "x", "P"), state, strict=True):
         name = "learnt" if name == "spread" and "learnt" in at else name
         if name in at:

@@ -119,8 +119,8 @@ class Shell(StateMixin):
         """Check and keep what was chosen, as `policy_of` takes it; called before filterpy's constructor."""
         unknown = sorted(options.keys() - Options.__annotations__.keys())
         if unknown:
-            known = ", ".join(Options.__annotations__)
-            raise TypeError(f"{type(self).__name__}: expected options among {known}, got {unknown[0]}")
+            names = ", ".join(Options.__annotations__)
+            raise TypeError(f"{type(self).__name__}: expected options among {names}, got {unknown[0]}")
         self._policy = policy_of(**options)
         self._require_possible(self._policy)
         self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
@@ -289,15 +289,15 @@ class Shell(StateMixin):
             self._kept = self._kept.nearer()
             return
         last: Any = self._arrays()
-        kept, full = watched(self._kept, self._policy.patience, last, difference)
+        carried, full = watched(self._kept, self._policy.patience, last, difference)
         jump = None
         if full:
             kf: Any = self
             jump = jump_of(last, last.C, last.S - noise_covariance(kf.R, R, len(last.y)))
         if jump is not None:
             self.P = last.P + jump
-            self.P_post, self._last, kept = self.P.copy(), last._replace(P=self.P), kept.recovered()
-        self._kept = kept
+            self.P_post, self._last, carried = self.P.copy(), last._replace(P=self.P), carried.recovered()
+        self._kept = carried
 
     def _looked(self, before: tuple[Any, ...] | None, look: Callable[..., Any], *given: Any) -> Any:
         """Look at a correction; a warning that is made an error refuses the call, and then nothing has changed."""
@@ -313,8 +313,8 @@ class Shell(StateMixin):
         """psi(e)/e of the last correction, shape of y; NaN where a component was missing."""
         if type(self._last) is np.ndarray:
             # What wraps a filter asks for these alone at every step; the whole record takes longer than the step.
-            found = weights_of(self._last)
-            return found if np.ndim(self.x) == 1 else found[:, None]
+            weights = weights_of(self._last)
+            return weights if np.ndim(self.x) == 1 else weights[:, None]
         return self._shown("weights", np.nan)
 
     clipped = _view("clipped", False, "Whether psi'(e) <= 0 in the last correction, shape of y.")
@@ -344,7 +344,7 @@ class Shell(StateMixin):
         if self._counts_clipped:
             self._share.look_at_recording(self, weights, y)
 
-    def _keep(self, last: Any, kept: Any, z: Array, passed: Array | None = None) -> None:
+    def _keep(self, last: Any, carried: Any, z: Array, passed: Array | None = None) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
         column = np.ndim(self.x) == 2
         require_finite_correction(last)
@@ -353,7 +353,7 @@ class Shell(StateMixin):
             look_for_repeats(self, last.memory)
         self._look(last)
         self.x = last.x[:, None] if column else last.x
-        self.P, self._last, self._kept = last.P, last, kept
+        self.P, self._last, self._kept = last.P, last, carried
         self._outlier_probability = getattr(last, "outlier_probability", 0.0)
         self.z = z[:, None] if column else z
         self._y = self._S = self._SI = self._K = None

@@ -54,10 +54,10 @@ class _SigmaPoint(NonlinearFilterMixin):
         if add is np.add and self._stepped(values, None, y, C, S, R, difference_of(residual, np.shape(zp))):
             self.sigmas_h = sigmas_h
             return
-        last, kept = self._corrected(P, values, y, C, S, R, residual, np.shape(zp))
+        last, carried = self._corrected(P, values, y, C, S, R, residual, np.shape(zp))
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
         require_finite(x=last.x)
-        self._keep(last, kept, values)
+        self._keep(last, carried, values)
         self.sigmas_h = sigmas_h
 
 
@@ -241,8 +241,8 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         """
         if self.residual_x is np.subtract and self.residual_z is np.subtract:
             return covariance(sigmas_f - x, sigmas_h - z, self.Wc)
-        found: Array = super().cross_variance(x, z, sigmas_f, sigmas_h)
-        return found
+        cross: Array = super().cross_variance(x, z, sigmas_f, sigmas_h)
+        return cross
 
     @whole
     def update(

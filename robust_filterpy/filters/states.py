@@ -41,14 +41,14 @@ class Customs(NamedTuple):
 
     def of(self, begin: Array, keys: list[Any]) -> Array:
         """Return the memories of some sensors, begin where nothing is known; keys as `sensor_keys` makes them."""
-        found = begin.copy()
+        memories = begin.copy()
         for i, key in enumerate(keys):
             place = i if isinstance(key, bytes) else key
             if key in self.rows:
-                found[i] = self.rows[key]
+                memories[i] = self.rows[key]
             elif place < len(self.places):
-                found[i] = self.places[place]
-        return found
+                memories[i] = self.places[place]
+        return memories
 
     def updated(self, memory: Array, begin: Array, keys: list[Any]) -> Customs:
         """Return these with the memories of some sensors replaced, named as in `of`."""
@@ -157,13 +157,13 @@ class StateMixin:
             return
         if not isinstance(sensor, (str, int)) or isinstance(sensor, bool):
             raise TypeError(f"sensor: expected a name or a number, got {_checks.shown(sensor)}")
-        known, name = self._known_sensors(), str(sensor)
+        unnamed, name = self._known_sensors(), str(sensor)
         self._keep_sensors(Customs(self._named_sensors.get(name, self._policy.begin(self.dim_z)), {}))
         try:
             correct()
             spoken = self._memory
         finally:
-            self._keep_sensors(known)
+            self._keep_sensors(unnamed)
         if self._policy.learns:
             self._named_sensors = {**self._named_sensors, name: spoken}
 
@@ -230,8 +230,8 @@ class StateMixin:
             return None
         classes = self._policy.classes
         return {
-            name: describe(known, np.array(classes.scales), len(known) if classes.grouping == "joint" else 1)
-            for name, known in self._named_sensors.items()
+            name: describe(memory, np.array(classes.scales), len(memory) if classes.grouping == "joint" else 1)
+            for name, memory in self._named_sensors.items()
         }
 
     @property
@@ -257,7 +257,7 @@ class StateMixin:
             return None
         if self._kept is None:
             return np.ones((1, self.dim_x))
-        return slow(self._kept.copies, self._policy.scales)
+        return slow(self._kept.hypotheses, self._policy.scales)
 
     @property
     def process_scale(self) -> Array:
@@ -327,15 +327,15 @@ class StateMixin:
         }  # fmt: skip
         optional = {name: shapes[name] for name in self._settings}
         optional |= self._sensor_shapes()
-        found = _state.checked(state, type(self).__name__, self._needed(), optional, GAPS)
-        foreign = sorted({"means", "counts", "learnt", "spread"} & set(state) - set(found))
+        entries = _state.checked(state, type(self).__name__, self._needed(), optional, GAPS)
+        foreign = sorted({"means", "counts", "learnt", "spread"} & set(state) - set(entries))
         if foreign:
             raise _state.StateError(
                 f"state: expected one of a filter with the same noise=, process= and patience=, got {foreign[0]} in it"
             )
-        if found.get("alpha_sq", 1.0) < 1.0:
-            raise ValueError(f"state: expected alpha_sq >= 1, got {found['alpha_sq']}")
-        self._go_on(found)
+        if entries.get("alpha_sq", 1.0) < 1.0:
+            raise ValueError(f"state: expected alpha_sq >= 1, got {entries['alpha_sq']}")
+        self._go_on(entries)
 
     @property
     def _sensors_name(self) -> str:
@@ -351,14 +351,14 @@ class StateMixin:
     def _sensors_in_state(self) -> dict[str, Array]:
         """Return what is known of the sensors, if anything is."""
         customs, name = self._known_sensors(), self._sensors_name
-        known = {name: customs.places} if name == "spread" and (customs.places.any() or customs.rows) else {}
+        entries = {name: customs.places} if name == "spread" and (customs.places.any() or customs.rows) else {}
         if customs.rows:
-            known["sensors"] = np.array([np.frombuffer(key) for key in customs.rows])
-            known[f"sensors_{name}"] = np.array(list(customs.rows.values()))
+            entries["sensors"] = np.array([np.frombuffer(key) for key in customs.rows])
+            entries[f"sensors_{name}"] = np.array(list(customs.rows.values()))
         if self._named_sensors:
-            known["named"] = _state.spelt(json.dumps({one: len(rows) for one, rows in self._named_sensors.items()}))
-            known[f"named_{name}"] = np.vstack(list(self._named_sensors.values()))
-        return known
+            entries["named"] = _state.spelt(json.dumps({one: len(rows) for one, rows in self._named_sensors.items()}))
+            entries[f"named_{name}"] = np.vstack(list(self._named_sensors.values()))
+        return entries
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves."""
@@ -370,24 +370,24 @@ class StateMixin:
         """Return the shapes of what a step moves."""
         return {**_state.schema(self._moving()), "x": (self.dim_x,)}
 
-    def _go_on(self, found: dict[str, Array]) -> None:
+    def _go_on(self, entries: dict[str, Array]) -> None:
         """Take over a checked state."""
         name = self._sensors_name
-        rows = found.get("sensors", np.zeros((0, 1)))
-        memories = found.get(f"sensors_{name}", np.tile(self._policy.begin(1), (len(rows), 1)))
-        places = found.get(name, self._policy.begin(self.dim_z))
+        rows = entries.get("sensors", np.zeros((0, 1)))
+        memories = entries.get(f"sensors_{name}", np.tile(self._policy.begin(1), (len(rows), 1)))
+        places = entries.get(name, self._policy.begin(self.dim_z))
         if name == "learnt":
             # Sensors may have joined since.
             places = self._policy.classes.checked(places, min(self.dim_z, len(places)))
-        named = _by_name(found, f"named_{name}")
-        kept = self._policy.resumed(found, np.ravel(found["x"]), found["P"])
-        self.x, self.P, self._kept = found["x"], found["P"], kept
+        named = _by_name(entries, f"named_{name}")
+        carried = self._policy.resumed(entries, np.ravel(entries["x"]), entries["P"])
+        self.x, self.P, self._kept = entries["x"], entries["P"], carried
         self._show_nothing()
         self._keep_sensors(Customs(places, {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}))
         self._named_sensors = named
         for key, name in self._settings.items():
-            if key in found:
-                value = found[key]
+            if key in entries:
+                value = entries[key]
                 setattr(self, name, value.item() if value.ndim == 0 else value)
 
     def _show_nothing(self) -> None:
@@ -401,15 +401,15 @@ class StateMixin:
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
 
-def _by_name(found: dict[str, Array], key: str) -> dict[str, Array]:
+def _by_name(entries: dict[str, Array], key: str) -> dict[str, Array]:
     """Return what a state knows of the sensors that have names."""
-    if not np.size(found.get("named", ())):
+    if not np.size(entries.get("named", ())):
         return {}
     try:
-        rows = {str(name): int(m) for name, m in json.loads(_state.read(found["named"])).items()}
+        rows = {str(name): int(m) for name, m in json.loads(_state.read(entries["named"])).items()}
     except (ValueError, AttributeError, TypeError):
         rows = {}
-    memories = found.get(key, np.zeros((0, 1)))
+    memories = entries.get(key, np.zeros((0, 1)))
     if not rows or min(rows.values()) < 1 or sum(rows.values()) != len(memories):
         raise _state.StateError(f"state: expected the names of {len(memories)} sensors in named, got others")
     ends = np.cumsum(list(rows.values()))[:-1]
@@ -419,10 +419,10 @@ def _by_name(found: dict[str, Array], key: str) -> dict[str, Array]:
 def sensor_keys(passed: Array, own: Any) -> list[Any]:
     """Return what tells each sensor of an H that was passed: its place in the filter's own, or the bytes of its row."""
     m = len(passed)
-    known = {}
+    places = {}
     if np.ndim(own) == 2 and np.shape(own)[1] == passed.shape[1]:
-        known = {row.tobytes(): i for i, row in reversed(list(enumerate(np.asarray(own, dtype=float))))}
-    keys = [known.get(row.tobytes(), row.tobytes()) for row in passed]
+        places = {row.tobytes(): i for i, row in reversed(list(enumerate(np.asarray(own, dtype=float))))}
+    keys = [places.get(row.tobytes(), row.tobytes()) for row in passed]
     # Sensors that see exactly the same are told apart by their places.
     return keys if len(set(keys)) == m else list(range(m))
 
@@ -438,14 +438,14 @@ def settings_of(kf: StateMixin) -> dict[str, Any]:
 def moved_shapes(kf: StateMixin) -> dict[str, _state.Shape]:
     """Return the shapes of what a step moves, what is usual of the sensors among it."""
     by_custom = kf._policy.noise is None and kf._policy.learns
-    known = {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)} if by_custom else {}
-    return {**kf._needed(), "x": np.shape(kf.x), **known}
+    shapes = {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)} if by_custom else {}
+    return {**kf._needed(), "x": np.shape(kf.x), **shapes}
 
 
 def kept_beside(kf: StateMixin) -> dict[str, Array]:
     """Return what a filter keeps beside x and P, what it knows of its sensor among it."""
-    kept = {**kf._moving(), **kf._sensors_in_state()}
-    return {f"filter_{name}": value for name, value in kept.items() if name not in ("x", "P")}
+    entries = {**kf._moving(), **kf._sensors_in_state()}
+    return {f"filter_{name}": value for name, value in entries.items() if name not in ("x", "P")}
 
 
 def go_on_beside(kf: StateMixin, x: Array, P: Array, state: Any) -> None:
