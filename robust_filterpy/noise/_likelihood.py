@@ -64,10 +64,10 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> Problem:
 
 def _checked(data: Problem) -> Problem:
     """Return a recording that has something to learn from, or raise."""
-    known = int((data.zs == data.zs).any(axis=1).sum())
-    if known < LEAST:
+    count = int((data.zs == data.zs).any(axis=1).sum())
+    if count < LEAST:
         raise ValueError(
-            f"zs: expected at least {LEAST} measurements that are not missing, got {known} in {len(data.zs)}"
+            f"zs: expected at least {LEAST} measurements that are not missing, got {count} in {len(data.zs)}"
         )
     for name in ("F", "H", "Q"):
         if not np.isfinite(getattr(data, name)).all():
@@ -86,18 +86,18 @@ def _narrowed(data: Problem) -> Problem:
         for k in range(steps):
             x, moved = F[k] @ x + Bu[k], F[k] @ moved
             rows[k], apart[k] = H[k] @ moved, np.abs(data.zs[k] - H[k] @ x)
-        known = np.isfinite(apart)
+        finite = np.isfinite(apart)
         # The median: one of them may be wild.
         unit = np.array(
-            [np.median(a[there]) if there.any() else 0.0 for a, there in zip(apart.T, known.T, strict=True)]
+            [np.median(a[there]) if there.any() else 0.0 for a, there in zip(apart.T, finite.T, strict=True)]
         )
-        rows = (rows / np.where(unit > 0.0, unit, np.inf)[:, None])[known]
+        rows = (rows / np.where(unit > 0.0, unit, np.inf)[:, None])[finite]
         values, axes = np.linalg.eigh(data.P)
         root = axes * np.sqrt(np.maximum(values, 0.0))
-        told = rows @ root
-        if not np.isfinite(told).all():
+        seen = rows @ root
+        if not np.isfinite(seen).all():
             return data
-        _, sizes, axes = np.linalg.svd(told, full_matrices=True)
+        _, sizes, axes = np.linalg.svd(seen, full_matrices=True)
     wide = np.ones(n)
     wide[: len(sizes)] = np.minimum(1.0, _WIDE**0.5 / np.maximum(sizes, 1e-300))
     if wide.min() == 1.0:

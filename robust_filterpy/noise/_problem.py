@@ -86,8 +86,8 @@ def _derivatives(cost: Cost, points: Array) -> tuple[Array, Array]:
     d = points.shape[1]
     unit, (i, j) = _STEP * np.eye(d), np.triu_indices(d, 1)
     offsets = np.concatenate([np.zeros((1, d)), unit, -unit, unit[i] + unit[j]])
-    found = cost((points[:, None, :] + offsets).reshape(-1, d)).reshape(len(points), -1)
-    middle, up, down, both = np.split(found, [1, 1 + d, 1 + 2 * d], axis=1)
+    costs = cost((points[:, None, :] + offsets).reshape(-1, d)).reshape(len(points), -1)
+    middle, up, down, both = np.split(costs, [1, 1 + d, 1 + 2 * d], axis=1)
     curvatures = np.zeros((len(points), d, d))
     curvatures[:, i, j] = curvatures[:, j, i] = both - up[:, i] - up[:, j] + middle
     curvatures[:, range(d), range(d)] = up + down - 2 * middle
@@ -129,8 +129,8 @@ class NoiseFit:
     """Factor of each sensor, -1 where there is none."""
     groups_Q: Array
     """The same of each state."""
-    known: tuple[float | None, float | None]
-    """Contamination and scale ratio, as far as they are known."""
+    given: tuple[float | None, float | None]
+    """Contamination and scale ratio, as far as they are given."""
 
     @property
     def count_R(self) -> int:
@@ -159,7 +159,7 @@ class NoiseFit:
         none, at = np.zeros((len(points), 1)), self.count_R
         logs_R = np.concatenate([points[:, :at], none], axis=1)[:, self.groups_R]
         logs_Q = np.concatenate([points[:, at : at + self.count_Q], none], axis=1)[:, self.groups_Q]
-        share, ratio = self.known
+        share, ratio = self.given
         shares = 1 / (1 + np.exp(-points[:, -2])) if share is None else np.full(len(points), share)
         ratios = np.exp(points[:, -1]) if ratio is None else np.full(len(points), ratio)
         return logs_R, logs_Q, shares, ratios
@@ -168,7 +168,7 @@ class NoiseFit:
         """Return minus the log-likelihood of the recording, or of its beginning, and of the priors, for p points."""
         logs_R, logs_Q, share, ratio = self.unpacked(points)
         prior = -0.5 * (np.log(ratio) - _PRIOR_LOG_RATIO) ** 2
-        if self.known[0] is None:
+        if self.given[0] is None:
             prior = prior + _PRIOR_ORDINARY * np.log1p(-share)
         data = self.data if steps is None else self.data.first(steps)
         return -(log_likelihoods(data, logs_R, logs_Q, share, ratio) + prior)
@@ -176,9 +176,9 @@ class NoiseFit:
     def ends(self) -> Ends:
         """Return where the search ends from every start, the lowest first."""
         name = f"stage {self._looks + 1} of {self._looks + 2}, the search"
-        found = descend(self.cost, self._starts(), *self.limits, name)
-        order = np.argsort(found.costs, kind="stable")
-        return Ends(*(part[order] for part in found))
+        ends = descend(self.cost, self._starts(), *self.limits, name)
+        order = np.argsort(ends.costs, kind="stable")
+        return Ends(*(part[order] for part in ends))
 
     @property
     def _looks(self) -> int:
@@ -191,7 +191,7 @@ class NoiseFit:
         stage(f"stage 1 of {self._looks + 2}, where to start")
         log_R, log_Q = (_DECADES if count else np.zeros(1) for count in (self.count_R, self.count_Q))
         places = []
-        for share in _SHARES if self.known[0] is None else _SHARES[:1]:
+        for share in _SHARES if self.given[0] is None else _SHARES[:1]:
             grid = np.array(
                 [[*[r] * self.count_R, *[q] * self.count_Q, share, _PRIOR_LOG_RATIO] for r in log_R for q in log_Q]
             )
@@ -221,10 +221,10 @@ class NoiseFit:
         offsets = np.zeros((len(_FINER), grid.shape[-1]))
         offsets[:, :-2] = _FINER[:, None]
         tried = lines[:, None] + offsets
-        found = self.cost(tried.reshape(-1, grid.shape[-1]), steps).reshape(len(lines), -1)
-        rows, low = np.arange(len(lines)), np.clip(found.argmin(axis=1), 1, len(_FINER) - 2)
+        costs = self.cost(tried.reshape(-1, grid.shape[-1]), steps).reshape(len(lines), -1)
+        rows, low = np.arange(len(lines)), np.clip(costs.argmin(axis=1), 1, len(_FINER) - 2)
         # The vertex of the parabola through the lowest and its neighbours.
-        before, here, after = (found[rows, low + shift] for shift in (-1, 0, 1))
+        before, here, after = (costs[rows, low + shift] for shift in (-1, 0, 1))
         shift = np.clip(0.5 * (before - after) / np.maximum(before - 2 * here + after, 1e-9), -1.0, 1.0)
         lines = tried[rows, low]
         lines[:, :-2] += ((_FINER[1] - _FINER[0]) * shift)[:, None]
@@ -266,9 +266,9 @@ def bounds(problem: NoiseFit, ends: Ends, rise: float) -> Array:
             bracketed, inner[left] + part * (outer[left] - inner[left]), inner[left] + signs[left] * step[left]
         )
         at = np.clip(at, -SCALE_LIMIT, SCALE_LIMIT)
-        found = held(problem, points[left], factors[left], at, f"{2 * count - left.size} of {2 * count} ends found")
-        sizes = np.sqrt(np.maximum(found.costs - best, 0.0))
-        for k, a, s, point in zip(left, at, sizes, found.points, strict=True):
+        lowest = held(problem, points[left], factors[left], at, f"{2 * count - left.size} of {2 * count} ends found")
+        sizes = np.sqrt(np.maximum(lowest.costs - best, 0.0))
+        for k, a, s, point in zip(left, at, sizes, lowest.points, strict=True):
             if s > goal:
                 outer[k], beyond[k] = a, s
             else:

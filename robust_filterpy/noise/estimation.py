@@ -115,10 +115,10 @@ class NoiseEstimate:
             raise ValueError(f"level: expected a number between 0 and 1, got {_checks.shown(level)}")
         problem, ends = self._search
         with stages("intervals", None):
-            found = np.exp(bounds(problem, ends, float(gammaincinv(0.5, level))))
-        found = np.concatenate([found, np.ones((1, 2))])
-        fixed, from_Q = len(found) - 1, np.where(problem.groups_Q < 0, -1, problem.groups_Q + problem.count_R)
-        return NoiseIntervals(found[np.where(problem.groups_R < 0, fixed, problem.groups_R)], found[from_Q])
+            factors = np.exp(bounds(problem, ends, float(gammaincinv(0.5, level))))
+        factors = np.concatenate([factors, np.ones((1, 2))])
+        fixed, from_Q = len(factors) - 1, np.where(problem.groups_Q < 0, -1, problem.groups_Q + problem.count_R)
+        return NoiseIntervals(factors[np.where(problem.groups_R < 0, fixed, problem.groups_R)], factors[from_Q])
 
     def apply(self, filter: Any) -> Any:
         """Give a filter this R and Q, and the contamination and ratio if it can use them.
@@ -247,7 +247,7 @@ def estimate_noise(
         warn(f"estimate_noise: {doubt}; see intervals() of the result")
     likelihood = log_likelihoods(data, *(part[None] for part in (logs_R, logs_Q, share, ratio)))[0]
     base, converged = getattr(filter, "filter", filter), bool(ends.converged[0])
-    found = NoiseEstimate(
+    estimate = NoiseEstimate(
         R=scaled(data.R[0] if Rs is None else noise_covariance(base.R, None, len(logs_R)), logs_R),
         Q=scaled(
             data.Q[0] if Qs is None else process_noise(base.Q, None, len(logs_Q)) * np.ones((len(logs_Q),) * 2), logs_Q
@@ -260,8 +260,8 @@ def estimate_noise(
         converged=converged and not doubt,
         message=doubt or ("the likelihood is greatest here" if converged else "the search did not end"),
     )
-    object.__setattr__(found, "_search", (problem, ends))
-    return found
+    object.__setattr__(estimate, "_search", (problem, ends))
+    return estimate
 
 
 def _doubt(problem: NoiseFit, ends: Ends) -> tuple[list[str], str]:
@@ -277,7 +277,7 @@ def _doubt(problem: NoiseFit, ends: Ends) -> tuple[list[str], str]:
         if loose:
             what = "not determined by the recording, which fits with 20 times less or more as well"
             return loose, f"{', '.join(loose)}: {what}"
-    if problem.known[0] is None and point[-2] > LOGIT_LIMITS[1] - 1e-6:
+    if problem.given[0] is None and point[-2] > LOGIT_LIMITS[1] - 1e-6:
         return [], "contamination: ended at its limit of 0.45; most samples are not alike"
     return [], ""
 

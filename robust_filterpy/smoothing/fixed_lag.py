@@ -129,8 +129,8 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
             if mixture is not None:
                 parts[f"share of outliers, {name}"] = np.ravel(mixture.contamination)
                 parts[f"size over ordinary, {name}"] = np.ravel(mixture.ratio)
-        told = "N is not set" if self.N is None else f"lag {self.N}"
-        head = f"{type(self).__name__}: {self.dim_x} states, {self.dim_z} measured, {told}; repr() shows every matrix"
+        lag = "N is not set" if self.N is None else f"lag {self.N}"
+        head = f"{type(self).__name__}: {self.dim_x} states, {self.dim_z} measured, {lag}; repr() shows every matrix"
         return "\n".join([head, *lines_of(parts)])
 
     def smooth(self, z: ArrayLike | None, u: ArrayLike | None = None) -> None:
@@ -277,18 +277,18 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         parts = {f"window_{k}": (None, *a.shape[1:]) for k, a in _Window.empty(n, m)._asdict().items()}
         needed = {"x": (n,), "P": (n, n), **parts, "smooth": (None, n), "prior_x": (n,), "prior_P": (n, n), "count": ()}
         needed |= {name: array.shape for name, array in self._learnt_arrays().items()}
-        found = _state.checked(state, self._kind, needed, {}, ("window_z", "beliefs", "mixtures"))
-        steps = len(found["smooth"])
-        if any(len(found[name]) != steps for name in parts):
+        entries = _state.checked(state, self._kind, needed, {}, ("window_z", "beliefs", "mixtures"))
+        steps = len(entries["smooth"])
+        if any(len(entries[name]) != steps for name in parts):
             raise ValueError(f"state: expected {steps} steps in each part of the window, got others")
-        self.x, self.P, shape = found["x"], found["P"], found["x"].shape
-        self._window = _Window(*(found[name] for name in parts))
-        self._prior, self.count = (found["prior_x"], found["prior_P"]), int(found["count"])
-        self.xSmooth = [one.reshape(shape).copy() for one in found["smooth"]]
+        self.x, self.P, shape = entries["x"], entries["P"], entries["x"].shape
+        self._window = _Window(*(entries[name] for name in parts))
+        self._prior, self.count = (entries["prior_x"], entries["prior_P"]), int(entries["count"])
+        self.xSmooth = [one.reshape(shape).copy() for one in entries["smooth"]]
         self.x_s = self.xSmooth[0].copy() if steps else np.zeros(shape)
         self.weights = np.empty((0, m))
         for i, size in enumerate((1 if self._joint else m, 1)):
-            belief, mixture = found["beliefs"][i, :, :size], found["mixtures"][i, :, :size]
+            belief, mixture = entries["beliefs"][i, :, :size], entries["mixtures"][i, :, :size]
             self._beliefs[i] = Belief() if np.isnan(belief).all() else Belief(*belief[:, None])
             self._mixtures[i] = None if np.isnan(mixture).all() else Mixture(*mixture[:, None])
 
@@ -300,14 +300,14 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
     def _learnt_arrays(self) -> dict[str, Array]:
         """Return what is learnt of measurement and process noise, NaN where nothing is."""
         kinds = 1 if self._joint else self.dim_z
-        found = {"beliefs": np.full((2, 4, kinds), np.nan), "mixtures": np.full((2, 2, kinds), np.nan)}
+        entries = {"beliefs": np.full((2, 4, kinds), np.nan), "mixtures": np.full((2, 2, kinds), np.nan)}
         for name, noises in (("beliefs", self._beliefs), ("mixtures", self._mixtures)):
             for i, parts in enumerate(noises):
                 for j, part in enumerate(parts or ()):
                     # One that has not met a sample is made of numbers.
                     if np.ndim(part):
-                        found[name][i, j, : np.size(part)] = np.ravel(part)
-        return found
+                        entries[name][i, j, : np.size(part)] = np.ravel(part)
+        return entries
 
     def smooth_batch(self, zs: Any, N: int, us: Any = None) -> tuple[Array, Array]:
         """Smooth a recording with a lag, and change nothing in this object.

@@ -119,11 +119,11 @@ def _room(model: Model, weighting: Weighting, spread: bool, states: bool, proces
     """Return empty arrays for what a pass returns."""
     series, steps, m = weighting.precision.shape
     n, r = model.G.shape[2:]
-    wide, kept, driven = (steps if wanted else 0 for wanted in (spread, states, process))
+    wide, shown, driven = (steps if wanted else 0 for wanted in (spread, states, process))
     return Smooth(
         np.empty((series, steps, m)), np.empty((series, wide, m, m)),
         np.empty((series, driven, r)), np.empty((series, driven, r, r)),
-        np.empty((series, kept, n)), np.empty((series, kept, n, n)), np.empty((series, n)), np.empty((series, n, n)),
+        np.empty((series, shown, n)), np.empty((series, shown, n, n)), np.empty((series, n)), np.empty((series, n, n)),
     )  # fmt: skip
 
 

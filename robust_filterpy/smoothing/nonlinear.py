@@ -70,8 +70,8 @@ class Trajectory:
         # filterpy's unscented filter hides its dim_x.
         self.prior = _checks.numbers("x", model.kf.x).ravel().copy()
         self.P0 = _checks.matrix("P", model.kf.P, (model.n, model.n), f"dim_x={model.n}")
-        found, covariances = model.filtered()
-        self.x, self.P = np.vstack([self.prior, found]), np.concatenate([self.P0[None], covariances])
+        means, covariances = model.filtered()
+        self.x, self.P = np.vstack([self.prior, means]), np.concatenate([self.P0[None], covariances])
 
     def recording(self) -> Recording:
         """Return the linear problem of the deviations."""

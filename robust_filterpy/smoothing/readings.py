@@ -74,14 +74,14 @@ def _left(z: Array, smooth: Smooth, weighting: Weighting, believed: np.ndarray) 
     """Return how large what is left of each sensor is, and of how many degrees of freedom, both (series, m)."""
     V = np.einsum("...ii->...i", smooth.spread)
     rest = 1.0 - weighting.precision * V
-    told = believed & (rest > _ROUNDING)
-    rest = np.where(told, rest, 1.0)
+    informative = believed & (rest > _ROUNDING)
+    rest = np.where(informative, rest, 1.0)
     variance = 1.0 / (1.0 + V / rest)
     squares = ((z - smooth.fitted + V * weighting.offset) / rest) ** 2 * variance
-    ordered = np.sort(np.where(told, squares, np.inf), axis=1)
-    middle = np.maximum(told.sum(axis=1) - 1, 0)[:, None] // 2
+    ordered = np.sort(np.where(informative, squares, np.inf), axis=1)
+    middle = np.maximum(informative.sum(axis=1) - 1, 0)[:, None] // 2
     median = np.take_along_axis(ordered, middle, axis=1)[:, 0]
-    return median / MEDIAN_SQUARE, np.where(told, variance, 0.0).sum(axis=1) / _OF_MEDIAN**2
+    return median / MEDIAN_SQUARE, np.where(informative, variance, 0.0).sum(axis=1) / _OF_MEDIAN**2
 
 
 def _differs(size: float, degrees: float) -> bool:
@@ -137,12 +137,12 @@ def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: 
     for more in ([], *([row] for row in rows)):
         tried = [*bursts, *more]
         alone = outliers & ~_inside(tried, outliers.shape)
-        found = _density(z, F, H, Q, alone, noise, x0, P0, tried)
+        density = _density(z, F, H, Q, alone, noise, x0, P0, tried)
         # A burst is as likely as one outlier.
-        found += _labels(alone, there[0] & ~_inside(tried, alone.shape), noise[0])
-        found += sum(float(np.log(noise[0, i])) for i, *_ in tried)
-        if found > best:
-            best, bursts = found, tried
+        density += _labels(alone, there[0] & ~_inside(tried, alone.shape), noise[0])
+        density += sum(float(np.log(noise[0, i])) for i, *_ in tried)
+        if density > best:
+            best, bursts = density, tried
     return best + _labels(jumps, np.ones(len(jumps), dtype=bool), process[0])
 
 
@@ -155,10 +155,10 @@ def _bursts(large: np.ndarray) -> list[list[int]]:
 
 def _inside(rows: list[tuple[int, int, int]], shape: tuple[int, ...]) -> np.ndarray:
     """Return which samples of which components are in one of the rows."""
-    found = np.zeros(shape, dtype=bool)
+    mask = np.zeros(shape, dtype=bool)
     for i, begin, end in rows:
-        found[begin:end, i] = True
-    return found
+        mask[begin:end, i] = True
+    return mask
 
 
 def _density(
@@ -171,14 +171,14 @@ def _density(
     for k, (i, begin, end) in enumerate(offsets):
         H[0, begin:end, i, n + k] = _OFFSET * noise[1, i]
     F, Q, P0 = (np.pad(a, [(0, 0)] * (a.ndim - 2) + [(0, more)] * 2) for a in (F, Q, P0))
-    for kept in (F, P0):
-        kept[..., range(n, n + more), range(n, n + more)] = 1.0
+    for matrix in (F, P0):
+        matrix[..., range(n, n + more), range(n, n + more)] = 1.0
     R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
-    found = filter_series(
+    filtered = filter_series(
         z, F, H, Q, R[None], np.pad(x0, [(0, 0)] * (x0.ndim - 1) + [(0, more)]), P0,
         influence=Linear(), keep="last", covariance="none",
     )  # fmt: skip
-    return float(found.log_likelihood[0])
+    return float(filtered.log_likelihood[0])
 
 
 def _labels(large: Array, there: Array, share: Array) -> float:

@@ -82,18 +82,18 @@ def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Arr
 
 def _scalings(R: Array, observed: Array) -> Array:
     """Return T of the observed block of R at each step, zero elsewhere; computed once for each block that occurs."""
-    known: dict[tuple[bytes, bytes], Array] = {}
+    blocks: dict[tuple[bytes, bytes], Array] = {}
     series, steps, m = observed.shape
     if observed.all():
         series, steps = R.shape[:2]
-    found = np.zeros((series, steps, m, m))
+    scalings = np.zeros((series, steps, m, m))
     for s in range(series):
         for k in range(steps):
             R_k, part = R[s % len(R), k % R.shape[1]], observed[s, k]
             key = R_k.tobytes(), part.tobytes()
-            if key not in known:
-                pick, known[key] = np.ix_(part, part), np.zeros((m, m))
+            if key not in blocks:
+                pick, blocks[key] = np.ix_(part, part), np.zeros((m, m))
                 if part.any():
-                    known[key][pick] = standardize(R_k[pick], "innovation")[0]
-            found[s, k] = known[key]
-    return found
+                    blocks[key][pick] = standardize(R_k[pick], "innovation")[0]
+            scalings[s, k] = blocks[key]
+    return scalings

@@ -126,8 +126,8 @@ def judge_components(
         part = slice(start, start + _BLOCK)
         e, V = z[:, part] - smooth.fitted[:, part], np.einsum("...ii->...i", smooth.spread[:, part])
         d, o = weighting.precision[:, part], weighting.offset[:, part]
-        found = _judged(e, np.ascontiguousarray(V), d, o, mixture, counted[:, part], temperature)
-        for whole, some in zip((*verdict, *factor), found, strict=True):
+        judged = _judged(e, np.ascontiguousarray(V), d, o, mixture, counted[:, part], temperature)
+        for whole, some in zip((*verdict, *factor), judged, strict=True):
             whole[:, part] = some
     return verdict, *factor
 
@@ -144,8 +144,8 @@ def _judged(
     gap = t - t_out
     z2 = rest * rest
     p = expit(mixture.log_odds + 0.5 * (np.log(t_out / t) + z2 * gap / temperature))
-    kept, far = ratio2 * t_out, z2 * t_out
-    square = kept * (np.minimum(far, _REACH) * ratio2 + cavity)
+    noise_share, far = ratio2 * t_out, z2 * t_out
+    square = noise_share * (np.minimum(far, _REACH) * ratio2 + cavity)
     impossible = far > _REACH * temperature
     # Score and information of the predictive density at rest; d >= 0, or the pass could lose definiteness.
     gap *= p
@@ -182,8 +182,8 @@ def judge_measurements(
         square = (alone[..., 0] * solved[..., 0]).sum(axis=-1, keepdims=True)
         logs.append(-0.5 * (square + log_det - (m - size) * np.log(s)))
         likely.append(square)
-        kept = np.diagonal(solved[..., 1:], axis1=-2, axis2=-1)
-        squares.append(np.maximum((s * solved[..., 0]) ** 2 + s - s * s * kept, 0.0) * counted)
+        precision = np.diagonal(solved[..., 1:], axis1=-2, axis2=-1)
+        squares.append(np.maximum((s * solved[..., 0]) ** 2 + s - s * s * precision, 0.0) * counted)
     size = np.maximum(size, 1)
     p = expit(mixture.log_odds + logs[1] - logs[0])
     impossible = likely[1] > _REACH * size
@@ -326,26 +326,26 @@ class Learnt:
     @property
     def weights(self) -> Array:
         """Mean precision of each noise, NaN where there is none."""
-        found = 1.0 if self._verdict is None else self._verdict.mean_precision(self.mixture)
-        return np.where(self.counted, found, np.nan)
+        precision = 1.0 if self._verdict is None else self._verdict.mean_precision(self.mixture)
+        return np.where(self.counted, precision, np.nan)
 
     def remembered(self, memory: float) -> Belief:
         """Return the belief after the first step has gone, older ones forgotten by a factor."""
         first = Verdict(*(a[:, :1] for a in self._verdict or ()))
-        kept = (start + memory * (now - start) for start, now in zip(Belief(), self.belief, strict=True))
-        return Belief(*kept).joined(first, self._each[:, :1])
+        discounted = (start + memory * (now - start) for start, now in zip(Belief(), self.belief, strict=True))
+        return Belief(*discounted).joined(first, self._each[:, :1])
 
 
 def psi_weights(influence: Any, e: Array, joint: bool) -> Array:
     """Return psi(e)/e of each component, or of the length over the last axis, shape of e, checked."""
     at = np.linalg.norm(e, axis=-1, keepdims=True) if joint else e
-    found = np.asarray(influence.weights(at), dtype=float)
-    if found.shape != at.shape or not np.isfinite(found).all():
+    weights = np.asarray(influence.weights(at), dtype=float)
+    if weights.shape != at.shape or not np.isfinite(weights).all():
         raise ValueError(
-            f"influence: expected weights(e) finite and of the shape of e, got shape {found.shape} for {at.shape}, "
-            f"{np.count_nonzero(~np.isfinite(found))} of them not finite; check {influence!r}"
+            f"influence: expected weights(e) finite and of the shape of e, got shape {weights.shape} for {at.shape}, "
+            f"{np.count_nonzero(~np.isfinite(weights))} of them not finite; check {influence!r}"
         )
-    return np.broadcast_to(np.clip(found, 0.0, None), e.shape)
+    return np.broadcast_to(np.clip(weights, 0.0, None), e.shape)
 
 
 def checked_influence(name: str, influence: Any) -> Any:

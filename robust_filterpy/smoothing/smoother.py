@@ -191,17 +191,17 @@ def smooth(
             if value is not None:
                 raise TypeError(f"{name}: expected none for a {type(kf).__name__}, whose model is in its functions")
         trajectory = nonlinear_trajectory(kf, zs, Rs, us, dts, (HJacobian, Hx, args, hx_args, residual))
-        found = _smoothed(trajectory.recording(), influence, process, grouping, max_sweeps, trajectory)
+        smoothed = _smoothed(trajectory.recording(), influence, process, grouping, max_sweeps, trajectory)
     else:
         recording = linear_recording(kf, zs, Fs, Qs, Hs, Rs, Bs, us)
-        found = _smoothed(recording, influence, process, grouping, max_sweeps)
+        smoothed = _smoothed(recording, influence, process, grouping, max_sweeps)
     if filled.any():
-        found.weights[0][filled] = 0.0
-    x = found.x[0] if np.ndim(kf.x) == 1 else found.x[0][..., None]
+        smoothed.weights[0][filled] = 0.0
+    x = smoothed.x[0] if np.ndim(kf.x) == 1 else smoothed.x[0][..., None]
     return Smoothed(
-        x, found.P[0], found.weights[0], found.process_weights[0], found.contamination[0], found.scale_ratio[0],
-        float(found.process_contamination[0]), float(found.process_scale_ratio[0]), bool(found.converged[0]),
-        found.sweeps, found.message,
+        x, smoothed.P[0], smoothed.weights[0], smoothed.process_weights[0], smoothed.contamination[0],
+        smoothed.scale_ratio[0], float(smoothed.process_contamination[0]), float(smoothed.process_scale_ratio[0]),
+        bool(smoothed.converged[0]), smoothed.sweeps, smoothed.message,
     )  # fmt: skip
 
 
@@ -280,28 +280,28 @@ def _smoothed(
     """Smooth with the rules that the options ask for, and say what does not fit."""
     joint = _checks.option("grouping", grouping, GROUPINGS) == "joint"
     options = influence, process, joint, _checks.count("max_sweeps", max_sweeps, 1)
-    found, odd = _searched(recording, *options, trajectory)
+    smoothed, odd = _searched(recording, *options, trajectory)
     if influence is None and trajectory is None:
-        for s in range(len(found.x)):
-            _read_otherwise(recording, s, found, odd, options)
+        for s in range(len(smoothed.x)):
+            _read_otherwise(recording, s, smoothed, odd, options)
     odd = [each for each in odd if each]
     if odd:
-        where = "the recording" if len(found.x) == 1 else f"{len(odd)} of {len(found.x)} series; the first"
+        where = "the recording" if len(smoothed.x) == 1 else f"{len(odd)} of {len(smoothed.x)} series; the first"
         message = f"Q and R do not fit {where}: {odd[0]}"
         jumps = ", or smooth with process=None if states jump" if process is not None and "process" in odd[0] else ""
         warn(f"smooth: {message}; fit them by estimate_noise{jumps}")
-        found = replace(found, message=f"{found.message}; {message}")
-    return found
+        smoothed = replace(smoothed, message=f"{smoothed.message}; {message}")
+    return smoothed
 
 
 def _read_otherwise(
-    recording: Recording, s: int, found: Smoothed, odd: list[str], options: tuple[Any, Any, bool, int]
+    recording: Recording, s: int, smoothed: Smoothed, odd: list[str], options: tuple[Any, Any, bool, int]
 ) -> None:
     """Put what is found without a stretch in the place of series s, if it is more probable."""
     alone = _alone(recording, s)
-    left_out = (np.nan_to_num(found.weights[s], nan=1.0) < 0.5).any(axis=-1)
+    left_out = (np.nan_to_num(smoothed.weights[s], nan=1.0) < 0.5).any(axis=-1)
     stretches = doubted_stretches(alone, left_out)
-    best = _probability(alone, found, s) if stretches else np.inf
+    best = _probability(alone, smoothed, s) if stretches else np.inf
     for stretch in stretches:
         try:
             other, of_other = _searched(_without(alone, stretch), *options)
@@ -318,7 +318,7 @@ def _read_otherwise(
             words = f"samples {row[0]} to {row[1] - 1} are left out, all in a row"
             best, odd[s] = probability, "; ".join([words, *filter(None, of_other)])
             for field in fields(Smoothed):
-                whole = getattr(found, field.name)
+                whole = getattr(smoothed, field.name)
                 if isinstance(whole, np.ndarray):
                     whole[s] = getattr(other, field.name)[0]
 
@@ -340,12 +340,12 @@ def _without(alone: Recording, stretch: np.ndarray) -> Recording:
     )
 
 
-def _probability(alone: Recording, found: Smoothed, s: int) -> float:
+def _probability(alone: Recording, smoothed: Smoothed, s: int) -> float:
     """Return the log probability of what was found for series s."""
-    outliers = np.nan_to_num(found.weights[s], nan=1.0) < 0.5
-    noise = np.stack([found.contamination[s], found.scale_ratio[s]])
-    process = np.array([found.process_contamination[s], found.process_scale_ratio[s]])
-    return log_probability(alone, outliers, found.process_weights[s] < 0.5, noise, process)
+    outliers = np.nan_to_num(smoothed.weights[s], nan=1.0) < 0.5
+    noise = np.stack([smoothed.contamination[s], smoothed.scale_ratio[s]])
+    process = np.array([smoothed.process_contamination[s], smoothed.process_scale_ratio[s]])
+    return log_probability(alone, outliers, smoothed.process_weights[s] < 0.5, noise, process)
 
 
 def _searched(
@@ -384,11 +384,11 @@ def _searched(
     c, ratio = (np.broadcast_to(a, (series, m)).copy() for a in _learnt(measurement, series))
     c_process, ratio_process = (a[:, 0].copy() for a in _learnt(doubt, series))
     message = "converged" if fit.converged.all() else f"the estimate still moved after {fit.sweeps} sweeps"
-    found = Smoothed(
+    smoothed = Smoothed(
         x, fit.smooth.P, weights, process_weights, c, ratio, c_process, ratio_process,
         fit.converged, fit.sweeps, message,
     )  # fmt: skip
-    return found, misfits(recording.model, fit, weights)
+    return smoothed, misfits(recording.model, fit, weights)
 
 
 def measurement_rule(influence: Any, joint: bool, observed: Array) -> Rule:

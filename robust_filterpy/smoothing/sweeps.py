@@ -135,8 +135,8 @@ def _temperature(model: Model, smooth: Smooth, weighting: Weighting, observed: A
     squares = ((e + V * weighting.offset[:, some]) / apart) ** 2 / (1.0 + V / apart)
     there = observed[:, some]
     typical = [float(np.median(s[one])) if one.any() else 0.0 for s, one in zip(squares, there, strict=True)]
-    found = np.array(typical) / MEDIAN_SQUARE
-    return np.where(found > _COOL, found, 1.0)[:, None, None]
+    factor = np.array(typical) / MEDIAN_SQUARE
+    return np.where(factor > _COOL, factor, 1.0)[:, None, None]
 
 
 # The optimum of a convex problem, sum of rho(residuals) + squares of the process noise, for a psi that never falls, by
@@ -248,8 +248,8 @@ def _part(influence: Any, joint: bool, old: tuple[Array, Array], new: tuple[Arra
         # Where a straight line would be flat, and at times the middle, since the slope bends.
         line = np.divide(at_low, at_low - at_high, out=np.full_like(low, 0.5), where=at_high > at_low)
         part = low + (0.5 if trial % 3 == 2 else line) * (high - low)
-        found = slope(part)
-        down, up = wrong & (found <= 0.0), wrong & (found > 0.0)
-        low, at_low = np.where(down, part, low), np.where(down, found, at_low)
-        high, at_high = np.where(up, part, high), np.where(up, found, at_high)
+        at_part = slope(part)
+        down, up = wrong & (at_part <= 0.0), wrong & (at_part > 0.0)
+        low, at_low = np.where(down, part, low), np.where(down, at_part, at_low)
+        high, at_high = np.where(up, part, high), np.where(up, at_part, at_high)
     return low
