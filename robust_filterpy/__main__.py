@@ -40,13 +40,13 @@ def status() -> str:
 
 def _versions(names: tuple[str, ...]) -> list[str]:
     """Return the packages that are there, with their versions."""
-    found = []
+    versions = []
     for name in names:
         try:
-            found.append(f"{name} {version(name)}")
+            versions.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 if __name__ == "__main__":

@@ -137,8 +137,8 @@ def stack(name: str, default: Any, values: Any, steps: int | None, shape: tuple[
     rows, columns = shape
     scalar = rows == columns and (name in "QR" or rows == 1)
     if values is None:
-        found = _checks.numbers(name, default)
-        found = (found * np.eye(columns) if found.ndim == 0 and scalar else found)[None]
+        matrices = _checks.numbers(name, default)
+        matrices = (matrices * np.eye(columns) if matrices.ndim == 0 and scalar else matrices)[None]
     else:
         values = _checks.entries(f"{name}s", values)
         if not hasattr(values, "__len__"):
@@ -146,17 +146,17 @@ def stack(name: str, default: Any, values: Any, steps: int | None, shape: tuple[
         if steps is not None and len(values) < steps:
             raise ValueError(f"{name}s: expected an entry for each of the {steps} measurements, got {len(values)}")
         try:
-            found = _checks.numbers(f"{name}s", values if isinstance(values, np.ndarray) else list(values)[:steps])
+            matrices = _checks.numbers(f"{name}s", values if isinstance(values, np.ndarray) else list(values)[:steps])
         except TypeError:
             raise TypeError(
                 f"{name}s: expected matrices of one shape for all steps, got {_checks.shown(values)}"
             ) from None
-        found = found[:steps]
-        found = found[:, None, None] * np.eye(columns) if found.ndim == 1 and scalar else found
-    if found.ndim != 3 or found.shape[2] != columns or (rows is not None and found.shape[1] != rows):
+        matrices = matrices[:steps]
+        matrices = matrices[:, None, None] * np.eye(columns) if matrices.ndim == 1 and scalar else matrices
+    if matrices.ndim != 3 or matrices.shape[2] != columns or (rows is not None and matrices.shape[1] != rows):
         expected = f"({'dim_z' if rows is None else rows}, {columns})"
-        raise ValueError(f"{name}: expected shape {expected} at each step, got {found.shape[1:]}")
-    return found
+        raise ValueError(f"{name}: expected shape {expected} at each step, got {matrices.shape[1:]}")
+    return matrices
 
 
 def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Array:

@@ -54,9 +54,9 @@ def _array(value: np.ndarray) -> str:
     if value.size <= _SMALL or value.dtype.kind not in "fiu":
         text = " ".join(np.array2string(value, precision=5, suppress_small=True, threshold=_SMALL).split())
         return text if len(text) <= _WIDE else f"shape {value.shape}"
-    known = value[np.isfinite(value)]
-    if not known.size:
+    finite = value[np.isfinite(value)]
+    if not finite.size:
         return f"shape {value.shape}, all missing"
-    missing = f", {value.size - known.size} missing" if known.size < value.size else ""
-    low, middle, high = (f"{number:.4g}" for number in (known.min(), np.median(known), known.max()))
+    missing = f", {value.size - finite.size} missing" if finite.size < value.size else ""
+    low, middle, high = (f"{number:.4g}" for number in (finite.min(), np.median(finite), finite.max()))
     return f"shape {value.shape}, {low} .. {high}, median {middle}{missing}"

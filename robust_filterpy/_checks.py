@@ -57,10 +57,10 @@ def fraction(name: str, value: Any) -> float:
 
 def probabilities(name: str, value: Any, count: int) -> Array:
     """Return value as so many numbers > 0 with sum 1 or raise."""
-    found = numbers(name, value)
-    if found.shape != (count,) or not (found > 0.0).all() or not np.isclose(found.sum(), 1.0):
+    values = numbers(name, value)
+    if values.shape != (count,) or not (values > 0.0).all() or not np.isclose(values.sum(), 1.0):
         raise ValueError(f"{name}: expected {count} numbers > 0 that sum to 1, one for each scale, got {shown(value)}")
-    return found
+    return values
 
 
 def real(name: str, value: Any) -> float:
@@ -107,14 +107,14 @@ def numbers(name: str, value: Any) -> Array:
     if isinstance(value, bytearray):
         raise TypeError(f"{name}: expected real numbers, got {shown(value)}")
     try:
-        found = np.asarray(value)
-        if found.dtype.kind in _NO_NUMBERS:
-            raise TypeError(f"{name}: expected real numbers, got {_no_number(found)}")
-        if found.dtype.kind == "O" and any(isinstance(item, _NO_NUMBER) for item in found.flat):
-            raise TypeError(f"{name}: expected real numbers, got {_no_number(found)}")
-        if found.dtype.kind == "O" and "pandas" in sys.modules:
+        array = np.asarray(value)
+        if array.dtype.kind in _NO_NUMBERS:
+            raise TypeError(f"{name}: expected real numbers, got {_no_number(array)}")
+        if array.dtype.kind == "O" and any(isinstance(item, _NO_NUMBER) for item in array.flat):
+            raise TypeError(f"{name}: expected real numbers, got {_no_number(array)}")
+        if array.dtype.kind == "O" and "pandas" in sys.modules:
             absent = sys.modules["pandas"].NA
-            value = np.where([item is absent for item in found.flat], np.nan, found.ravel()).reshape(found.shape)
+            value = np.where([item is absent for item in array.flat], np.nan, array.ravel()).reshape(array.shape)
     except ValueError:
         raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
     try:
@@ -125,16 +125,16 @@ def numbers(name: str, value: Any) -> Array:
         raise TypeError(f"{name}: expected real numbers, got {shown(value)}") from None
 
 
-def _no_number(found: Any) -> str:
+def _no_number(array: Any) -> str:
     """Return what of an array is no number, where, and what to do: of text the first that does not even read as one."""
-    if found.dtype.kind in "cmM":
-        return f"dtype {found.dtype}: {shown(found)}"
-    strange = [k for k, item in enumerate(found.flat) if isinstance(item, _NO_NUMBER)]
-    k = next((k for k in strange if not _reads_as_number(found.flat[k])), strange[0])
-    place = f" at index {', '.join(map(str, map(int, np.unravel_index(k, found.shape))))}" if found.ndim else ""
+    if array.dtype.kind in "cmM":
+        return f"dtype {array.dtype}: {shown(array)}"
+    strange = [k for k, item in enumerate(array.flat) if isinstance(item, _NO_NUMBER)]
+    k = next((k for k in strange if not _reads_as_number(array.flat[k])), strange[0])
+    place = f" at index {', '.join(map(str, map(int, np.unravel_index(k, array.shape))))}" if array.ndim else ""
     mend = "; pandas.to_numeric(.., errors='coerce') makes numbers of a column of text, and NaN of what is none"
-    item = found.flat[k]
-    return f"{shown(item.item() if isinstance(item, np.generic) else item)}{place}{mend if found.size > 1 else ''}"
+    item = array.flat[k]
+    return f"{shown(item.item() if isinstance(item, np.generic) else item)}{place}{mend if array.size > 1 else ''}"
 
 
 def _reads_as_number(item: Any) -> bool:
@@ -170,31 +170,31 @@ def matrix(name: str, value: Any, shape: tuple[int, int], reason: str) -> Array:
         return value
     if value is None:
         raise TypeError(f"{name}: expected an array of shape {shape} for {reason}, got None")
-    found = numbers(name, value)
-    if found.shape == shape:
-        return found
-    if found.size == 1 and shape == (1, 1):
-        return found.reshape(shape)
-    raise ValueError(f"{name}: expected shape {shape} for {reason}, got {_mend(name, found, shape)}")
+    array = numbers(name, value)
+    if array.shape == shape:
+        return array
+    if array.size == 1 and shape == (1, 1):
+        return array.reshape(shape)
+    raise ValueError(f"{name}: expected shape {shape} for {reason}, got {_mend(name, array, shape)}")
 
 
-def _mend(name: str, found: Array, shape: tuple[int, int]) -> str:
+def _mend(name: str, array: Array, shape: tuple[int, int]) -> str:
     """Describe what was found and, where it is plain, what was meant."""
-    if found.ndim == 0:
-        return f"scalar {found}; use {found}*np.eye({shape[0]})" if shape[0] == shape[1] else f"scalar {found}"
-    text = f"{found.shape}"
-    if found.ndim == 1 and shape[0] == shape[1] == found.size:
+    if array.ndim == 0:
+        return f"scalar {array}; use {array}*np.eye({shape[0]})" if shape[0] == shape[1] else f"scalar {array}"
+    text = f"{array.shape}"
+    if array.ndim == 1 and shape[0] == shape[1] == array.size:
         return f"{text}; use np.diag({name})"
-    if found.ndim == 1 and found.size == shape[0] * shape[1]:
+    if array.ndim == 1 and array.size == shape[0] * shape[1]:
         return f"{text}; use {name}.reshape{shape}"
-    if found.ndim == 2 and found.T.shape == shape:
+    if array.ndim == 2 and array.T.shape == shape:
         return f"{text}; use {name}.T"
     return text
 
 
-def described(found: Array) -> str:
+def described(array: Array) -> str:
     """Say what was found: a scalar's value or an array's shape."""
-    return f"scalar {found}" if found.ndim == 0 else f"shape {found.shape}"
+    return f"scalar {array}" if array.ndim == 0 else f"shape {array.shape}"
 
 
 def covariance(name: str, stack: Array, slack: float = TOLD, gathered: float = 0.0) -> None:
@@ -264,13 +264,13 @@ def _unit(stack: Array, slack: float, gathered: float) -> Array:
 
 def finite_vector(name: str, value: Any) -> Array:
     """Return value as a finite one-dimensional float array of at least one number or raise."""
-    found = numbers(name, value)
-    if found.ndim != 1 or found.size == 0:
-        mend = f"; use {name}.ravel()" if found.ndim == 2 and 1 in found.shape and found.size else ""
+    vector = numbers(name, value)
+    if vector.ndim != 1 or vector.size == 0:
+        mend = f"; use {name}.ravel()" if vector.ndim == 2 and 1 in vector.shape and vector.size else ""
         raise ValueError(
-            f"{name}: expected a one-dimensional array of at least 1 number, got shape {found.shape}{mend}"
+            f"{name}: expected a one-dimensional array of at least 1 number, got shape {vector.shape}{mend}"
         )
-    if not np.isfinite(found).all():
-        bad = int(np.argmin(np.isfinite(found)))
-        raise ValueError(f"{name}: expected finite numbers, got {found[bad]} at index {bad}")
-    return found
+    if not np.isfinite(vector).all():
+        bad = int(np.argmin(np.isfinite(vector)))
+        raise ValueError(f"{name}: expected finite numbers, got {vector[bad]} at index {bad}")
+    return vector

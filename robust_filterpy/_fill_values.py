@@ -78,26 +78,26 @@ def fill_values(signal: Array) -> FillValues:
     >>> fill_values(y).said
     '9999 (5 samples): repeated exactly and far outside the rest, taken for missing samples'
     """
-    known = signal[np.isfinite(signal)]
-    values, counts = np.unique(known, return_counts=True)
-    repeated = counts >= max(_LEAST, _LEAST_SHARE * known.size)
+    finite = signal[np.isfinite(signal)]
+    values, counts = np.unique(finite, return_counts=True)
+    repeated = counts >= max(_LEAST, _LEAST_SHARE * finite.size)
     if not repeated.any() or values.size <= _LEAST_DIFFERENT:
         return FillValues(signal)
-    distance = np.abs(values - float(np.median(known)))
-    found: list[int] = []
+    distance = np.abs(values - float(np.median(finite)))
+    fills: list[int] = []
     for i in np.flatnonzero(repeated)[np.argsort(-distance[repeated])]:
         # What repeats as far out as this one may be another fill value, and says nothing of the width of the rest.
         rest = ~(repeated & (distance >= 0.5 * distance[i]))
-        if rest.sum() < _LEAST_DIFFERENT or not _is_far(known, values[i], values[rest], counts[rest]):
+        if rest.sum() < _LEAST_DIFFERENT or not _is_far(finite, values[i], values[rest], counts[rest]):
             break
-        found.append(int(i))
-    if not found or len(found) > _MOST_VALUES:
+        fills.append(int(i))
+    if not fills or len(fills) > _MOST_VALUES:
         return FillValues(signal)
-    found.sort()
+    fills.sort()
     return FillValues(
-        np.where(np.isin(signal, values[found]), np.nan, signal),
-        tuple(values[found].tolist()),
-        tuple(counts[found].tolist()),
+        np.where(np.isin(signal, values[fills]), np.nan, signal),
+        tuple(values[fills].tolist()),
+        tuple(counts[fills].tolist()),
     )
 
 
@@ -106,23 +106,23 @@ def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
     """
     try:
         if isinstance(rows, np.ndarray) and rows.dtype != object:
-            found = np.array(rows, dtype=float)
+            table = np.array(rows, dtype=float)
         else:
-            found = _table(rows)
+            table = _table(rows)
     except (TypeError, ValueError, IndexError):
         return rows, np.zeros((0, 0), dtype=bool)
-    said, known = [], ~np.isnan(found)
-    for place in np.ndindex(found.shape[1:]):
+    said, present = [], ~np.isnan(table)
+    for place in np.ndindex(table.shape[1:]):
         column = (slice(None), *place)
-        fills = fill_values(found[column])
+        fills = fill_values(table[column])
         if fills.values:
-            found[column] = fills.signal
-            said.append(f"{f'component {place[0]}: ' if known[0].size > 1 else ''}{fills.said}")
-    filled = (known & np.isnan(found)).reshape(len(found), math.prod(found.shape[1:]))
+            table[column] = fills.signal
+            said.append(f"{f'component {place[0]}: ' if present[0].size > 1 else ''}{fills.said}")
+    filled = (present & np.isnan(table)).reshape(len(table), math.prod(table.shape[1:]))
     if not said:
         return rows, filled
     warn(f"{name}: {'; '.join(said)}")
-    return found, filled
+    return table, filled
 
 
 def _table(rows: Any) -> Array:
@@ -132,7 +132,7 @@ def _table(rows: Any) -> Array:
     return np.array([gap if row is None else np.asarray(row, dtype=float) for row in rows])
 
 
-def _is_far(known: Array, value: float, others: Array, counts: Array) -> bool:
+def _is_far(finite: Array, value: float, others: Array, counts: Array) -> bool:
     """Tell whether a value lies far outside the others, sorted, which occur so often, and in the signal beside them."""
     places = np.cumsum(counts) - 0.5 * counts
     low, middle, high = np.interp(counts.sum() * np.array([0.01, 0.5, 0.99]), places, others)
@@ -146,6 +146,6 @@ def _is_far(known: Array, value: float, others: Array, counts: Array) -> bool:
     if not (alone and bool(value > high + away or value < low - away)):
         return False
     # Samples before and after the stretches of the value.
-    borders = np.flatnonzero(np.diff(known == value))
-    beside = np.where(known[borders] == value, known[borders + 1], known[borders])
-    return 2 * int(((beside >= low) & (beside <= high)).sum()) >= beside.size
+    borders = np.flatnonzero(np.diff(finite == value))
+    neighbours = np.where(finite[borders] == value, finite[borders + 1], finite[borders])
+    return 2 * int(((neighbours >= low) & (neighbours <= high)).sum()) >= neighbours.size

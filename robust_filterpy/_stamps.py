@@ -72,17 +72,17 @@ def column(values: Any, loose: bool = False) -> tuple[np.ndarray, dict[int, str]
         odd = np.flatnonzero(~usual)
     if not len(odd):
         return keys, {}
-    found: list[Any] = keys.tolist() or [None] * len(values)
+    stamps: list[Any] = keys.tolist() or [None] * len(values)
     wrong: dict[int, str] = {}
     for row in odd.tolist():
         try:
-            found[row] = read("time", values[row], loose)
+            stamps[row] = read("time", values[row], loose)
         except (TypeError, ValueError) as error:
-            wrong[row], found[row] = str(error), None
-    kinds = {type(key) for key in found} - {type(None)}
+            wrong[row], stamps[row] = str(error), None
+    kinds = {type(key) for key in stamps} - {type(None)}
     if kinds == {int}:
-        return np.array([key or 0 for key in found], dtype=np.int64), wrong
-    return np.array(found, dtype=object if int in kinds else float), wrong
+        return np.array([key or 0 for key in stamps], dtype=np.int64), wrong
+    return np.array(stamps, dtype=object if int in kinds else float), wrong
 
 
 def frame(table: Any, mend: str = "pass one of pandas, polars or pyarrow") -> Any:

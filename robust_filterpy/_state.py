@@ -88,9 +88,9 @@ def kind_of(state: Any) -> str:
 
 def require_kind(state: Any, kind: str) -> None:
     """Raise unless a state belongs to this kind, or does not say what it belongs to."""
-    found = kind_of(state)
-    if found and found != kind:
-        raise StateError(f"state: expected one of a {kind}, got one of a {found}")
+    given = kind_of(state)
+    if given and given != kind:
+        raise StateError(f"state: expected one of a {kind}, got one of a {given}")
 
 
 def checked(
@@ -103,7 +103,7 @@ def checked(
     """
     if kind is not None:
         require_kind(state, kind)
-    found = {}
+    entries = {}
     for name, shape in {**needed, **optional}.items():
         if name not in state:
             if name in optional:
@@ -120,8 +120,8 @@ def checked(
             raise StateError(f"state: expected finite numbers in {name}, got NaN or infinity")
         if name in _COVARIANCES and value.ndim >= 2:
             require_covariance(name, value)
-        found[name] = value
-    return found
+        entries[name] = value
+    return entries
 
 
 def widened(name: str, value: Array, width: int | None) -> Array:
@@ -153,9 +153,9 @@ def _numbers(name: str, value: Any) -> Array:
         raise StateError(f"state: {error}") from None
 
 
-def _fits(found: tuple[int, ...], shape: Shape) -> bool:
+def _fits(given: tuple[int, ...], shape: Shape) -> bool:
     """Return whether an array has a shape."""
-    return len(found) == len(shape) and all(b is None or a == b for a, b in zip(found, shape, strict=True))
+    return len(given) == len(shape) and all(b is None or a == b for a, b in zip(given, shape, strict=True))
 
 
 def _text(shape: Shape) -> str:

@@ -397,7 +397,7 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -
         else:
             text += "; with it outliers pass for good data."
         return Finding(f"{repair.cause} too {size}", i, value, gain, text)
-    told = {
+    texts = {
         "units": ("lost units", f"{z} is about {value:.4g} times what H x says: lost units?"),
         "H": ("wrong H", f"Row {i} of H does not fit {z}; {_row(repair)} does."),
         "correlated noise": (
@@ -423,7 +423,7 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -
         ),
         "bias": ("bias", f"{z} has a constant bias against the other sensors."),
     }
-    cause, text = told[repair.cause]
+    cause, text = texts[repair.cause]
     return Finding(cause, i, value, gain, text)
 
 

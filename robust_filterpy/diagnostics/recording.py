@@ -56,16 +56,16 @@ def is_saver(source: Any) -> bool:
 
 def of_saver(saver: Any) -> FilterRecord:
     """Return what a Saver kept, or say what it lacks."""
-    kept = saver.__dict__
+    epochs = saver.__dict__
     for name in ("z", "y", "S"):
-        if name not in kept:
-            raise ValueError(f"saver: expected one that kept {name}, found {sorted(k for k in kept if k[:1] != '_')}")
-    if not len(kept["y"]):
+        if name not in epochs:
+            raise ValueError(f"saver: expected one that kept {name}, found {sorted(k for k in epochs if k[:1] != '_')}")
+    if not len(epochs["y"]):
         raise ValueError("saver: expected at least one epoch, got an empty Saver; call save() after each update")
     # Lists, or what `to_array` has made of them; the Saver's other attributes are no columns.
     columns = {
         name: list(values)
-        for name, values in kept.items()
+        for name, values in epochs.items()
         if isinstance(values, list) or (isinstance(values, np.ndarray) and values.ndim)
     }
     return _recording(columns, saver._kf)
@@ -80,7 +80,7 @@ def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
     if len(zs) == 0:
         raise ValueError("zs: expected at least one measurement, got none")
     kf = copy.deepcopy(kf)
-    kept: dict[str, list[Any]] = {}
+    epochs: dict[str, list[Any]] = {}
     given = {"F": "Fs", "Q": "Qs", "H": "Hs", "R": "Rs"}
 
     class Recorder:
@@ -88,18 +88,18 @@ def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
 
         def save(self) -> None:
             """Keep one epoch, with the matrices of its step."""
-            k = len(kept.get("y", []))
+            k = len(epochs.get("y", []))
             stage(f"sample {k} of {len(zs)}")
-            _keep(kept, kf)
-            for name in given.keys() & kept.keys():
+            _keep(epochs, kf)
+            for name in given.keys() & epochs.keys():
                 steps = per_step.get(given[name])
-                value = kept[name][k] if steps is None or steps[k] is None else copy.copy(steps[k])
+                value = epochs[name][k] if steps is None or steps[k] is None else copy.copy(steps[k])
                 if name in ("Q", "R") and np.ndim(value) == 0:
                     value = float(value) * np.eye(len(kf.x) if name == "Q" else kf.dim_z)
-                kept[name][k] = value
+                epochs[name][k] = value
 
     kf.batch_filter(zs, saver=Recorder(), **per_step)
-    return _recording(kept, kf)
+    return _recording(epochs, kf)
 
 
 def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
@@ -111,44 +111,44 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
         raise ValueError("zs: expected at least one output, got none")
     tracker = copy.deepcopy(tracker)
     kf = tracker.filter
-    kept: dict[str, list[Any]] = {}
+    epochs: dict[str, list[Any]] = {}
     for k, output in enumerate(y):
         stage(f"sample {k} of {len(y)}")
         tracker.update(output, None if u is None else u[k])
-        _keep(kept, kf)
-        kept["z"][-1] = output
+        _keep(epochs, kf)
+        epochs["z"][-1] = output
         if np.isnan(output):
-            kept["y"][-1] = np.full((1, 1), np.nan)
-    return _recording(kept, kf)
+            epochs["y"][-1] = np.full((1, 1), np.nan)
+    return _recording(epochs, kf)
 
 
 _NAMES = ("z", "y", "S", "e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
 
 
-def _keep(kept: dict[str, list[Any]], kf: Any) -> None:
+def _keep(epochs: dict[str, list[Any]], kf: Any) -> None:
     """Keep what a filter shows now."""
     for name in _NAMES:
         if hasattr(kf, name):
-            kept.setdefault(name, []).append(copy.copy(getattr(kf, name)))
+            epochs.setdefault(name, []).append(copy.copy(getattr(kf, name)))
 
 
-def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:
+def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
     """Put what was kept of each epoch into arrays."""
-    n = len(kept["y"])
-    y = _stacked("y", kept["y"], n)
+    n = len(epochs["y"])
+    y = _stacked("y", epochs["y"], n)
     m = y.shape[1]
     z = np.full((n, m), np.nan)
-    for k, value in enumerate(kept["z"]):
+    for k, value in enumerate(epochs["z"]):
         row = _checks.numbers("z", value).ravel()
         if row.size == m:
             z[k] = row
-    weights = _stacked("weights", kept["weights"], n) if "weights" in kept else np.ones((n, m))
+    weights = _stacked("weights", epochs["weights"], n) if "weights" in epochs else np.ones((n, m))
     absent = np.isnan(weights) | np.isnan(z)
     y = np.where(absent, np.nan, y)
-    S = _stacked("S", kept["S"], n).reshape(n, m, m)
+    S = _stacked("S", epochs["S"], n).reshape(n, m, m)
     S = np.where(np.all(absent, axis=1)[:, None, None], np.nan, S)
-    clipped = _stacked("clipped", kept["clipped"], n).astype(bool) if "clipped" in kept else np.zeros((n, m), bool)
-    e = _stacked("e", kept["e"], n) if "e" in kept else np.full((n, m), np.nan)
+    clipped = _stacked("clipped", epochs["clipped"], n).astype(bool) if "clipped" in epochs else np.zeros((n, m), bool)
+    e = _stacked("e", epochs["e"], n) if "e" in epochs else np.full((n, m), np.nan)
     influence = _psi(kf)
     learns = influence is None and getattr(kf, "noise", None) is not None
     return FilterRecord(
@@ -163,7 +163,7 @@ def _recording(kept: dict[str, list[Any]], kf: Any) -> FilterRecord:
         grouping=getattr(kf, "grouping", "component"),
         contamination=_made_for(influence, learns),
         is_told=learns or isinstance(influence, Contaminated),
-        model=_model(kept, y, z, m),
+        model=_model(epochs, y, z, m),
     )
 
 
@@ -203,17 +203,17 @@ def _stacked(name: str, values: list[Any], n: int) -> Array:
     return np.array([np.asarray(value, dtype=float).ravel() for value in values]).reshape(n, -1)
 
 
-def _model(kept: dict[str, list[Any]], y: Array, z: Array, m: int) -> LinearModel | None:
+def _model(epochs: dict[str, list[Any]], y: Array, z: Array, m: int) -> LinearModel | None:
     """Return the linear model, None where the filter did something else than it says."""
-    x_post = kept.get("x_post", kept.get("x"))
-    if x_post is None or any(name not in kept for name in ("F", "Q", "H", "R", "x_prior", "P_prior")):
+    x_post = epochs.get("x_post", epochs.get("x"))
+    if x_post is None or any(name not in epochs for name in ("F", "Q", "H", "R", "x_prior", "P_prior")):
         return None
-    N, n = len(y), np.size(kept["x_prior"][0])
+    N, n = len(y), np.size(epochs["x_prior"][0])
     try:
-        prior, post = _stacked("x_prior", kept["x_prior"], N), _stacked("x", x_post, N)
-        F, Q = (_stacked(name, kept[name], N).reshape(N, n, n) for name in "FQ")
-        H, R = _stacked("H", kept["H"], N).reshape(N, m, n), _stacked("R", kept["R"], N).reshape(N, m, m)
-        P = _stacked("P_prior", kept["P_prior"], N).reshape(N, n, n)
+        prior, post = _stacked("x_prior", epochs["x_prior"], N), _stacked("x", x_post, N)
+        F, Q = (_stacked(name, epochs[name], N).reshape(N, n, n) for name in "FQ")
+        H, R = _stacked("H", epochs["H"], N).reshape(N, m, n), _stacked("R", epochs["R"], N).reshape(N, m, m)
+        P = _stacked("P_prior", epochs["P_prior"], N).reshape(N, n, n)
     except (TypeError, ValueError):
         return None
     predicted = np.einsum("kij,kj->ki", H, prior)
@@ -222,5 +222,5 @@ def _model(kept: dict[str, list[Any]], y: Array, z: Array, m: int) -> LinearMode
         return None
     offset = np.zeros((N, n))
     offset[1:] = prior[1:] - np.einsum("kij,kj->ki", F[1:], post[:-1])
-    alpha = np.array([float(a) for a in kept.get("alpha", np.ones(N))])
+    alpha = np.array([float(a) for a in epochs.get("alpha", np.ones(N))])
     return LinearModel(F=F, Q=Q, H=H, R=R, fading=alpha**2, offset=offset, x=prior[0], P=P[0])

@@ -166,22 +166,22 @@ _AT_MOST = 3
 
 def find(model: LinearModel, z: Array, clipped: Array, e: Array) -> list[tuple[Repair, float]]:
     """Return the causes, the weightiest first, each with the log-likelihood that its repair gains."""
-    found: list[tuple[Repair, float]] = []
+    repairs: list[tuple[Repair, float]] = []
     so_far = Repair()
     base = float(scores(model, z, [so_far]).log_likelihood[0])
-    while len(found) < _AT_MOST:
+    while len(repairs) < _AT_MOST:
         # One good candidate hides behind another, so every round looks at all of them on the repaired model.
-        stage(f"{len(found)} of at most {_AT_MOST} causes found")
+        stage(f"{len(repairs)} of at most {_AT_MOST} causes found")
         candidates = _candidates(model, z, clipped, e, so_far)
         best, likelihood = _search(model, z, candidates, so_far)
         gain = likelihood - base
         # After a large misfit is repaired, small ones may be left by the roughness of the repair.
-        least = max(_GAIN, 0.1 * found[0][1]) if found else _GAIN
+        least = max(_GAIN, 0.1 * repairs[0][1]) if repairs else _GAIN
         if gain - best.cost < least or _is_slight(best):
             break
-        found.append((best, gain))
+        repairs.append((best, gain))
         so_far, base = so_far.then(best), likelihood
-    return found
+    return repairs
 
 
 def _is_slight(repair: Repair) -> bool:
@@ -325,7 +325,7 @@ def _starts(model: LinearModel, z: Array) -> list[Repair]:
 def unseen(model: LinearModel, z: Array) -> tuple[str, ...]:
     """Return which noises, ten times too large or too small, a recording of this kind would not show."""
     # By trial: recordings are drawn from the repaired model, with the same gaps, and the repair is looked for in them.
-    rng, found = np.random.default_rng(0), []
+    rng, unnoticed = np.random.default_rng(0), []
     for name in ("R", "Q") if model.Q.any() else ("R",):
         for word, factor in (("too large", 0.1), ("too small", 10.0)):
             repair = _noise(name, None, factor, model.H.shape[1])
@@ -335,8 +335,8 @@ def unseen(model: LinearModel, z: Array) -> tuple[str, ...]:
                 wrong, right = scores(model, drawn, [Repair(), repair]).log_likelihood
                 gains.append(right - wrong - repair.cost)
             if np.median(gains) < _GAIN:
-                found.append(f"{name} ten times {word}")
-    return tuple(found)
+                unnoticed.append(f"{name} ten times {word}")
+    return tuple(unnoticed)
 
 
 def _drawn(model: LinearModel, repair: Repair, rng: np.random.Generator) -> Array:
@@ -370,7 +370,7 @@ def _breaks(e: Array) -> list[int]:
     N = len(e)
     before = np.arange(1, N)
     change = np.abs(np.cumsum(bounded)[:-1] - before / N * bounded.sum()) / np.sqrt(before * (N - before) / N)
-    found = [best[1]]
+    breaks = [best[1]]
     if N > 20:
-        found.append(int(change[5:-5].argmax()) + 6)
-    return [k for around in found for k in (around - 1, around) if 0 < k < N]
+        breaks.append(int(change[5:-5].argmax()) + 6)
+    return [k for around in breaks for k in (around - 1, around) if 0 < k < N]

@@ -35,10 +35,10 @@ def one_axes(ax: Any, size: tuple[float, float] = (7.0, 3.6)) -> Any:
 def several_axes(axes: Any, rows: int, columns: int, size: tuple[float, float], **options: Any) -> Any:
     """Return axes as an array of rows times columns, or those of a new figure."""
     if axes is not None:
-        found = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
-        if found.size != rows * columns:
-            raise ValueError(f"axes: expected {rows * columns} matplotlib axes, got {found.size}")
-        return found
+        flat = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+        if flat.size != rows * columns:
+            raise ValueError(f"axes: expected {rows * columns} matplotlib axes, got {flat.size}")
+        return flat
     import matplotlib.pyplot as plt
 
     return plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **options)[1].ravel()

@@ -63,11 +63,11 @@ def plot_bode(
     periods = {name: getattr(model, "dt", None) for name, model in named.items()}
     if len({dt is None for dt in periods.values()}) > 1:
         raise ValueError(f"models: expected all with or all without a sampling period, got {periods}")
-    found = {name: _response(name, model, omega, level, output) for name, model in named.items()}
-    rows = {name: _of_input(name, response, which) for name, response in found.items()}
+    responses = {name: _response(name, model, omega, level, output) for name, model in named.items()}
+    rows = {name: _of_input(name, response, which) for name, response in responses.items()}
     axes = several_axes(axes, 2, 1, (7.5, 5.0), sharex=True)
     for place, (name, (magnitude, phase)) in enumerate(rows.items()):
-        w, look, label = found[name].omega, line_of(place), _band_label(found[name].level, place)
+        w, look, label = responses[name].omega, line_of(place), _band_label(responses[name].level, place)
         with np.errstate(divide="ignore"):
             decibels = 20.0 * np.log10(magnitude)
         for ax, (line, low, high) in ((axes[0], decibels), (axes[1], np.degrees(phase))):
@@ -79,7 +79,7 @@ def plot_bode(
     for ax in axes:
         ax.set_xscale("log")
         ax.grid(True, which="both", color="0.9", linewidth=0.5)
-    positive = np.concatenate([response.omega[response.omega > 0.0] for response in found.values()])
+    positive = np.concatenate([response.omega[response.omega > 0.0] for response in responses.values()])
     if np.ptp(positive) > 0.0:
         axes[1].set_xlim(positive.min(), positive.max())
     axes[1].set_xlabel(f"frequency [rad/{unit}]")
@@ -119,19 +119,19 @@ def plot_poles(models: Any, *, level: float = 0.95, which: int = 0, output: int 
     Poles and zeros at the origin, which only delay, are left out, and zeros further than 3 from it stand outside.
     """
     named = _named(models, (Model, StateSpaceModel, ParameterTracker))
-    found = {}
+    roots = {}
     for name, model in named.items():
         _require_started(name, model)
-        found[name] = [("poles", "x", model.poles(level))]
+        roots[name] = [("poles", "x", model.poles(level))]
         if isinstance(model, StateSpaceModel) or model.structure.inputs:
-            found[name].append(("zeros", "o", model.zeros(level, input=which, **_to(model, output))))
+            roots[name].append(("zeros", "o", model.zeros(level, input=which, **_to(model, output))))
     ax = one_axes(ax, (7.0, 4.8))
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     ax.plot(np.cos(turn), np.sin(turn), color="black", linewidth=0.8, label="unit circle")
     ax.axhline(0.0, color="0.8", linewidth=0.6, zorder=0)
     ax.axvline(0.0, color="0.8", linewidth=0.6, zorder=0)
     reach = 1.1
-    for place, (name, kinds) in enumerate(found.items()):
+    for place, (name, kinds) in enumerate(roots.items()):
         for what, marker, regions in kinds:
             points, colour = regions.values, COLOURS[place % 6]
             if not points.size:
@@ -228,8 +228,8 @@ def _of_input(name: str, response: FrequencyResponse, which: int) -> tuple[Any, 
     if _checks.count("which", which) >= inputs:
         raise ValueError(f"which: expected an input below {inputs} of {name}, got {which}")
     fields = ("magnitude", "magnitude_lower", "magnitude_upper"), ("phase", "phase_lower", "phase_upper")
-    found = [np.array([getattr(response, field) for field in names]) for names in fields]
-    magnitude, phase = (values[:, which] if several else values for values in found)
+    curves = [np.array([getattr(response, field) for field in names]) for names in fields]
+    magnitude, phase = (values[:, which] if several else values for values in curves)
     return magnitude, phase
 
 

@@ -80,12 +80,12 @@ def dates(values: Any) -> Any:
     # matplotlib shows the hours of the place.
     if getattr(values, "tz", None) is not None:
         values = values.tz_localize(None)
-    found = np.asarray(values)
-    if found.dtype.kind == "O" and found.size and hasattr(found.flat[0], "isoformat"):
-        found = found.astype("datetime64[us]")
-    if found.dtype.kind == "m":
-        return found.astype("timedelta64[ns]").astype(float) * 1e-9
-    return found if found.dtype.kind == "M" else None
+    stamps = np.asarray(values)
+    if stamps.dtype.kind == "O" and stamps.size and hasattr(stamps.flat[0], "isoformat"):
+        stamps = stamps.astype("datetime64[us]")
+    if stamps.dtype.kind == "m":
+        return stamps.astype("timedelta64[ns]").astype(float) * 1e-9
+    return stamps if stamps.dtype.kind == "M" else None
 
 
 def chosen(name: str, which: Any, n: int) -> list[int]:

@@ -63,12 +63,12 @@ def plot_validation(validation: Validation | Validations, *, axes: Any = None) -
         for j, (one, own) in enumerate(zip(validation, drawn, strict=True)):
             own[0].figure.suptitle(textwrap.fill(f"output {j}: {one.verdict}", 80), fontsize="medium")
         return np.array(drawn)
-    found = [("residuals among themselves", 1, validation.autocorrelation, validation.autocorrelation_bound)]
+    panels = [("residuals among themselves", 1, validation.autocorrelation, validation.autocorrelation_bound)]
     several = len(validation.cross_correlation) > 1
     for i, pair in enumerate(zip(validation.cross_correlation, validation.cross_bound, strict=True)):
-        found.append((f"input {i} and residuals" if several else "input and residuals", 0, *pair))
-    axes = several_axes(axes, len(found), 1, (7.5, 0.8 + 2.1 * len(found)), sharex=True)
-    for ax, (title, first, values, bound) in zip(axes, found, strict=True):
+        panels.append((f"input {i} and residuals" if several else "input and residuals", 0, *pair))
+    axes = several_axes(axes, len(panels), 1, (7.5, 0.8 + 2.1 * len(panels)), sharex=True)
+    for ax, (title, first, values, bound) in zip(axes, panels, strict=True):
         lags = np.arange(first, first + values.size)
         outside = np.abs(values) > bound
         zero_band(ax, lags, bound, f"{100 * validation.level:.4g} % bound", step="mid")
