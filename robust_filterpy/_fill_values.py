@@ -1,4 +1,4 @@
-"""Numbers that a logger writes where it has none (9999, 1e7, 9.97e36): recognised, since they repeat far outside."""
+"""Numbers that a logger writes where it has none (9999, 1e7, 9.97e36): recognized, since they repeat far outside."""
 
 from __future__ import annotations
 
@@ -66,9 +66,9 @@ def fill_values(signal: Array) -> FillValues:
     Notes
     -----
     A value counts if it occurs in .2 % of the samples, three at least; is further from the nearest 98 % of the others
-    than these are from one another, and than 8 of their robust standard deviations; has no neighbour; and is mostly
+    than these are from one another, and than 8 of their robust standard deviations; has no neighbor; and is mostly
     entered from these others and left to them at once. Rounded and saturated signals, a rest at 0, on and off are left
-    alone: their repeated values have neighbours, lie within the width of the others, are left on a way (a step
+    alone: their repeated values have neighbors, lie within the width of the others, are left on a way (a step
     response), or leave too few different others. A wild value that does not repeat is an outlier, not a fill.
 
     Examples

@@ -24,7 +24,7 @@ class RobustKalmanModel(FilteringModel):  # type: ignore[misc, unused-ignore]
     ----------
     filter : RobustKalmanFilter or filterpy's KalmanFilter, optional
         The model of all components together, with x and P where each series begins. By default each component is a
-        level with a slope, both wandering, whose noises are learnt by `fit`, or from the first series that is filtered.
+        level with a slope, both wandering; their noises are learned by `fit`, or from the first series filtered.
     smoothed : bool, default False
         Whether an estimate uses later values too, as `smooth` does.
 

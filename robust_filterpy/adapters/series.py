@@ -41,7 +41,7 @@ class SeriesModel:
 
     @classmethod
     def of(cls, filter: Any, values: Array) -> SeriesModel:
-        """Return the user's filter made robust, or a level with a slope for each column, its noises learnt.
+        """Return the user's filter made robust, or a level with a slope for each column, its noises learned.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ def _level_and_slope(column: Array) -> RobustKalmanFilter:
     steps = np.abs(np.diff(there))
     # A median of 0 is a column that mostly stands still: then any step at all, then its size, sets the unit.
     unit = next((s for s in (np.median(steps) if steps.size else 0, steps.max(initial=0)) if s > 0), 0.0) or 1.0
-    # Noises that were learnt are believed from the first value on: it may be an outlier. A guess is not.
+    # Noises that were learned are believed from the first value on: it may be an outlier. A guess is not.
     kf = RobustKalmanFilter(2, 1, scaling="innovation" if len(there) >= LEAST else "learnt")
     kf.F, kf.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
     kf.x[0, 0] = _first_level(column)

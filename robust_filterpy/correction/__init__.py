@@ -4,16 +4,16 @@
 * `options`: influence, scaling, information, grouping, checked.
 * `result`: what a correction returns.
 * `standardization`: T of a group of sensors, and of all of them in the order taken.
-* `spread`: how large a sensor's innovations usually are, learnt.
+* `spread`: how large a sensor's innovations usually are, learned.
 * `whitening`: T of correlated noise, for the smoothers.
 * `likelihood`: log-density of an innovation.
-* `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, told, learnt, and as a psi.
+* `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, told, learned, and as a psi.
 * `policies`: what a filter is told of noise: `Contaminated`, `Learnt`, `Scales`.
 * `repeats`: whether a sensor repeats its last reading though it seldom does and its noise is white.
-* `learning`: what is learnt of a sensor's noise, a mixture of classes, while a filter runs.
+* `learning`: what is learned of a sensor's noise, a mixture of classes, while a filter runs.
 * `copies`: copies of a filter that differ in what they take the process for.
 * `factor`: one factor by which P, Q and R that are given are all too large or too small.
-* `learnt`: the correction of copies under such noise, learnt or told.
+* `learnt`: the correction of copies under such noise, learned or told.
 
 Imports from below: `robust_filterpy.influence`.
 """

@@ -2,7 +2,7 @@
 
     p(v) = (1 - contamination) N(0, scale^2) + contamination N(0, scale_ratio^2 scale^2)                  (paper 17)
 
-One object draws it, is told to a filter, is an influence function, and is learnt from residuals.
+One object draws it, is told to a filter, is an influence function, and is learned from residuals.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _PRIOR_RATIO_SAMPLES: Final = 2.0
 _CONTAMINATIONS: Final = (1e-3, 0.45)
 _RATIOS: Final = (3.0, 1e12)
 
-# Beyond so many standard deviations of the wider distribution psi goes on as for Huber's least favourable one, or a
+# Beyond so many standard deviations of the wider distribution psi goes on as for Huber's least favorable one, or a
 # single gross outlier would move everything and make all others ordinary.
 REACH: Final = 3.0
 _WIDE: Final = Huber(REACH)
-# Steps of expectation-maximisation after which more would hardly move it.
+# Steps of expectation-maximization after which more would hardly move it.
 SETTLING_STEPS: Final = 50
 
 # The square of a larger one leaves the range of floats.
@@ -79,7 +79,7 @@ class Contaminated:
     ordinary samples.
 
     rho, psi, psi_deriv and weights are of e = v/scale. psi is the score up to 3 scale_ratio and stays constant beyond,
-    where the wider distribution continues as Huber's least favourable one: outliers of any size move a bounded amount.
+    where the wider distribution continues as Huber's least favorable one: outliers of any size move a bounded amount.
 
     Examples
     --------
@@ -193,7 +193,7 @@ class Contaminated:
 
         Returns
         -------
-        LabelledSample
+        labeledSample
             values (float) and is_outlier (bool), both of shape size.
         """
         rng = np.random.default_rng(random_state)
@@ -317,7 +317,7 @@ START: Final = Contaminated(_PRIOR_OUTLIERS / _PRIOR_SAMPLES, _PRIOR_RATIO)
 def maximised(
     residual: Array, start: Contaminated, R: float, known: bool, least: float, steps: int
 ) -> tuple[float, float, float]:
-    """Return contamination, scale ratio and R after some steps of expectation-maximisation."""
+    """Return contamination, scale ratio and R after some steps of expectation-maximization."""
     square, mixture = residual * residual, start
     prior = _PRIOR_RATIO_SAMPLES * _PRIOR_RATIO**2
     for _ in range(steps):

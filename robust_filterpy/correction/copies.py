@@ -10,7 +10,7 @@ lost, so that there is one at a time; a reading that is far from it and from all
 a jump from a guess, with a probability of .2.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
-box's centre and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
+box's center and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
 that a part whose Q is too large says nothing of the others. Where F, Q, P, H or R couple two parts, they become one
 (`coupled`), with the scales that are likely in both and a candidate of either, and stay one.
 """

@@ -1,17 +1,17 @@
-"""What is learnt of a sensor's noise: how large it is, how often, how far and for how long it is exceeded.
+"""What is learned of a sensor's noise: how large it is, how often, how far and for how long it is exceeded.
 
 A sample of noise belongs to one of K classes; in class k its variance is ``r s_k R``. R is what the filter was given;
 the scales s_0 = 1 < s_1 < ... are fixed, by default a decade apart; the factor r and the probabilities of the classes
-are learnt. The class is a Markov chain, since outliers come in runs: its transitions are learnt as expected counts with
+are learned. The class is a Markov chain, since outliers come in runs: its transitions are learned as mean counts with
 a forgetting memory and a weak prior, and r from the expected squares of the samples of class 0, the ordinary ones. When
 these are no longer the majority, the class in which the median falls becomes the ordinary one: the way out of a wrong
 R.
 
-Sensors that see the same disagree about their noise alone (`parity`): that tells noise with a colour from the motion
+Sensors that see the same disagree about their noise alone (`parity`): that tells noise with a color from the motion
 of the state, which a filter that follows one such sensor takes it for. Such noise is then weighed as the white noise
 that would leave the state as uncertain.
 
-Whether sensors fail together is learnt from how likely each sample is if all of them are in one class, and if each is
+Whether sensors fail together is learned from how likely each sample is if all of them are in one class, and if each is
 in one of its own.
 
 The changes from reading to reading that a filter has not foreseen differ from each other, where noise is white, with a
@@ -23,7 +23,7 @@ A sensor that repeats its last reading though it seldom does and its noise is wh
 (`robust_filterpy.correction.repeats`), far from the prediction, is stuck, and tells nothing of the state (`repeated`).
 Where repeats are usual, no reading that repeats the one before tells of r, which would fall to nothing.
 
-How often a reading has begun a jump that was believed, and how far the last one went, is learnt too (`jumped`): a far
+How often a reading has begun a jump that was believed, and how far the last one went, is learned too (`jumped`): a far
 reading that is as far is believed at once where that is more likely than an outlier (`began`).
 
 All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, less,
@@ -89,13 +89,13 @@ _CHANCE, _SIZE, _AT, _BEGAN, _OUTLIERS = range(5)
 _RARE, _RETURNS = 0.2, 3.0
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
-# Its noise is a fifth of its parity or more where the colour of that counts fully.
+# Its noise is a fifth of its parity or more where the color of that counts fully.
 _OWN = 5.0
 
 
 @dataclass(frozen=True)
 class NoiseClasses:
-    """Say which classes of measurement noise there are, and how long what is learnt about them is remembered.
+    """Say which classes of measurement noise there are, and how long what is learned about them is remembered.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class NoiseClasses:
     r_memory : float, default 50
         Ordinary samples for which the size of the noise is remembered, > 1.
     probabilities : sequence of float, optional
-        Probabilities of the classes where they are told: nothing is learnt then, and r is 1.
+        Probabilities of the classes where they are told: nothing is learned then, and r is 1.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def usual(known: Array, classes: int) -> Array:
 
 def learn(known: Array, posterior: Array, r: float, excess: float, part: float, noise: NoiseClasses) -> Array:
     """Return what is known after one sample."""
-    # Expectation-maximisation online, with statistics that are forgotten exponentially: E[class i before, class j now]
+    # Expectation-maximization online, with statistics that are forgotten exponentially: E[class i before, class j now]
     # = q_i A_ij p_j / sum_l q_l A_lj, with q the last sample's probabilities and A the counts over their sum. An
     # innovation of which noise is a part k tells k^2 as much of r as noise itself would (the Fisher information), and
     # counts as that.
@@ -330,7 +330,7 @@ def ordinary_size(
 ) -> tuple[Array, Array]:
     """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's."""
     # A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise
-    # included. Only other sensors can tell. Where parity has a colour, r is at least parity's variance over what R says
+    # included. Only other sensors can tell. Where parity has a color, r is at least parity's variance over what R says
     # it is, as far as there are independent samples of it, but never raised above 1, so that an offset between two
     # sensors leaves the R that was told.
     # Noise with a lag-one correlation c does not average out: a filter that keeps a part q of what it knew from reading
@@ -347,7 +347,7 @@ def ordinary_size(
     size = learnt[:, 2 + K : 2 + 2 * K] @ np.array(scales)
     for i, e, part in parity(z, H, R, size * np.maximum(r, 1.0)):
         correlation, least = _note_parity(learnt[i, _PARITY], e)
-        # A colour is that of the sensor of whose noise a parity is made.
+        # A color is that of the sensor of whose noise a parity is made.
         colour = min(max((correlation - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0) * min(_OWN * part, 1.0)
         if colour > 0.0:
             r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
@@ -365,7 +365,7 @@ def _note_parity(known: Array, e: float) -> tuple[float, float]:
     count += 1.0
     share = max(1.0 / _PARITY_MEMORY, 1.0 / count)
     if count > 6.0:
-        # An outlier is no news about the colour.
+        # An outlier is no news about the color.
         e = min(max(e, -3.0 * variance**0.5), 3.0 * variance**0.5)
     e = min(max(e, -1e100), 1e100)
     lag, variance = lag + share * (e * last - lag), variance + share * (e * e - variance)

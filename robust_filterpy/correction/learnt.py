@@ -1,4 +1,4 @@
-"""The correction under noise that is a mixture of classes, learnt or told: one step as a pure function of arrays.
+"""The correction under noise that is a mixture of classes, learned or told: one step as a pure function of arrays.
 
 The scalar step that serves every filter (DESIGN section 2): with score a and information b of the sensor taken next,
 
@@ -8,7 +8,7 @@ Under class k the variance of y_i is S_ii + (s_k - 1) r R_ii: what an outlier ha
 else, correlated noises included. Its density is a mixture, a the mixture's score and b the derivative of it, which is
 the exact second moment (Masreliez 1975) and may be negative. Each copy has its own x, P, C, S, y, a, b; the
 probabilities of the classes are shared. Sensors that are told to fail together are taken at once: a is a vector, b a
-matrix. Others may: with the probability that they do, as it has been learnt, the classes of each sensor are those that
+matrix. Others may: with the probability that they do, as it has been learned, the classes of each sensor are those that
 the whole innovation tells, else those that its own does.
 """
 
@@ -152,7 +152,7 @@ def _corrected(
 ) -> tuple[Corrected, Array]:  # fmt: skip
     """Return what `correct` does with R as it is, and the log densities of the readings, shape (m,)."""
     # Groups are taken one after the other, the most plausible first by the moments of all copies together, so that the
-    # order of the sensors in z does not matter. What H does not see says nothing, and nothing is learnt from it. An
+    # order of the sensors in z does not matter. What H does not see says nothing, and nothing is learned from it. An
     # innovation beyond 8 standard deviations of the widest class is shortened to 8, it has no place in the model; not
     # that of a sensor without noise.
     m, joint = len(z), noise.grouping == "joint"

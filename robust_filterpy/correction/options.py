@@ -203,7 +203,7 @@ class Choices:
         return self.evaluated("rho", np.array([length])).item()
 
     def evaluated(self, name: str, e: Array) -> Array:
-        """Return rho, psi or psi_deriv of e, shape (m,), by the influence function's own vectorised method.
+        """Return rho, psi or psi_deriv of e, shape (m,), by the influence function's own vectorized method.
 
         Parameters
         ----------

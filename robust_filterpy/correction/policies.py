@@ -21,7 +21,7 @@ __all__ = ["Contaminated", "Learnt", "Scales", "noise_classes", "noise_policy", 
 
 @dataclass(frozen=True)
 class Learnt:
-    """Say that the measurement noise is to be learnt: how large it is, how often, how far and how long it is exceeded.
+    """Say that the measurement noise is to be learned: how large it is, how often, how far and how long it is exceeded.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white.
 
-How often a sensor repeats itself is learnt from its own readings: white noise in fine steps never gives the same number
+How often a sensor repeats itself is learned from its readings: white noise in fine steps never gives the same number
 twice, one that is held for three samples repeats two in three. What changes less than white noise is none, so that
 counters, sensors at rest, readings that are held and recordings without noise are believed. Whether a reading that
 repeats is far from where it is expected, and so what it is worth, is for who asks.

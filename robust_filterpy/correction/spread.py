@@ -1,4 +1,4 @@
-"""How large a sensor's innovations usually are, learnt: the unit of its thresholds under scaling="learnt".
+"""How large a sensor's innovations usually are, learned: the unit of its thresholds under scaling="learnt".
 
 Nothing is an outlier before there is a custom. What a memory of 22 numbers a sensor does to a correction does
 not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a

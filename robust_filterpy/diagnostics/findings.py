@@ -78,7 +78,7 @@ class Diagnosis:
         Share of clipped innovations.
     clipped_expected : ndarray, shape (m, 2)
         That share without outliers, and with the contamination that psi is made for, that is told, or the one given;
-        NaN where the noise is learnt and no psi clips.
+        NaN where the noise is learned and no psi clips.
     longest_run : ndarray, shape (m,)
         Longest run of clipped samples.
     longest_run_expected : ndarray, shape (m,)
@@ -186,7 +186,7 @@ def diagnose(  # what filterpy's `batch_filter` takes, and two words
         Matrices of each step as in `batch_filter`; for a filter only.
     contamination : float, optional
         Share of outliers to be expected, in [0, 1). Default: the one that the threshold of `Huber` is made for, the
-        one that ``noise=Contaminated(..)`` tells, any where noise is learnt, 0 for another psi.
+        one that ``noise=Contaminated(..)`` tells, any where noise is learned, 0 for another psi.
     progress : bool, optional
         Whether to say on standard error what it is at: by default after 2 s.
 

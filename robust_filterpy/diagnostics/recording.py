@@ -168,7 +168,7 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
 
 
 def _psi(kf: Any) -> Any:
-    """Return the influence function, None of a filter without one, as of one that weighs by noise told or learnt."""
+    """Return the influence function, None of a filter without one, as of one that weighs by noise told or learned."""
     influence = getattr(kf, "influence", None)
     return influence if hasattr(influence, "psi_deriv") else None
 
@@ -185,7 +185,7 @@ def threshold(influence: Any) -> float:
 
 
 def _made_for(influence: Any, learns: bool) -> float:
-    """Return the share of outliers that a psi or a told noise is made for: any where it is learnt, 0 of another psi."""
+    """Return the share of outliers that a psi or a given noise is for: any where it is learned, 0 of another psi."""
     if learns:
         return 1.0
     if isinstance(influence, Contaminated):

@@ -212,7 +212,7 @@ def _leaders(pool: dict[tuple[Any, ...], tuple[Repair, float]]) -> list[tuple[Re
 
 
 def _near(repair: Repair, width: float, m: int) -> list[Repair]:
-    """Return the candidate's neighbours, if it has a factor to be refined."""
+    """Return the candidate's neighbors, if it has a factor to be refined."""
     if repair.cause not in ("R", "Q", "R and Q"):
         return []
     return [_noise(repair.cause, repair.sensor, repair.value * factor, m) for factor in (width, 1 / width)]

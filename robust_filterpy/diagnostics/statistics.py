@@ -51,7 +51,7 @@ def expected_clipped(recording: FilterRecord) -> tuple[Array, Array]:
     """Return the share of clipped samples of each sensor without outliers, and with all outliers clipped; or NaN."""
     k, m, contamination = threshold(recording.influence), recording.y.shape[1], recording.contamination
     if recording.influence is None and recording.clipped.any():
-        # Weights of noise that is learnt have no threshold.
+        # Weights of noise that is learned have no threshold.
         return np.full(m, np.nan), np.full(m, np.nan)
     if recording.grouping == "joint":
         low = np.full(m, stats.chi2.sf(k * k, m))
@@ -132,7 +132,7 @@ def unclipped_nis(recording: FilterRecord) -> Band:
 
 def saturated(z: Array) -> float | None:
     """Return the value at which a sensor sticks at the end of its range, None if it does not."""
-    # The extreme value comes back, with neighbours in time, far more often than the second extreme one: a coarse sensor
+    # The extreme value comes back, with neighbors in time, far more often than the second extreme one: a coarse sensor
     # repeats every value.
     z = z[~np.isnan(z)]
     values, counts = np.unique(z, return_counts=True)

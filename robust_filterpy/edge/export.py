@@ -48,7 +48,7 @@ def export_c(
     """Write one C99 file and its header that step exactly this filter or tracker, from its present state.
 
     The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling and information, or with noise that
-    is told or learnt (``noise=Contaminated()``, ``Learnt()``, ``process=Scales()``), or takes a sample as
+    is told or learned (``noise=Contaminated()``, ``Learnt()``, ``process=Scales()``), or takes a sample as
     `ParameterTracker.update` does. It allocates nothing, needs no library but math.h, and says by a status what Python
     says by an exception; a refused call changes nothing there either. NaN in a measurement is a missing component, an
     infinite one is refused.
@@ -63,7 +63,7 @@ def export_c(
         The C file, such as "cart.c", in a folder that exists; the header stands beside it. Its stem is the prefix of
         all names in C.
     precision : {"double", "single"}
-        Type of every number in C: double or float. Noise that is told or learnt needs double.
+        Type of every number in C: double or float. Noise that is told or learned needs double.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def export_c(
     -----
     Not exported are the log-likelihood, a tracker's warnings, R of a single sample, and `update_correlated`. The
     threshold (or another parameter of psi) is a field of the model in C, and may be changed at run time. Under noise
-    that is told or learnt a step that the package's kernel leaves to the definition (a state 1e6 times less certain
+    that is told or learned a step that the package's kernel leaves to the definition (a state 1e6 times less certain
     than its sensor) is refused by the C.
 
     Examples

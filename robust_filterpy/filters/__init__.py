@@ -2,16 +2,16 @@
 
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
-* `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learnt.
-* `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise told or learnt, copies of the
+* `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learned.
+* `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise told or learned, copies of the
   state.
-* `series`: `filter_series`, many recordings, the noise of each learnt on request.
+* `series`: `filter_series`, many recordings, the noise of each learned on request.
 * `driver`: many steps, by the kernel where it serves, else by the definition.
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
 * `conversion`: a robust filter made of an existing one.
 * `shell`, `nonlinear_mixin`: what these classes share: options, steps by the kernel, what a correction shows.
-* `states`: what a filter holds and has learnt, put away and taken up again.
+* `states`: what a filter holds and has learned, put away and taken up again.
 * `problem`: a recording of a linear filter, read once.
 * `snapshot`: a call that is refused has not happened.
 * `notices`: what a filter says once.

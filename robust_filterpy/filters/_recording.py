@@ -122,7 +122,7 @@ class RecordingMixin(Shell):
             covariances: Any = shown.covariances_p
 
             def variances(some: list[int]) -> Array:
-                """Return those of the innovations of some steps, with the noise as it is learnt at the end."""
+                """Return those of the innovations of some steps, with the noise as it is learned at the end."""
                 P = covariances[first:last][some].reshape(-1, *self.P.shape)
                 noise = ordinary_noise(R[some], state.learnt)
                 return np.diagonal(H[some] @ P @ H[some].swapaxes(1, 2) + noise, axis1=1, axis2=2)

@@ -30,7 +30,7 @@ def update(
 ) -> tuple[Any, ...]:
     """Correct a state by a measurement whose influence is bounded: `filterpy.kalman.update` and the choices.
 
-    A function keeps nothing from one call to the next, so no typical innovation is learnt: after several steps x is
+    A function keeps nothing from one call to the next, so no typical innovation is learned: after several steps x is
     another one than that of `RobustKalmanFilter` with its default scaling, which is "learnt".
 
     Parameters

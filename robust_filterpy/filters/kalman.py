@@ -66,7 +66,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         `statsmodels.robust.norms`.
     scaling : {"learnt", "innovation", "unit", "bounded"}, optional
         How an innovation is measured. "learnt": in its standard deviation, and thresholds in units of what that
-        usually is, which is learnt; x does not depend on a common factor of P, Q and R, as the Kalman filter's does
+        usually is, which is learned; x does not depend on a common factor of P, Q and R, as the Kalman filter's does
         not. "innovation": in its standard deviation, thresholds as they are, for an S that is right (36). "unit": in
         the unit of z, the paper's modification (42)-(49), a filter only while H P H' < 1. "bounded": "unit" wherever
         that is a valid filter, "innovation" elsewhere. Default: "learnt"; with `patience` "innovation".
@@ -78,7 +78,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         Which sensors fail together: each on its own; all, as for one sensor that reports a vector and fails as a whole;
         or those named, such as ``((0, 1), (2,))``.
     noise : Contaminated, Learnt or "learnt", optional
-        How measurements fail, instead of a bound: psi is then the score of what is told, or learnt while filtering, and
+        How measurements fail, instead of a bound: psi is then the score of what is given, or learned online, and
         influence, scaling and information follow from it. R is the covariance of ordinary noise, told or, under
         `Learnt`, a guess that may be wrong by a factor of 1000 either way. Default: psi bounds what an innovation does.
     process : Scales, Contaminated or "scales", optional
@@ -107,7 +107,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     refused, recoveries : int
         Under `patience`, how many refused measurements agree so far, and how often P was widened.
     R_learnt, noise_learnt, learnt, sensors_learnt : ndarray, LearntNoise, ndarray, dict of str to LearntNoise
-        Under ``noise=Learnt(..)``, what has been learnt: the covariance of ordinary noise, contamination and scale of
+        Under ``noise=Learnt(..)``, what has been learned: the covariance of ordinary noise, contamination and scale of
         outliers and length of their runs with standard errors, and all of it as an array that another filter can begin
         with; the second for each sensor that ``update(.., sensor=)`` names. None without.
     outlier_probability : float
@@ -129,7 +129,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     Notes
     -----
     ``y``, ``S``, ``SI`` and ``mahalanobis`` are those of the Kalman filter; ``K`` is the gain before psi, C T'T.
-    ``log_likelihood`` is that of the least favourable density, linear in \\|e\\| beyond the threshold, with S as told.
+    ``log_likelihood`` is that of the least favorable density, linear in \\|e\\| beyond the threshold, with S as told.
 
     Under "learnt" nothing is an outlier before there is a custom: the very first reading is believed as the Kalman
     filter believes it. Sensors that take turns through ``update(z, R, H)`` are told apart by their rows of H, or by
@@ -143,7 +143,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     "unit" raises `NotPositiveDefiniteError` where it would make P indefinite and leaves the filter as it was.
 
     Under `noise` an innovation moves the state by the score of its mixture, and P by the exact second moment (Masreliez
-    1975); ``S``, ``SI``, ``K``, ``e`` and ``mahalanobis`` are those of ordinary noise, as learnt before the
+    1975); ``S``, ``SI``, ``K``, ``e`` and ``mahalanobis`` are those of ordinary noise, as learned before the
     measurement, and x_post is not x_prior + K y_bounded. ``log_likelihood`` is that of the mixture;
     `update_steadystate` clips. Under `Learnt` an outlier is what exceeds most samples: if ordinary samples are no
     longer the majority, the noise itself has grown. A program that assigns x or P assigns it to every copy. The larger
@@ -316,7 +316,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         H : array_like, shape (m, dim_x), optional
             Measurement matrix for this call, otherwise ``self.H``; z and R then have its height m.
         sensor : str or int, optional
-            Whose reading it is, where several sensors take turns: what is learnt of noise (or of how large innovations
+            Whose reading it is, where several sensors take turns: what is learned of noise (or of how large innovations
             usually are) belongs to it. Without, a sensor is told by its place in z, or by its row of an H that is
             passed; two that see the same through one row would have one noise.
 
@@ -537,7 +537,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         self._as_posterior()
 
     def _whole_memory(self) -> Array | None:
-        """Return what is known of all sensors of z under scaling "learnt", None where nothing is learnt."""
+        """Return what is known of all sensors of z under scaling "learnt", None where nothing is learned."""
         return self._known(self.dim_z).memory if self._learns_spread else None
 
     def batch_filter(

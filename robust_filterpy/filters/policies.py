@@ -1,7 +1,7 @@
 """What judges a filter's measurements: one of two policies, and which of them was asked for.
 
 `Bounded` lets psi bound what an innovation does, and `patience` how long one that is refused may insist; `Mixture`
-weighs what noise may have been, told or learnt: copies of the state, each corrected under every class of noise and
+weighs what noise may have been, told or learned: copies of the state, each corrected under every class of noise and
 weighed; who assigns x or P from outside has assigned it to every copy. A policy never changes. What it knows is the
 filter's, arrays and tuples that are never written to: a memory, one row for each sensor, and what it keeps besides
 (copies of the state, a count). It is handed to every call, and what comes back takes its place when the whole call has
@@ -198,11 +198,11 @@ class Bounded:
         return series.run(self.choices, state, zs, model, into, **how)
 
     def factors(self, memory: Array) -> Array:
-        """Return what a sensor's innovations are over what was told, in variance, as learnt."""
+        """Return what a sensor's innovations are over what was told, in variance, as learned."""
         return np.where((memory[:, spread.WEIGHT] > 0) & self.learns, memory[:, spread.SPREAD] ** 2, 1.0)
 
     def contamination(self, memory: Array) -> Array:
-        """Return the share of far innovations of each sensor, NaN where none is learnt."""
+        """Return the share of far innovations of each sensor, NaN where none is learned."""
         return np.where((memory[:, spread.WEIGHT] > 0) & self.learns, memory[:, spread.SHARE], np.nan)
 
     def shares(self, memory: Array) -> tuple[Array, Array]:
@@ -285,7 +285,7 @@ class Mixture:
 
     @property
     def learns(self) -> bool:
-        """Whether anything is learnt of the sensors."""
+        """Whether anything is learned of the sensors."""
         return self.classes.learns
 
     @property
@@ -392,11 +392,11 @@ class Mixture:
         return _any_outlier(outlying, self.grouping)
 
     def factors(self, memory: Array) -> Array:
-        """Return what a sensor's ordinary noise is over R, in variance, as learnt."""
+        """Return what a sensor's ordinary noise is over R, in variance, as learned."""
         return np.asarray(memory[:, 0])
 
     def contamination(self, memory: Array) -> Array:
-        """Return the share of outliers of each sensor, as learnt."""
+        """Return the share of outliers of each sensor, as learned."""
         return describe(memory, np.array(self.classes.scales)).contamination
 
     def shares(self, memory: Array) -> tuple[Array, Array]:
@@ -476,7 +476,7 @@ class Mixed(NamedTuple):
         return float(_any_outlier(self.outlier_probabilities, "joint" if len(self.memory) == 1 else self.together))
 
     def as_arrays(self) -> Correction:
-        """Return everything that a correction shows, of the merged prior and ordinary noise as it was learnt before."""
+        """Return all that a correction shows, of the merged prior and ordinary noise as it was learned before."""
         m, M = len(self.H), self.M
         R = ordinary_noise(self.R, self.before)
         if self.curvature is not None:

@@ -287,12 +287,12 @@ def filter_series(
     P0 : array_like, shape (dim_x, dim_x) or (S, dim_x, dim_x)
         Its covariance.
     influence, scaling, information, grouping, noise, process
-        As in `RobustKalmanFilter`; with ``noise=Learnt()`` what is learnt is each series' own.
+        As in `RobustKalmanFilter`; with ``noise=Learnt()`` what is learned is each series' own.
     learnt : array_like, shape (1 or dim_z, w), or (S, ..) for each series its own, optional
         What is known of the noise before the first step: the ``learnt`` of a filter, or of a state, with the same
         ``noise=``.
     state : mapping of str to ndarray, optional
-        Where an earlier part of the same series, with the same options, has ended, instead of x0, P0 and learnt: many
+        Where an earlier part of the same series, with the same options, has ended, instead of x0, P0 and learned: many
         filters go on together, a sample at a time if need be, and the numbers are those of one call.
     keep : {"all", "last"} or int, default "all"
         Which steps to return: all, the last, or every keep-th (steps keep - 1, 2 keep - 1, ..), so that memory is
@@ -323,7 +323,7 @@ def filter_series(
     faster. A function of arrays alone, so an engine for data that do not fit one machine can call it block by block
     over the series: with Dask
     ``dask.array.map_blocks(lambda z: filter_series(z, F, H, Q, R, x0, P0).x, zs, dtype=float, chunks=..)``. A series
-    that is refused keeps what it had learnt.
+    that is refused keeps what it had learned.
 
     Examples
     --------
@@ -333,7 +333,7 @@ def filter_series(
     >>> result.x.shape, result.weights[1, :, 0]
     ((2, 3, 2), array([ 1., nan,  1.]))
 
-    Where R is a guess, it is learnt, for each series; and later samples go on from there:
+    Where R is a guess, it is learned, for each series; and later samples go on from there:
 
     >>> rng, scales = np.random.default_rng(0), np.array([1.0, 5.0])
     >>> zs = (scales * np.where(rng.random((400, 2)) < 0.1, 10.0, 1.0) * rng.normal(size=(400, 2))).T[:, :, None]
@@ -410,7 +410,7 @@ def _alone(
         for column in into[:-1]:
             if column is not None:
                 column[error.step // every :] = np.nan  # type: ignore[attr-defined]
-        # What was learnt of its noise stays.
+        # What was learned of its noise stays.
         out.log_likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
     for name, value in zip(("means", "covariances", "belief", "spread", "x", "P"), state, strict=True):
         name = "learnt" if name == "spread" and "learnt" in at else name

@@ -188,7 +188,7 @@ class Shell(StateMixin):
             )
 
     def __str__(self) -> str:
-        """Show where the filter stands, how it judges and what it has learnt; `repr` shows every matrix."""
+        """Show where the filter stands, how it judges and what it has learned; `repr` shows every matrix."""
         parts = {"x": np.ravel(self.x), "std": np.sqrt(np.maximum(np.diag(self.P), 0.0))}
         z = np.ravel(self.z)
         if not all(value is None for value in z):
@@ -449,7 +449,7 @@ class Shell(StateMixin):
 
 
 def _judgement(kf: Any) -> dict[str, Any]:
-    """Return how a filter judges measurements, and what it has learnt of them."""
+    """Return how a filter judges measurements, and what it has learned of them."""
     if kf.noise is None:
         names = ["influence", "scaling", "information", "grouping"]
         if kf.patience is not None:

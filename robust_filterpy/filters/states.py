@@ -1,4 +1,4 @@
-"""What a filter holds and has learnt of its sensors; filters that are put away and go on later, elsewhere."""
+"""What a filter holds and has learned of its sensors; filters that are put away and go on later, elsewhere."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Customs(NamedTuple):
 
 
 class StateMixin:
-    """Hold what a step moves and what is learnt of the sensors; give it as plain arrays, and go on from these.
+    """Hold what a step moves and what is learned of the sensors; give it as plain arrays, and go on from these.
 
     A subclass adds to `_moving` what a step moves besides x, P and what its policy knows, and takes it
     over in `_go_on`. Declared are filterpy's attributes that are written to, and those of `snapshot.SLOTS`.
@@ -76,7 +76,7 @@ class StateMixin:
     # Not a literal: a type checker would then believe that there is no __dict__ at all.
     __slots__ = tuple(())
 
-    #: What else the filter's behaviour depends on: name in a state, attribute. A state without it leaves it as it is.
+    #: What else the filter's behavior depends on: name in a state, attribute. A state without it leaves it as it is.
     _settings: ClassVar[dict[str, str]] = {"Q": "Q", "R": "R"}
 
     dim_x: int
@@ -204,7 +204,7 @@ class StateMixin:
         """Under ``noise=Learnt(..)``, what is known of the noise: a small array, r (a factor of R) first.
 
         Keep it, or assign it to another filter with the same R, grouping and scales of noise, which then starts with
-        it. Shape (1 or sensors, 14 + 2 K + K^2); a copy. None where no noise is learnt.
+        it. Shape (1 or sensors, 14 + 2 K + K^2); a copy. None where no noise is learned.
         """
         return self._memory.copy() if self._learns_noise else None
 
@@ -217,7 +217,7 @@ class StateMixin:
 
     @property
     def noise_learnt(self) -> LearntNoise | None:
-        """Under ``noise=Learnt(..)``, what has been learnt of the noise: r, contamination, scale ratio, run length."""
+        """Under ``noise=Learnt(..)``, what has been learned of the noise: r, contamination, scale ratio, run length."""
         if not self._learns_noise:
             return None
         classes = self._policy.classes
@@ -225,7 +225,7 @@ class StateMixin:
 
     @property
     def sensors_learnt(self) -> dict[str, LearntNoise] | None:
-        """Under ``noise=Learnt(..)``, what has been learnt of each sensor that `update` was told by `sensor`."""
+        """Under ``noise=Learnt(..)``, what has been learned of each sensor that `update` was told by `sensor`."""
         if not self._learns_noise:
             return None
         classes = self._policy.classes
@@ -236,7 +236,7 @@ class StateMixin:
 
     @property
     def R_learnt(self) -> Array | None:
-        """Under ``noise=``, the covariance of ordinary noise as learnt, shape (dim_z, dim_z); None without."""
+        """Under ``noise=``, the covariance of ordinary noise as learned, shape (dim_z, dim_z); None without."""
         if type(self._policy) is not Mixture:
             return None
         kf: Any = self
@@ -244,7 +244,7 @@ class StateMixin:
 
     @property
     def _learns_noise(self) -> bool:
-        """Whether the measurement noise is learnt."""
+        """Whether the measurement noise is learned."""
         return type(self._policy) is Mixture and self._policy.learns
 
     @property
@@ -431,7 +431,7 @@ def sensor_keys(passed: Array, own: Any) -> list[Any]:
 
 
 def settings_of(kf: StateMixin) -> dict[str, Any]:
-    """Return what else a filter's behaviour depends on, by its name in a state; None where it is not set."""
+    """Return what else a filter's behavior depends on, by its name in a state; None where it is not set."""
     return {key: getattr(kf, name, None) for key, name in kf._settings.items()}
 
 

@@ -228,7 +228,7 @@ class States(Mapping[Any, dict[str, Array]]):
         return pa.table(columns)
 
 
-#: Entries that a state may lack: nothing has been learnt of a sensor yet.
+#: Entries that a state may lack: nothing has been learned of a sensor yet.
 _UNKNOWN = ("spread", "sensors", "sensors_spread", "named", "named_spread", "filter_spread")
 #: Entries that a fleet adds to a state, and their shapes.
 FLEET: dict[str, _state.Shape] = {

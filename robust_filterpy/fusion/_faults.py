@@ -12,7 +12,7 @@ Beside each other run filters of the state and of one number more, b::
 If nothing but a Q that is 10 or 100 times smaller explains the stretch better, all of them have that: a state that is
 calmer than Q allows is nobody's fault, though a sensor that is noisily stuck looks like it.
 
-Noise and its outliers are those learnt before the stretch that is judged. What a hypothesis is worth is the density of
+Noise and its outliers are those learned before the stretch that is judged. What a hypothesis is worth is the density of
 all readings of the stretch under it, the size of b integrated out, times how often such a thing happens. A reading of a
 sensor whose noise carries over to the next counts for less than one (`_watch.worth`).
 """

@@ -1,6 +1,6 @@
 """Bands for what is to come: of readings, and of the signal that they are readings of.
 
-To begin with a band is that of the learnt mixture: the state moved on, and the classes of noise as learnt. Then the
+To begin with a band is that of the learned mixture: the state moved on, and the classes of noise as learned. Then the
 readings that are kept say by how much such bands were too narrow or too wide: each is compared with the band that would
 have been drawn for it as long before as the forecast looks ahead. Its score is the distance from the middle over half
 the width; the quantile of the scores at the level widens the band. Few scores, or many that overlap, count little.
@@ -25,7 +25,7 @@ from robust_filterpy.fusion.results import Forecast
 
 __all__ = ["bands", "forecast"]
 
-# Stamps at the very beginning whose bands say nothing, and how many scores the learnt mixture is worth.
+# Stamps at the very beginning whose bands say nothing, and how many scores the learned mixture is worth.
 _BEGINNING, _WORTH = 10, 5.0
 # Limits of what the scores may say about the variance of the signal.
 _FACTORS = np.log([1e-2, 1e3])

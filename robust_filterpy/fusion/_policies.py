@@ -1,11 +1,11 @@
 """How a filter of many sensors predicts and corrects: a filter's policy, as functions from state to state.
 
-All sensors' measurements are one vector in which whoever has not spoken is missing: what is learnt has a row for each
+All sensors' measurements are one vector in which whoever has not spoken is missing: what is learned has a row for each
 component, so every sensor has a noise, or a custom, of its own.
 
 How noisy a sensor is whose R nobody told its first readings say, and serve for nothing else: three in a row are
 compared with a straight line in time, the middle one is off by e with variance R (1 + (a^2 + b^2)/(a + b)^2), a and b
-the times between them. Five such e, from seven readings, give R to begin with; from then on it is learnt. The state
+the times between them. Five such e, from seven readings, give R to begin with; from then on it is learned. The state
 plays no part, so it does not matter how badly it is known.
 """
 
@@ -92,7 +92,7 @@ def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | N
 
 
 def _require_told(layout: Layout, why: str) -> None:
-    """Raise if the size of a noise is neither told nor learnt."""
+    """Raise if the size of a noise is neither told nor learned."""
     for name, sensor in layout.sensors.items():
         if sensor.R is None:
             raise ValueError(f"sensor {name!r}: expected R, since with {why} nobody learns it")
@@ -125,7 +125,7 @@ def predicted(policy: Policy, state: State, F: Array, Q: Array, drift: Array) ->
 
 
 def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
-    """Return the state after the readings of one moment, and their weights; learns: of whom noise is learnt."""
+    """Return the state after the readings of one moment, and their weights; learns: of whom noise is learned."""
     seen = ~np.isnan(z)
     if not seen.any():
         return state, np.full(len(z), np.nan)

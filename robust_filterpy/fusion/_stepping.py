@@ -90,7 +90,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     if layout.any_untold:
         used = np.where(np.isnan(y), np.nan, used)
     if watch is not None and watch.fault.any():
-        # Nothing is learnt of a sensor on alarm, and nothing taken from one that lies.
+        # Nothing is learned of a sensor on alarm, and nothing taken from one that lies.
         learns = (watch.fault != 1.0)[layout.party]
         used = np.where(watch.out[layout.party], np.nan, used)
     after, weights = weighed(policy, state, used, seen.H, R, learns)

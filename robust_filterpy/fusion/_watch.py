@@ -11,14 +11,14 @@ each component: each begins anew after 8, 16, .. 256 readings, so that one is ab
 
 For noise that has grown, and for outliers of each class that are more than usual, there is a sum of logarithms of odds
 under noise as it usually is, never below 0 (Page 1954), and for a sensor that seldom repeats itself the chance of the
-run of readings that say exactly the same. What is usual is what was learnt, averaged over 300 readings, but not while
+run of readings that say exactly the same. What is usual is what was learned, averaged over 300 readings, but not while
 something is suspected.
 
 Where a sensor's noise carries over from one reading to the next, with a correlation phi, its sums wander as if each
-reading counted (1 + phi) / (1 - phi) times. phi is learnt from how often e keeps its sign while nothing is suspected;
+reading counted (1 + phi) / (1 - phi) times. phi is learned from how often e keeps its sign while nothing is suspected;
 the score and the information are multiplied by the inverse (`worth`), what is asked of squares by that of phi^2.
 
-No test speaks in the first 60 readings of a sensor, from which its noise is learnt. After a look that found nothing the
+No test speaks in the first 60 readings of a sensor: its noise is learned from them. After a look that found nothing the
 odds must have grown by more than they had come to, until that is forgotten.
 """
 
@@ -60,11 +60,11 @@ _SLACK, _LEAST, _AGAIN = 5.0, 1e-6, 3.0
 _SURE, _SOON = 0.95, 0.05
 # Components whose logarithm of the odds is so far below the best are not looked at.
 _FAR_BELOW = 12.0
-# Readings from which noise is learnt before a test speaks, and over which what was learnt is averaged.
+# Readings from which noise is learned before a test speaks, and over which what was learned is averaged.
 _FIRST, _AVERAGED = 60.0, 300.0
-# Readings after which what was learnt is asked for again.
+# Readings after which what was learned is asked for again.
 _SELDOM = 4.0
-# A correlation of n readings is no colour up to this over sqrt(n): 1.5 standard deviations of pi/2 times the mean sign.
+# A correlation of n readings is no color up to this over sqrt(n): 1.5 standard deviations of pi/2 times the mean sign.
 _BY_CHANCE = 2.4
 # Readings over which recovery is judged, and where innovations are clipped for that.
 _RECENT, _ENOUGH, _CLIP = 20.0, 30.0, 3.0
@@ -192,7 +192,7 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
 def _after(
     row: list[float], z: float, y: float, spread: float, R: float, scales: list[float], usual: list[float], quiet: bool
 ) -> list[float]:
-    """Return what is known of a component after a reading; usual: what is learnt of its noise, if that is looked at."""
+    """Return what is known of a component after a reading; usual: what is learned of its noise, if looked at."""
     C, old, e2, sign = len(scales), row[_COUNT] >= _FIRST, -0.5 * y * y, math.copysign(1.0, y)
     shares, sums = row[_CLASSES : _CLASSES + C], row[_CLASSES + C :]
     # Nothing is below 0, where what is nearer than a standard deviation leaves it.

@@ -61,7 +61,7 @@ class Fusion:
     t0 : stamp, optional
         When the state was x0; by default at the earliest reading.
     noise : Contaminated, Learnt or "learnt", default "learnt"
-        How measurements fail, as in `RobustKalmanFilter`: told, or learnt for each component of each sensor.
+        How measurements fail, as in `RobustKalmanFilter`: told, or learned for each component of each sensor.
     process : Scales, Contaminated or "scales", default "scales"
         What the process may be, as there. Dwell and jump of `Scales` are in stamps. ``Scales((1.0,), jump=0.0)`` trusts
         Q and the start.
@@ -366,7 +366,7 @@ class Fusion:
         return Estimate(self._clock.stamp(when), state.x.copy(), state.P.copy(), ages, undecided)
 
     def noise(self) -> dict[str, SensorNoise]:
-        """Return what has been learnt about each sensor's noise.
+        """Return what has been learned about each sensor's noise.
 
         Returns
         -------
@@ -400,7 +400,7 @@ class Fusion:
 
         Notes
         -----
-        The band of readings is that of the learnt mixture, times the quantile of the scores of the readings that are
+        The band of readings is that of the learned mixture, times the quantile of the scores of the readings that are
         kept, about 400 stamps, each looked at from as long before. That of the signal, which nobody sees, is corrected
         as far as its spread exceeds the noise.
 

@@ -14,16 +14,16 @@ of its weight to "over", or to "jumped", at each reading of the sensor, and what
 cluster of false readings is taken for a jump, if nothing tells the two apart, after some length * log(100) seconds, and
 not before; ``length`` and ``jump``, the share of jumps among such events, are the prior, since data alone cannot tell.
 
-Weights are the densities of all readings, under noise as learnt and a class of far readings more, so that a single one
+Weights are the densities of all readings, under noise as learned and a class of far readings more, so that a single one
 decides nothing. What is served meanwhile:
 
 * until three readings of the sensor agree with one another the state goes on as ever: a single outlier changes no bit;
 * then, until hypotheses with one x have a probability of .99, x of the most probable one, and P about it that covers
-  all of them; nothing is learnt;
+  all of them; nothing is learned;
 * then the state of that one, with the filter's policy again, without the sensor that is off.
 
 Hypotheses go on behind a decision until they are one in a million, so that readings which jump back undo it at once.
-All of it is part of the moment after a stamp, as what a filter has learnt is: a late reading makes it be judged anew,
+All of it is part of the moment after a stamp, as what a filter has learned is: a late reading makes it be judged anew,
 to the last bit.
 """
 
@@ -131,7 +131,7 @@ def opened(setup: Setup, before: Moment, seconds: float, key: Any, z: Array, s: 
 
 
 def _noise(setup: Setup, state: State) -> Array:
-    """Return the variances of ordinary noise as learnt, (M,); of what nobody knows yet, 1."""
+    """Return the variances of ordinary noise as learned, (M,); of what nobody knows yet, 1."""
     r = setup.policy.factors(state.memory) * covariance(setup.layout, state.sizes).diagonal()
     return np.where(np.isnan(state.sizes), 1.0, r)
 

@@ -231,7 +231,7 @@ def _model(setup: Setup, moment: Moment, dts: Array, inputs: Array) -> tuple[Arr
 def _smoothed(
     setup: Setup, begin: Moment, last: Moment, dts: Array, rows: Rows, filtered: tuple[Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """Return states, covariances and weights by the smoother, with each sensor's noise as large as it was learnt."""
+    """Return states, covariances and weights by the smoother, with each sensor's noise as large as it was learned."""
     layout, motion = setup.layout, setup.motion
     if not motion.is_linear or layout.curved:
         raise ValueError("smoothed: expected a linear motion and linear sensors, got a function of the state")

@@ -52,7 +52,7 @@ class Forecast(NamedTuple):
 
 
 class SensorNoise(NamedTuple):
-    """What has been learnt about a sensor's noise."""
+    """What has been learned about a sensor's noise."""
 
     deviation: Array
     """Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if nobody told."""

@@ -52,7 +52,7 @@ class Sensor:
     H : array_like, shape (m, n) or (n,), optional
         Measurement matrix.
     R : array_like, shape (m, m), or float, optional
-        Covariance of its ordinary noise; a float means times I. Where the noise is learnt it is where learning starts,
+        Covariance of its ordinary noise; a float means times I. Where the noise is learned it is where learning starts,
         and without it
         the sensor's first readings say how large it is; six of them serve for nothing else.
     h : callable, optional
@@ -68,7 +68,7 @@ class Sensor:
         stamp - delay.
     every : float, optional
         Seconds between two readings when all is well: a sensor that has said nothing for three of them is silent.
-        Without it, it is learnt, and the window is waited for besides.
+        Without it, it is learned, and the window is waited for besides.
     group : str, optional
         Name of what it shares with other sensors, so that they fail together: a receiver, a cable. What they say at one
         stamp is one reading, an outlier as a whole or not at all, each with a noise of its own size; ``watch`` judges

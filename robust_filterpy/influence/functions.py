@@ -28,7 +28,7 @@ _LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 @runtime_checkable
 class Influence(Protocol):
-    """What a filter needs of an influence function: four vectorised methods of e."""
+    """What a filter needs of an influence function: four vectorized methods of e."""
 
     def rho(self, e: Any) -> Any:
         """Return the loss whose derivative is psi."""
@@ -203,7 +203,7 @@ class Huber(_Base):
         return (self.threshold,) if math.isfinite(self.threshold) else ()
 
     def nominal_information(self) -> float:
-        """Return (1 - eps)(2 Phi(k) - 1), the least favourable density's (paper 40, 45)."""
+        """Return (1 - eps)(2 Phi(k) - 1), the least favorable density's (paper 40, 45)."""
         return (1.0 - self.contamination) * float(2.0 * special.ndtr(self.threshold) - 1.0)
 
     def log_normalizer(self, dim: int) -> float:

@@ -19,7 +19,7 @@ def expected_information(influence: Any, noise: Any = None) -> float:
         Any object with ``psi_deriv``; the package's own or a norm of statsmodels.
     noise : scipy.stats distribution, optional
         Distribution of e (dimensionless). Default: the density that the influence function is made for: the
-        least favourable one for `Huber`, Student's t for `StudentT`, the standard normal for any other.
+        least favorable one for `Huber`, Student's t for `StudentT`, the standard normal for any other.
 
     Returns
     -------

@@ -2,7 +2,7 @@
 
    x and the innovations that are not yet used are one Gaussian vector; the scalar Masreliez-Martin step (paper 37,
    39, 42, 44, 47, 49) conditions all of it on one sensor after the other. P - d g g' is the most accurate form as
-   long as the variance S_ii has not cancelled, and one that has is declined. */
+   long as the variance S_ii has not canceled, and one that has is declined. */
 #ifndef ROBUST_FILTERPY_CORRECTION_H
 #define ROBUST_FILTERPY_CORRECTION_H
 
@@ -216,7 +216,7 @@ SIZED int correct(const int n, const int m, const correction_rule *const rule, c
             for (int k = 0; k < m; k++) S[j * m + k] -= d * (q[j] * q[k]);
             if (c->W)
                 for (int k = 0; k < m; k++) c->W[j * m + k] -= dq * t * c->W[i * m + k];
-            /* What is left of a variance that cancelled is rounding. */
+            /* What is left of a variance that canceled is rounding. */
             if (!(S[j * m + j] > REAL_PIVOT * c->first[j])) return 0;
         }
     }

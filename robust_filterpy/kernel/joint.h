@@ -45,7 +45,7 @@ INLINE void joint_turn(const int count, const real cosine, const real sine, real
 }
 
 /* Whiten what was observed: e, and the rows of C, of S and (where somebody asks) of W that belong to it. Gather log det S.
-   Return whether nothing cancelled. */
+   Return whether nothing canceled. */
 INLINE int joint_whiten(const int n, const int m, correction *const c) {
     real *RESTRICT C = c->C, *RESTRICT S = c->S, *RESTRICT W = c->W;
     for (int i = 0; i < m; i++) {

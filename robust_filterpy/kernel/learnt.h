@@ -1,9 +1,9 @@
-/* Noise that is learnt, and copies of a filter side by side: robust_filterpy.correction.learnt, .learning and .copies in C.
+/* Noise that is learned, and copies of a filter side by side: robust_filterpy.correction.learnt, .learning and .copies in C.
 
    q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
    and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
-   [r, n, shares (K), last (K), counts (K, K), spread (17), together, less, jumps (5), parity (4), change (4), reading (2)]. */
+   [r, n, shares (K), last (K), counts (K, K), spread (22), together, less, jumps (5), parity (4), change (4), reading (2)]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
@@ -25,7 +25,7 @@
 #define LEARNT_FIRST_CHANGES REAL(20.0)
 #define LEARNT_MOST REAL(8.0) / 6      /* r at most, over the variance of the differences of changes */
 #define LEARNT_REDUNDANT REAL(1e-6)
-#define LEARNT_OWN REAL(5.0)           /* a sensor's noise is a fifth of its parity or more where its colour counts fully */
+#define LEARNT_OWN REAL(5.0)           /* a sensor's noise is a fifth of its parity or more where its color counts fully */
 #define LEARNT_ASKS REAL(9.0)         /* squared standard deviations from which an innovation asks for a jump */
 #define LEARNT_WIDEST REAL(1e12)       /* a state less certain than a sensor's noise by this is left to the definition */
 #define LEARNT_FARTHEST REAL(1e24)     /* and to which it can tell where to */
@@ -120,7 +120,7 @@ INLINE real *learnt_known(const learnt_rule *const rule, const learnt_state *con
     return s->memory + (rule->joint ? 0 : i * learnt_width(rule->K));
 }
 
-/* What is known of jumps that sensor i has seen, NULL where nothing is learnt of them. */
+/* What is known of jumps that sensor i has seen, NULL where nothing is learned of them. */
 INLINE real *learnt_jumps(const learnt_rule *const rule, const learnt_state *const s, const int i) {
     return rule->learns && !rule->joint && rule->named == 0 ? s->memory + (i + 1) * learnt_width(rule->K) - LEARNT_TAIL + 2 : NULL;
 }
@@ -374,7 +374,7 @@ INLINE real learnt_note_parity(real e, real *RESTRICT known) {
     known[3] += 1;
     share = real_max(1 / LEARNT_PARITY_MEMORY, 1 / known[3]);
     if (known[3] > 6) {
-        /* An outlier is no news about the colour. */
+        /* An outlier is no news about the color. */
         const real reach = 3 * real_sqrt(known[2]);
         e = real_min(real_max(e, -reach), reach);
     }
@@ -415,7 +415,7 @@ INLINE void learnt_kept(const int n, const int m, const real *RESTRICT spread, c
 #define learnt_parity_work(m) ((size_t)((m) * ((m) + 5)))
 
 /* Let r of each sensor that is left be nowhere less than its parity allows, and that of white noise which would leave the
-   state as uncertain as noise with its colour; note this sample's parity. */
+   state as uncertain as noise with its color; note this sample's parity. */
 INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
                          const real *RESTRICT spread, const real *RESTRICT z, const real *RESTRICT H,
                          const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r, real *RESTRICT work) {
@@ -468,7 +468,7 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
         e /= real_sqrt(variance);
         if (!real_is_finite(e)) continue;
         correlation[i] = learnt_note_parity(e, known);
-        /* A colour is that of the sensor of whose noise a parity is made. */
+        /* A color is that of the sensor of whose noise a parity is made. */
         colour[i] = real_min(real_max((correlation[i] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER, 0), 1);
         colour[i] *= real_min(LEARNT_OWN * rest[i * m + i], 1);
         if (colour[i] > 0) {
@@ -917,7 +917,7 @@ INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, 
     return best;
 }
 
-/* Score, information and likelihood of sensor i under every copy; return 0 if a variance has cancelled. */
+/* Score, information and likelihood of sensor i under every copy; return 0 if a variance has canceled. */
 INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i, const real noise,
                          const learnt_parts *const w) {
     const int copies = learnt_copies(rule), K = rule->K;
@@ -1406,7 +1406,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
 /* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the sensors said, where z is only
    how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and
    0 where a component told nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
-   -1 if the step is out of the ordinary; the state is spoilt then. */
+   -1 if the step is out of the ordinary; the state is spoiled then. */
 INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                           const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
                           const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,

@@ -1,4 +1,4 @@
-/* One step of one filter under noise that is learnt, as one call: attributes read, the step taken, attributes set. */
+/* One step of one filter under noise that is learned, as one call: attributes read, the step taken, attributes set. */
 #include "groups.h"
 #include "mend.h"
 #include "online.h"

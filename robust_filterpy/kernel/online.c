@@ -299,7 +299,7 @@ static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z
 #define RECORD(n, m) (4 + 8 * (m) + (m) * (m) + (m) * (n))
 
 /* What a correction makes: x and P in the shape of before, a record, z with NaN where missing, and what is then known of the
-   sensors, NULL where nothing is learnt. */
+   sensors, NULL where nothing is learned. */
 typedef struct {
     PyObject *x, *P, *record, *z, *memory;
 } corrected;

@@ -39,7 +39,7 @@ class Output(NamedTuple):
 
 
 class State(NamedTuple):
-    """Where one recording stands; arrays that a run changes in place. Under psi x, P and learnt alone move."""
+    """Where one recording stands; arrays that a run changes in place. Under psi x, P and learned alone move."""
 
     means: Array
     """(q, n)"""

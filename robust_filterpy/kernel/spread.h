@@ -1,9 +1,9 @@
-/* How each sensor's spread is learnt: what its innovations usually are, in units of what S says.
+/* How each sensor's spread is learned: what its innovations usually are, in units of what S says.
 
    The spread is a median by recursion of |e|, e = y / sqrt(S_ii), without the far ones. What a sensor is noisier than
    those that see the same is charged to its R; a run of clipped innovations that those who see the same do not
    contradict is a jump of the state, and P grows until it is plausible, where the sensor tells much of a state. How
-   long a run must be is learnt from those that lasted and those that came to nothing. Beside other sensors a far
+   long a run must be is learned from those that lasted and those that came to nothing. Beside other sensors a far
    reading that repeats the one before counts only as far as that is usual: one that is stuck says nothing new. Where
    readings repeat, one smallest step between them is never clipped. */
 #ifndef ROBUST_FILTERPY_SPREAD_H

@@ -33,7 +33,7 @@ CALLED int update_is_positive(const int n, const real *RESTRICT P, real *RESTRIC
     return 1;
 }
 
-/* Correct x and P in place by z (m), NaN where missing. memory (m) is what the sensors' spreads are learnt from, under
+/* Correct x and P in place by z (m), NaN where missing. memory (m) is what the sensors' spreads are learned from, under
    SCALING_LEARNT; M (n, m) or NULL. Return whether all was ordinary: if not, what x and P now hold is of no use, and
    memory is as it was. shown: NULL, or room for S (m, m) and C (m, n) as the filter shows them, those of a P that may
    have grown, without what a sensor is charged. work: update_work, of which c took the beginning. */

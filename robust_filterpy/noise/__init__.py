@@ -1,6 +1,6 @@
 """Noise with outliers: as distributions, and estimated from a recording.
 
-* `distributions`: the least favourable density in the manner of scipy.stats; `Contaminated` is in `correction`.
+* `distributions`: the least favorable density in the manner of scipy.stats; `Contaminated` is in `correction`.
 * `estimation`: R, Q, contamination and scale ratio by maximum likelihood, with intervals.
 
 Imports from below: `influence`, `correction`, `filters`.

@@ -69,7 +69,7 @@ def descend(cost: Cost, starts: Array, lower: Array, upper: Array, name: str) ->
 
 
 def valleys(values: Array, most: int) -> list[tuple[int, ...]]:
-    """Return the places on a grid that are lower than their neighbours, the lowest first."""
+    """Return the places on a grid that are lower than their neighbors, the lowest first."""
     wide = np.pad(values, 1, constant_values=np.inf)
     low = np.ones(values.shape, dtype=bool)
     middle = tuple(slice(1, -1) for _ in values.shape)
@@ -223,7 +223,7 @@ class NoiseFit:
         tried = lines[:, None] + offsets
         costs = self.cost(tried.reshape(-1, grid.shape[-1]), steps).reshape(len(lines), -1)
         rows, low = np.arange(len(lines)), np.clip(costs.argmin(axis=1), 1, len(_FINER) - 2)
-        # The vertex of the parabola through the lowest and its neighbours.
+        # The vertex of the parabola through the lowest and its neighbors.
         before, here, after = (costs[rows, low + shift] for shift in (-1, 0, 1))
         shift = np.clip(0.5 * (before - after) / np.maximum(before - 2 * here + after, 1e-9), -1.0, 1.0)
         lines = tried[rows, low]

@@ -1,4 +1,4 @@
-"""The least favourable noise as a scipy.stats distribution, and the Fisher information of any density."""
+"""The least favorable noise as a scipy.stats distribution, and the Fisher information of any density."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class NoiseEstimate:
     log_likelihood : float
         Of the recording, at the estimate.
     converged : bool
-        Whether the optimiser says so and the recording determines every factor.
+        Whether the optimizer says so and the recording determines every factor.
     message : str
         Why the search ended, or what the recording does not determine.
     """

@@ -5,8 +5,8 @@
 * `workbench`: pictures of structures, models and their comparison.
 * `sources`: batch results, a Saver or a tracker's run as arrays.
 
-`LOOKS` has colour and line style of the filters that pictures compare: "Kalman", "gate", "Huber", "Tukey", "learnt"
-(noise learnt on the way) and "told" (told what nobody can know). ``ax.plot(t, x, **LOOKS["Huber"])``.
+`LOOKS` has color and line style of the filters that pictures compare: "Kalman", "gate", "Huber", "Tukey", "learnt"
+(noise learned on the way) and "told" (told what nobody can know). ``ax.plot(t, x, **LOOKS["Huber"])``.
 
 matplotlib is imported when something is drawn.
 """

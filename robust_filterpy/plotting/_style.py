@@ -1,4 +1,4 @@
-"""What all pictures share: colours, axes, labels, bands, where the legend stands."""
+"""What all pictures share: colors, axes, labels, bands, where the legend stands."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-# From dark to light, so that they differ in grey as well.
+# From dark to light, so that they differ in gray as well.
 COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
 STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
 MARKERS = ("o", "x", "^", "s", "+", "d")
 MARK = "#cb181d"
-# The same filter looks the same in every picture, and no two alike to the colour-blind.
+# The same filter looks the same in every picture, and no two alike to the color-blind.
 LOOKS: dict[str, dict[str, Any]] = {
     "Kalman": {"color": COLOURS[1], "linestyle": "--"},
     "gate": {"color": "#e6ab02", "linestyle": ":"},
@@ -71,7 +71,7 @@ def legend_outside(ax: Any) -> None:
 
 
 def line_of(place: int) -> dict[str, Any]:
-    """Return colour and style of the line at a place; they come again after six."""
+    """Return color and style of the line at a place; they come again after six."""
     return {"color": COLOURS[place % 6], "linestyle": STYLES[place % 6]}
 
 

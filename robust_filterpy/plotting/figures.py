@@ -1,7 +1,7 @@
 """Pictures of what a filter did: states, innovations, weights, parameters, fit.
 
 Each function draws into ``ax`` (a new figure's if None) and returns it. Lines differ by style and lightness, clipped
-samples by their marker, so that a print without colour can be read. matplotlib is imported when something is drawn.
+samples by their marker, so that a print without color can be read. matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ __all__ = ["FixedLagSmoother"]
 _SWEEPS = 10
 # Weight of a measurement that nothing has been said about: next to none, so that the others judge it first.
 _UNJUDGED = 1e-3
-# How fast learnt noise forgets: about a thousand samples.
+# How fast learned noise forgets: about a thousand samples.
 _MEMORY = 0.999
 
 
@@ -63,7 +63,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
     N : int, optional
         The lag in steps, >= 1; not needed for `smooth_batch`.
     influence, process, grouping
-        As in `robust_filterpy.smooth`: by default contamination and size of outliers are learnt.
+        As in `robust_filterpy.smooth`: by default contamination and size of outliers are learned.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         return _Window(F, Q, c, H, R, values, precision, np.zeros(m), np.ones(()))
 
     def _rules(self, observed: Array, driven: Array) -> tuple[Rule, Rule]:
-        """Return what is made of residuals, with what was learnt so far."""
+        """Return what is made of residuals, with what was learned so far."""
         rules = measurement_rule(self._influence, self._joint, observed), process_rule(self._process, driven)
         for rule, belief, mixture in zip(
             rules, getattr(self, "_beliefs", ()), getattr(self, "_mixtures", ()), strict=False
@@ -205,7 +205,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
     def _left(
         self, there: Recording, weighting: Weighting, rules: tuple[Rule, Rule], window: _Window
     ) -> dict[str, Any]:
-        """Let the oldest step go: the prior of the window moves on by it, and learnt noise remembers it."""
+        """Let the oldest step go: the prior of the window moves on by it, and learned noise remembers it."""
         model = there.model
         model = model._replace(**{name: getattr(model, name)[:, :1] for name in ("F", "G", "c", "H", "z")})
         first = smoothing_pass(model, Weighting(*(a[:, :1] for a in weighting)), states=True)
@@ -242,7 +242,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         dict of str to ndarray
             ``format``, as in `robust_filterpy.RobustKalmanFilter.state`; x and P; the window, a row for each of its L
             steps: F, Q, c, H, R, z, precision, offset, process_scale and the estimates smooth; what is known before
-            the window, prior_x and prior_P; count; and what is learnt of the noises, beliefs (2, 4, kinds) and
+            the window, prior_x and prior_P; count; and what is learned of the noises, beliefs (2, 4, kinds) and
             mixtures (2, 2, kinds), NaN where nothing is. All of float64.
         """
         x, P = state_of(self)
@@ -298,7 +298,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         return f"{type(self).__name__} of lag {self.N}"
 
     def _learnt_arrays(self) -> dict[str, Array]:
-        """Return what is learnt of measurement and process noise, NaN where nothing is."""
+        """Return what is learned of measurement and process noise, NaN where nothing is."""
         kinds = 1 if self._joint else self.dim_z
         entries = {"beliefs": np.full((2, 4, kinds), np.nan), "mixtures": np.full((2, 2, kinds), np.nan)}
         for name, noises in (("beliefs", self._beliefs), ("mixtures", self._mixtures)):

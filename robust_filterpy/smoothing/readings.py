@@ -17,7 +17,7 @@ Economic Statistics 10, 1992)::
 the process noise by its mean square, the measurements by the median of those that are believed. A mean square of what
 is a projection of independent noise has a standard deviation of at most sqrt(2/d), d the sum of its variances; its cube
 root is nearly normal (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931). An R that is far too small hides from that
-median: learnt noise takes the larger half of ordinary noise for outliers. But then there are many of them, and so many
+median: learned noise takes the larger half of ordinary noise for outliers. But then there are many of them, and so many
 are said.
 """
 
@@ -182,7 +182,7 @@ def _density(
 
 
 def _labels(large: Array, there: Array, share: Array) -> float:
-    """Return the log probability of these being large and the others not; 0 for a share that was not learnt."""
+    """Return the log probability of these being large and the others not; 0 for a share that was not learned."""
     each = np.where(large, np.log(share), np.log1p(-share))
     return float(np.where(there & np.isfinite(each), each, 0.0).sum())
 

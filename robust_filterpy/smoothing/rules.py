@@ -1,7 +1,7 @@
-"""What a robust smoother makes of the residuals of one sweep for the next: weights of a psi, or learnt noise.
+"""What a robust smoother makes of the residuals of one sweep for the next: weights of a psi, or learned noise.
 
 A measurement rule returns the precision d and offset o of each whitened component, a process rule the scale q of each
-step's noise. Rules keep what they found: ``weights``, and ``mixture`` if noise is learnt.
+step's noise. Rules keep what they found: ``weights``, and ``mixture`` if noise is learned.
 
 Learnt noise is (1 - c) N(0, 1) + c N(0, r^2), with c and r fitted to the recording. What a sample says about its own
 noise is judged by all the others: the residual e and its variance V at the smoothed state give the prediction of the
@@ -79,7 +79,7 @@ class Mixture(NamedTuple):
         return cls(np.full((series, kinds), 0.15), np.full((series, kinds), 8.0))
 
     def towards(self, fit: Mixture) -> Mixture:
-        """Return where a step towards what fits leads, made longer: expectation-maximisation creeps up to its end."""
+        """Return where a step towards what fits leads, made longer: expectation-maximization creeps up to its end."""
         steps = (now * (new / now) ** _LONGER for now, new in zip(self, fit, strict=True))
         return Mixture(
             *(np.clip(a, *limits) for a, limits in zip(steps, (CONTAMINATION_LIMITS, RATIO_LIMITS), strict=True))
@@ -285,7 +285,7 @@ class Psi:
 
 
 class Learnt:
-    """Weights from noise whose contamination and scale ratio are learnt along the way."""
+    """Weights from noise whose contamination and scale ratio are learned along the way."""
 
     tolerance = 2e-2
 

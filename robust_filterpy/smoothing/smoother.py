@@ -47,7 +47,7 @@ class Smoothed:
     process_weights : ndarray, shape (N,)
         The same of the step that leads to each state: small where the state jumped.
     contamination, scale_ratio : ndarray, shape (dim_z,)
-        Share of outliers and their standard deviation over that of ordinary noise, where they were learnt, else NaN.
+        Share of outliers and their standard deviation over that of ordinary noise, where they were learned, else NaN.
     process_contamination, process_scale_ratio : float
         The same of the process noise.
     converged : bool
@@ -72,7 +72,7 @@ class Smoothed:
 
     @property
     def noise(self) -> Contaminated | None:
-        """What a filter takes as ``noise=``, of several sensors or series together; None if none was learnt."""
+        """What a filter takes as ``noise=``, of several sensors or series together; None if none was learned."""
         return _together(self.contamination, self.scale_ratio)
 
     @property
@@ -122,7 +122,7 @@ def smooth(
         that repeats exactly, far outside the rest) is taken for missing.
     influence : Influence, optional
         What to make of a residual z - H x in standard deviations of R. By default contamination and size of the
-        outliers are learnt from the recording: on clean data that costs nothing. `Huber` gives the optimum of the
+        outliers are learned from the recording: on clean data that costs nothing. `Huber` gives the optimum of the
         convex problem, `Linear` the smoother of Rauch, Tung and Striebel, a redescending psi or `StudentT` a local
         optimum that is reached from far away.
     process : Influence or None, default Linear()
@@ -163,7 +163,7 @@ def smooth(
 
     Notes
     -----
-    Where noise is learnt and outliers come in rows, the recording is also smoothed without one stretch or another (a
+    Where noise is learned and outliers come in rows, the recording is also smoothed without one stretch or another (a
     burst after a few good samples can be followed), and the most probable result is kept; for linear filters. A burst
     within the recording, a quarter of it at most, may have an offset of its own. A state that moves as Q does not
     allow, and comes back, looks the same: if it may, ``process=None`` lets it jump.
@@ -171,7 +171,7 @@ def smooth(
     Q and R are believed. Where they are guesses, ``kf = estimate_noise(kf, zs).apply(kf)`` fits them first.
 
     Singular Q and P (a known initial state) are legal: no predicted covariance is inverted. P is the covariance given
-    the weights; with learnt noise it includes the doubt whether a sample is an outlier.
+    the weights; with learned noise it includes the doubt whether a sample is an outlier.
 
     Examples
     --------

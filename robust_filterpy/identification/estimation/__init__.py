@@ -8,7 +8,7 @@
 * `estimate`: one model of one output, in the units of the recording, by
 * `search`: from several `starts` down to the least loss (`prediction_error`), and which end to believe;
 * `cleaning`: outliers that the regressor holds; `missing`: outputs that it holds and nobody measured;
-* `profile`: intervals where the loss is not quadratic, and where cancelling poles may be anywhere.
+* `profile`: intervals where the loss is not quadratic, and where canceling poles may be anywhere.
 
 Imports from below: `models`.
 """

@@ -47,7 +47,7 @@ class Beside(NamedTuple):
     u : ndarray, shape (N, n_inputs)
         Inputs that it is of.
     evidence : float
-        Log-likelihood with the colour of the residuals.
+        Log-likelihood with the color of the residuals.
     findings : tuple of Finding
         Of what is beside it.
     end : ndarray or None

@@ -3,7 +3,7 @@
 In A(q) y = B(q) u + C(q) v a wild y(k) is in na + 1 rows of the regression, and no weight for one row mends that. An
 outlier in the measurement of y(k) leaves the pattern of h = A/C in the residuals, an outlier of v one large residual.
 Every sample and every residual is compared with what all others say of it, which is standard normal for an ordinary
-one; the largest in each neighbourhood is an outlier, and what is left is compared again until nothing changes (after
+one; the largest in each neighborhood is an outlier, and what is left is compared again until nothing changes (after
 Chen and Liu, Journal of the American Statistical Association 88, 1993). Samples that turn out to be ordinary come back.
 Where patterns overlap, outliers hide each other: they are also looked for all at once, and what leaves less is taken.
 """
@@ -186,7 +186,7 @@ class _Block(NamedTuple):
     least: float
 
     def judged(self, wrong: Any, counts: Any) -> _Found:
-        """Return the outliers found from some on: the largest of each neighbourhood, one after the other."""
+        """Return the outliers found from some on: the largest of each neighborhood, one after the other."""
         near, output, wrong, counts = 2 * _similar(self.h) + 1, np.zeros(wrong.size), wrong.copy(), counts.copy()
         for turn in range(_MOST_ROUNDS):
             unknowns = self.unknowns(wrong, counts.astype(float))

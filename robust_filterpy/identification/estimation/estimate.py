@@ -53,7 +53,7 @@ class Problem(NamedTuple):
     rest : ndarray, shape (n_inputs,)
         Its operating point.
     influence : Influence or None
-        Loss; None: learnt.
+        Loss; None: learned.
     offset : bool
         Whether there is a constant.
     R : float or None
@@ -237,11 +237,11 @@ class Units(NamedTuple):
         return cls(centre, np.array(sizes), np.where(rms > 0.0, rms, 1.0), tuple(part.start for part in spans))
 
     def normal(self, y: Array) -> Array:
-        """Return outputs from their centres in their scales, 0 where they are missing."""
+        """Return outputs from their centers in their scales, 0 where they are missing."""
         return np.clip(np.nan_to_num((y - self.centre) / self.y, nan=0.0), -_LARGEST, _LARGEST)
 
     def levels(self) -> Array:
-        """Return the centres of each recording, shape (k, p)."""
+        """Return the centers of each recording, shape (k, p)."""
         return self.centre[list(self.begins)]
 
     def factor(self, structure: Structure) -> Array:

@@ -93,7 +93,7 @@ def identify(
 ) -> Model | StateSpaceModel | GreyBoxModel:
     """Find the model of a recording with outliers, from nothing but the recording.
 
-    Minimises the robust loss of the prediction errors from several starts that need no guess, the noise learnt on the
+    Minimises the robust loss of the prediction errors from several starts that need no guess, the noise learned on the
     way::
 
         A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v,   v ~ (1 - eps) N(0, R) + eps N(0, ratio^2 R)
@@ -109,7 +109,7 @@ def identify(
     structure : Structure, StateSpace or GreyBox
         Which polynomials there are, and their orders; states for y of shape (N, p); equations of physics.
     influence : influence function, optional
-        Loss of the prediction errors, in units of their robust scale. Default: the noise is learnt, as a mixture of two
+        Loss of the prediction errors, in units of their robust scale. Default: the noise is learned: a mixture of two
         normal distributions whose share, ratio and R are fitted with the model.
     offset : bool, default True
         Whether there is a constant, for outputs that are not measured from their rest.
@@ -167,7 +167,7 @@ def identify(
 
     What the model does not explain, but repeats, lasts or never dies, is a finding: fill values are taken for missing,
     steps and ramps of the level are taken off (`trend`; each must explain 6 log N in units of twice the log-likelihood
-    of residuals with their colour, see `colour`), and a motion from the beginning that would outlast the recording is
+    of residuals with their color, see `colour`), and a motion from the beginning that would outlast the recording is
     left out. The level is that at the end. Methods of the model that are given the same y take the trend off it and put
     it back.
 

@@ -16,7 +16,7 @@ from robust_filterpy.identification.models.dependence import LAGS, autocovarianc
 from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.influence.regression import mad_scale
 
-# A jump goes over so much of the range, its neighbours over no more than the other, and the model misses so much of it.
+# A jump goes over so much of the range, its neighbors over no more than the other, and the model misses so much of it.
 _JUMP: Final = 0.7
 _QUIET: Final = 0.4
 _MISSED: Final = 0.3
@@ -76,7 +76,7 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
         return ()
     lags = min(LAGS, parts.shape[1] // _EACH_LAG) if others else LAGS
     whitening = whitening_of(autocovariances(residual))
-    # Two neighbours together are surer of a plant that differs from the model less.
+    # Two neighbors together are surer of a plant that differs from the model less.
     for windows in (parts, np.hstack((parts[:-1], parts[1:]))):
         test = dependence(residual[windows], signals[windows], lags, whitening) if len(windows) else None
         if test is None or not test.found.any():

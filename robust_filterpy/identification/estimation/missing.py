@@ -7,7 +7,7 @@ for any parameters (variable projection: Golub and Pereyra, SIAM Journal on Nume
 of the second term is that of h' K h/2, where K sums (H'H)^-1 over pairs of unknowns by their delays to a residual: a
 few further residuals. Residuals may have weights.
 
-The equations couple neighbours. They fall into chains that know nothing of each other, and each chain into blocks of
+The equations couple neighbors. They fall into chains that know nothing of each other, and each chain into blocks of
 which one is coupled to the next. The inverse is full within a chain, but near the diagonal it follows from the blocks
 alone, from the last to the first (Takahashi, Fagan and Chin 1973). So the work is linear in the number of unknowns.
 """

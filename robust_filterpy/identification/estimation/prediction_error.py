@@ -1,11 +1,11 @@
-"""The least robust loss of a model's residuals, their colour, and the covariance that both make of the parameters.
+"""The least robust loss of a model's residuals, their color, and the covariance that both make of the parameters.
 
 Levenberg and Marquardt's steps, the noise re-estimated at each: a weighted least-squares problem, by orthogonal
 transformation; a step that leaves the stable region or raises the loss is shortened. scipy's `least_squares` needs the
-scale of the noise beforehand, and thus a whole optimisation for each scale.
+scale of the noise beforehand, and thus a whole optimization for each scale.
 
 Slow noise explains what a step, a ramp or another parameter would explain, and leaves parameters less sure. So whatever
-is held against residuals is held against these with a colour of their own, and standard deviations count it: that of an
+is held against residuals is held against these with a color of their own, and standard deviations count it: that of an
 autoregression, its order by evidence (Schwarz, Annals of Statistics 6, 1978).
 """
 
@@ -29,7 +29,7 @@ from robust_filterpy.identification.models.regressor import stabilised
 _PRECISION: Final = 1e-9
 _MOST_STEPS: Final = 100
 _MOST_SHORTENINGS: Final = 12
-# The order of a colour, and the least number of samples for each.
+# The order of a color, and the least number of samples for each.
 _MOST: Final = 20
 _SAMPLES_EACH: Final = 20
 # A residual beyond so many standard deviations of the ordinary ones tells the autoregression no more.
@@ -123,7 +123,7 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tu
     # ``(N/(N - n)) R (J'J)^-1 J' C J (J'J)^-1 / mean(psi')^2`` with C the covariance of psi: diag(psi^2) where psi is
     # white (Huber, Robust Statistics, 1981, section 7.6), otherwise that of the autoregression that it shows. This
     # holds whatever the distribution of the residuals is. Rounding counts as white and as no less than R in each
-    # sample. With a noise for each output, J and psi are weighted by mean(psi')/R of it, and each psi has a colour;
+    # sample. With a noise for each output, J and psi are weighted by mean(psi')/R of it, and each psi has a color;
     # directions that nothing depends on have no variance.
     psi, slope = noise.psi(residual), noise.slope(residual)
     weighted = jacobian * np.broadcast_to(np.sqrt(slope / noise.variance), residual.shape)[:, None]
@@ -135,7 +135,7 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tu
     effect = (right[determined].T / values[determined]) @ left[:, determined].T / size[:, None] / np.sqrt(slope)
     parts = (noise,) if isinstance(noise, Noise) else noise.parts
     outputs = [slice(None)] if isinstance(noise, Noise) else [noise.which == j for j in range(len(parts))]
-    # What rounding leaves follows the signal: at rest its colour and its zeros say nothing of errors elsewhere.
+    # What rounding leaves follows the signal: at rest its color and its zeros say nothing of errors elsewhere.
     for part, own in zip(parts, outputs, strict=True):
         if part.is_rounding:
             psi[own] = np.maximum(np.abs(psi[own]), 1.0)
@@ -172,7 +172,7 @@ class Colour(NamedTuple):
 
     @property
     def response(self) -> Array:
-        """The filter that makes this colour of white noise, by its impulse response of unit energy."""
+        """The filter that makes this color of white noise, by its impulse response of unit energy."""
         if self.polynomial.size == 1:
             return np.ones(1)
         h = lfilter([1.0], stabilised(self.polynomial), np.eye(1, 1000).ravel())
@@ -180,7 +180,7 @@ class Colour(NamedTuple):
 
 
 def colour_of(signal: Array) -> Colour:
-    """Return the colour of a signal without outliers."""
+    """Return the color of a signal without outliers."""
     most = min(_MOST, signal.size // _SAMPLES_EACH)
     if most < 1 or not signal.any():
         return Colour(np.ones(1), 0.0)
@@ -195,7 +195,7 @@ def colour_of(signal: Array) -> Colour:
 
 
 def evidence(noise: Noise, residual: Array, rows: Any) -> float:
-    """Return the log-likelihood of residuals of an output with the colour that they have."""
+    """Return the log-likelihood of residuals of an output with the color that they have."""
     shown = residual[rows]
     alone = noise.log_likelihood(shown) + colour_of(np.where(rows, noise.psi(residual), 0.0)).gain
     reach = _CLIP * float(np.sqrt(np.mean(np.square(shown))))
@@ -208,7 +208,7 @@ def evidence(noise: Noise, residual: Array, rows: Any) -> float:
 
 
 def evidence_of_outputs(noise: tuple[Noise, ...], residual: Array, spans: Any) -> float:
-    """Return the log-likelihood of what is left of several outputs in several recordings, with its colour."""
+    """Return the log-likelihood of what is left of several outputs in several recordings, with its color."""
     parts = [(one, own[part]) for one, own in zip(noise, residual.T, strict=True) for part in spans]
     return sum(evidence(one, np.nan_to_num(e), ~np.isnan(e)) for one, e in parts if not np.isnan(e).all())
 

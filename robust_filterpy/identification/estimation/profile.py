@@ -7,14 +7,14 @@ rises more slowly than a quadratic, the axis becomes as long as the farther of t
 2. Other ends that are nearly as likely count by their odds.
 
 With two pairs of poles or more, those that nearly cancel may do so at other places nearly as well, and there the other
-poles differ, too. No neighbourhood of the estimate tells that. So poles are drawn with the probability that the
+poles differ, too. No neighborhood of the estimate tells that. So poles are drawn with the probability that the
 likelihood gives them, by the steps of Metropolis and Hastings (Robert and Casella, Monte Carlo Statistical Methods,
 2004, chapter 7): all poles move a little, one pair moves a little, or one pair jumps to any place within the unit
 circle. What is linear in the residuals is at its best for these poles, with its own covariance there. P is the mean
 square distance from the estimate.
 
 One walk alone stays in one place for thousands of steps. So there are several, each through a flatter likelihood than
-the one before, and neighbours exchange their places with the probability that leaves both as they should be
+the one before, and neighbors exchange their places with the probability that leaves both as they should be
 (replica exchange; Geyer, Computing Science and Statistics 23, 1991). Only the first counts.
 
 Before the recording each pair is as likely at one place as at another, as coefficients of its factor (1 + a/q + b/q^2);

@@ -222,7 +222,7 @@ def _descended(
 
 
 def _settled(fit: _Found, influence: Influence | None, limits: Limits | None = None) -> _Found:
-    """Return where the search ends with the noise learnt, or with the loss that was asked for."""
+    """Return where the search ends with the noise learned, or with the loss that was asked for."""
     noise = fit.noise
     if influence is not None:
         noise = noise._replace(parts=tuple(replace(one, influence=influence) for one in noise.parts))

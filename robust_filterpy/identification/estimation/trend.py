@@ -3,7 +3,7 @@
 A wrong level bends the dynamics before it shows in their residual. So the output without a level comes from a model
 that no level disturbs: a long impulse response by robust regression, or a model of the differences. In what is left of
 y the step or ramp with the largest score is added, beside what a slow input could do, until there are four. Those stay
-without which the residuals, with the colour that they have then (`colour`), are less likely by 3 log N each, and which
+without which the residuals, with the color that they have then (`colour`), are less likely by 3 log N each, and which
 are larger than a step of the sensor.
 """
 
@@ -116,7 +116,7 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
         # A ramp may begin with the recording.
         places = (("step", times), ("ramp", np.concatenate(([0], times))))
         scores = [fit.scores(kind, at) for kind, at in places]
-        # White residuals make the most of a break: what is little of that is less with a colour.
+        # White residuals make the most of a break: what is little of that is less with a color.
         if max(score.max() for score in scores) < 0.5 * PRICE * np.log(N):
             break
         candidates = [
@@ -165,7 +165,7 @@ class _Fit(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """The log-likelihood of what is left, with its colour."""
+        """The log-likelihood of what is left, with its color."""
         e = self.residual[self.rows]
         noise = Noise(START, self.scale**2).settled(e)
         return evidence(noise, np.where(self.rows, self.residual, 0.0), self.rows)

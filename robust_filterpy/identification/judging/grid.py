@@ -1,4 +1,4 @@
-"""Which orders and delays may be tried, which are neighbours, and the table of those that were tried."""
+"""Which orders and delays may be tried, which are neighbors, and the table of those that were tried."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def select_structure(
     Notes
     -----
     A robust impulse response tells the delay first: its first sample outside its band, and the first far outside.
-    All orders are tried with these delays, then the neighbours of the best (an order or the delay one more or one
+    All orders are tried with these delays, then the neighbors of the best (an order or the delay one more or one
     less), until none is better. A first b too small for the band is found then, by the likelihood. A structure
     whose first b is 0 within the noise comes after all others: it has a longer delay. Where the input does not
     excite a long impulse response, all delays are tried with all orders.

@@ -102,7 +102,7 @@ class Validation(Pictured):
 
     @property
     def dynamics(self) -> str:
-        """Whether the model has the dynamics from the inputs, in words; noise of any colour is allowed for."""
+        """Whether the model has the dynamics from the inputs, in words; noise of any color is allowed for."""
         if self.independence is None:
             return _NO_INPUT
         if not self.independence.p_value < 1.0 - self.level:
@@ -114,7 +114,7 @@ class Validation(Pictured):
 
     @property
     def noise(self) -> str:
-        """Whether the model has the colour of the noise, in words; the intervals of a model that has not are wrong."""
+        """Whether the model has the color of the noise, in words; the intervals of a model that has not are wrong."""
         if not self.whiteness.p_value < 1.0 - self.level:
             return _WHITE
         excess = np.abs(self.autocorrelation) / np.maximum(self.autocorrelation_bound, np.finfo(float).tiny)
@@ -193,7 +193,7 @@ class Validations(Pictured, tuple[Validation, ...]):
 
     @property
     def noise(self) -> str:
-        """Whether the model has the colour of the noise, in words, by output; see `Validation.noise`."""
+        """Whether the model has the color of the noise, in words, by output; see `Validation.noise`."""
         return self._by_output("noise", _WHITE)
 
     def _by_output(self, name: str, good: str) -> str:

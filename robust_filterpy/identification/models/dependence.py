@@ -23,11 +23,11 @@ CLIP: Final = 2.0
 #: Blocks of samples whose scores are kept.
 BLOCKS: Final = 12
 # Fewer blocks do not tell how much their scores scatter; of blocks that tell more than others there are fewer: a slow
-# input tells all that it does where it moves, and coloured noise has one value there.
+# input tells all that it does where it moves, and colored noise has one value there.
 _FEWEST: Final = 6
 # A gain that is off by less is no other plant: the fit is 90 % yet.
 _LEAST: Final = 0.1
-# Standard deviations, by either variance. In 320 quiet runs (white, coloured and changing noise, structures that are
+# Standard deviations, by either variance. In 320 quiet runs (white, colored and changing noise, structures that are
 # too small) gains off by _LEAST reached 3.3.
 _SURE: Final = 4.5
 # The same where each place in a recording of so many blocks is tried, of no fewer samples each; a side of that place

@@ -51,7 +51,7 @@ class Scale(NamedTuple):
     Attributes
     ----------
     centre, size, low, high : ndarray, shape (k,)
-        p = centre + size z; with bounds a smooth function that stays between them.
+        p = center + size z; with bounds a smooth function that stays between them.
     """
 
     centre: Array

@@ -84,7 +84,7 @@ class Model(PolynomialSystem, Identified):
     offset_covariance : ndarray, shape (n,)
         Its covariance with theta.
     noise : Noise
-        Variance R of the ordinary noise and the influence function, with contamination and scale_ratio if learnt.
+        Variance R of the ordinary noise and the influence function, with contamination and scale_ratio if learned.
     weights : ndarray, shape (N,)
         How much each sample of the recording was believed: psi(e)/e of its residual, 0 for an outlier that stood in
         the regressor, NaN where y is missing or the regressor lies before the recording.
@@ -124,7 +124,7 @@ class Model(PolynomialSystem, Identified):
         How many times as large standard deviations are as those of white residuals: what is left follows itself, and
         P counts that.
     evidence : float
-        Log-likelihood with the colour of the residuals.
+        Log-likelihood with the color of the residuals.
 
     Notes
     -----

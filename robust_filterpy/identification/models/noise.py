@@ -28,7 +28,7 @@ _NUMBERS: Final = 3e-14
 
 
 def fit_percent(y: ArrayLike, y_model: ArrayLike, axis: int = 0) -> Any:
-    """Compute the normalised root-mean-square fit of a model's output.
+    """Compute the normalized root-mean-square fit of a model's output.
 
     ``100 (1 - ||y - y_model|| / ||y - mean(y)||)``: 100 is perfect, 0 no better than the mean, below 0 worse.
 
@@ -143,7 +143,7 @@ class Noise:
     Parameters
     ----------
     influence : Influence
-        A `Contaminated` is learnt with R; any other stays as it is.
+        A `Contaminated` is learned with R; any other stays as it is.
     R : float
         Variance of the ordinary noise, in the unit of the residual squared.
     known : bool, default False
@@ -165,12 +165,12 @@ class Noise:
         residual : ndarray, shape (N,)
             Residuals of a model, outliers among them.
         steps : int, default 5
-            Steps of expectation-maximisation, for a `Contaminated`.
+            Steps of expectation-maximization, for a `Contaminated`.
 
         Returns
         -------
         Noise
-            For a `Contaminated` the step of expectation-maximisation with weak priors (contamination .05 as if
+            For a `Contaminated` the step of expectation-maximization with weak priors (contamination .05 as if
             from 10 samples, scale_ratio 8 as if from 2 outliers), from the present one; otherwise R is the square of
             the scaled median absolute deviation from 0.
         """
@@ -232,7 +232,7 @@ class Noise:
         return -self.cost(residual) - beyond - residual.size * (normalizer(1) + 0.5 * math.log(self.R))
 
     def _maximised(self, mixture: Contaminated, residual: Array, steps: int) -> Noise:
-        """Return the noise after some steps of expectation-maximisation."""
+        """Return the noise after some steps of expectation-maximization."""
         contamination, ratio, R = maximised(residual, mixture, self.R, self.known, self.least, steps)
         return replace(self, influence=Contaminated(contamination, ratio), R=R)
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
 _SAMPLES: Final = 2000
-# An axis of an ellipse as thin as this, beside the size of its centre, has no width.
+# An axis of an ellipse as thin as this, beside the size of its center, has no width.
 _THIN: Final = 1e-7
 
 
@@ -44,7 +44,7 @@ class Regions:
     covariance : ndarray, shape (k, 2, 2)
         Shape of each region: of the real and the imaginary part.
     radius : ndarray, shape (k,)
-        Distance of the boundary from the centre in units of the covariance, by Mahalanobis.
+        Distance of the boundary from the center in units of the covariance, by Mahalanobis.
     level : float
         Probability of each region.
     sampled : ndarray of bool, shape (k,)

@@ -46,7 +46,7 @@ _SHARPEST: Final = 1e13
 _REACH: Final = 2.0
 # The first samples count as if there had been none before, so that R may be wrong by many powers of ten.
 _FIRST: Final = 5.0
-#: Up to so many samples P grows with R: what was learnt with an R far too small is known less well by as much.
+#: Up to so many samples P grows with R: what was learned with an R far too small is known less well by as much.
 EARLY: Final = 20.0
 # min(e^2, 4) moves with R two thirds as much as e^2 does.
 _PACE: Final = 1.5
@@ -77,7 +77,7 @@ class Recursion:
         self.scale = NoiseScale(*now.scale[row, 1:].tolist())
 
     def step(self, y: float, u: Array, R: float | None) -> Sample:
-        """Take a sample, y from the centre and u with the constant."""
+        """Take a sample, y from the center and u with the constant."""
         kf, layout, memory = self.filter, self.layout, self.memory
         inputs = memory.with_input(layout, u)
         H, outputs = memory.regressor(layout, inputs)[None], memory.outputs
@@ -197,7 +197,7 @@ def variance(phi: Array, P: Array, r: float) -> float:
 
 # The variance R of the ordinary noise, followed sample by sample through outliers. What is followed is a scale of the
 # standardized innovation e = nu/sqrt(S): the mean of min(e^2, 4), which no outlier moves by more than 4 (Huber's
-# proposal 2), against what it would be if R were right. The learnt share and size of the outliers belong to what it
+# proposal 2), against what it would be if R were right. The learned share and size of the outliers belong to what it
 # would be, so that R stays the variance of the ordinary samples.
 
 
@@ -215,7 +215,7 @@ def followed(R: float, scale: NoiseScale, nu: float, S: float) -> tuple[float, f
 
 
 def ordinary_mean(influence: Any) -> float:
-    """Return the mean of min(e^2, 4) for normal noise, or for a learnt mixture."""
+    """Return the mean of min(e^2, 4) for normal noise, or for a learned mixture."""
     if not isinstance(influence, Contaminated):
         return _mean(1.0)
     c = influence.contamination

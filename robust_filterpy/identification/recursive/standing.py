@@ -69,13 +69,13 @@ class Standing(track.Following, PolynomialSystem):
 
     @property
     def level(self) -> float:
-        """What the output is at rest; the centre that was taken off y if the model integrates."""
+        """What the output is at rest; the center that was taken off y if the model integrates."""
         a, f = self._rest_gains
         return float(self._now.centre[0]) + (self._constant / (a * f) if abs(a * f) > 1e-9 else 0.0)
 
     @property
     def _constant(self) -> float:
-        """Constant in phi' theta, for outputs from the centre."""
+        """Constant in phi' theta, for outputs from the center."""
         return float(self._standing().theta[0, self.structure.constant_place]) if self.form.has_offset else 0.0
 
     @property
@@ -188,7 +188,7 @@ class Standing(track.Following, PolynomialSystem):
 
     @staticmethod
     def fit(y: ArrayLike, y_model: ArrayLike) -> float:
-        """Compute the normalised root-mean-square fit, 100 (1 - ||y - y_model||/||y - mean(y)||), in percent.
+        """Compute the normalized root-mean-square fit, 100 (1 - ||y - y_model||/||y - mean(y)||), in percent.
 
         Parameters
         ----------

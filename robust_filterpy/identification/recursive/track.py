@@ -159,7 +159,7 @@ class Settings(NamedTuple):
 
 
 def rules_of(choices: tuple[Choices, ...]) -> Array | None:
-    """Return the options for the kernel, None where it does not serve: a tracker's spread is not learnt, R is."""
+    """Return the options for the kernel, None where it does not serve: a tracker's spread is not learned, R is."""
     rules = [rule(choice) for choice in choices]
     if kernel.extension() is None or any(one is None or one[4] == _LEARNT for one in rules):
         return None
@@ -411,7 +411,7 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
     n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
     x, P, memory, centre = model.theta, model.P, model.memory, float(row.centre[0])
     if form.has_offset:
-        # The constant is one more input of B/F, and drives the output from its centre.
+        # The constant is one more input of B/F, and drives the output from its center.
         centre = model.level
         a, f = (1.0 + float(model.theta[part].sum()) for part in (places.a, places.f))
         constant, J = (model.offset - centre * a) * f, np.eye(n + 1)

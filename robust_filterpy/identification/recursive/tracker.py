@@ -136,7 +136,7 @@ class ParameterTracker(Standing):
     -----
     LostTrackerWarning
         Once, if the start found no model or one that leaves what follows the inputs (the structure does not fit), most
-        samples look like outliers, the guard acts all the time, R wanders, or an offset is not modelled. Whenever
+        samples look like outliers, the guard acts all the time, R wanders, or an offset is not modeled. Whenever
         residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
         stuck, or stay off zero, since the level of y has moved: a tracker that found its model itself, or has it from
         `identify`, then starts anew; where over 480 samples only the gain is another, it goes on with that.
@@ -188,7 +188,7 @@ class ParameterTracker(Standing):
     sec. 4, 1e-4  .520  .595   .591   .402  .387   .378
     ============= ===== ====== ====== ===== ====== ======
 
-    No guard is best everywhere. "halve" is the default since it is best where the parameters can be learnt, and
+    No guard is best everywhere. "halve" is the default since it is best where the parameters can be learned, and
     leaves a model that can be simulated; "none" does not. ``tests/benchmarks/output_error_study.py`` prints the
     tables.
 
@@ -654,7 +654,7 @@ class ParameterTracker(Standing):
         dict of str to ndarray
             readings: what is known of the steps of y, (7,);
             theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
-            (nc,), gradients, measured (na,); enabled; recursion: centre of y, limit of tr P, samples, mean and memory
+            (nc,), gradients, measured (na,); enabled; recursion: center of y, limit of tr P, samples, mean and memory
             of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
             watch: whether it may start anew and of how many samples, samples seen, and of ordinary residuals the
             autocovariances, how much of them follows the inputs anyway and what is rounding, and score and information

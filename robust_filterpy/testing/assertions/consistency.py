@@ -121,7 +121,7 @@ def assert_innovations_white(runs: Runs, *, lags: int = 5, tolerance: float = 0.
 
     Notes
     -----
-    At lag j samples fall into two classes, by whether k // j is even, such that neighbours at distance j are of
+    At lag j samples fall into two classes, by whether k // j is even, such that neighbors at distance j are of
     different classes. Given one class, the sum of e(k) e(k+j) is normal in the other, and its ratio to its estimated
     deviation follows Student's t exactly, whatever the scale of S.
     """

@@ -110,7 +110,7 @@ def integers_are_numbers_like_any_other(subject: FilterSubject) -> None:
 
 @promise(SHOWN)
 def innovation_and_its_covariance_are_shown(subject: FilterSubject) -> None:
-    """kf.y = z - H x_prior and kf.S = H P_prior H' + R after update(z), where shown; R as learnt, if it is."""
+    """kf.y = z - H x_prior and kf.S = H P_prior H' + R after update(z), where shown; R as learned, if it is."""
     model = subject.model()
     kf = subject.aged(model, 2)
     if not hasattr(kf, "y") or not hasattr(kf, "S"):
@@ -331,7 +331,7 @@ def errors_have_mean_zero(subject: FilterSubject) -> None:
 
 @promise(STATISTICS, stochastic=True)
 def innovations_are_white(subject: FilterSubject) -> None:
-    """An innovation tells nothing about the next ones: all that could be learnt was learnt."""
+    """An innovation tells nothing about the next ones: all that could be learned was learned."""
     tolerance = 0.0 if subject.is_exact else 0.15
     assert_innovations_white(subject.many()[1], tolerance=tolerance, false_alarm=subject.false_alarm)
 

@@ -34,7 +34,7 @@ FILTER_TAGS = {
     "pickle": "it can be pickled",
 }
 
-# How far a filter that is no Kalman filter may be off in its own judgement of its errors on clean normal data.
+# How far a filter that is no Kalman filter may be off in its own judgment of its errors on clean normal data.
 _FACTOR = 1.5
 _RUNS, _STEPS = 30, 40
 

@@ -99,7 +99,7 @@ def one_sided(
 
 
 def student(before: Spoilt, clean: Array, sigma: Array, rng: np.random.Generator, *, df: float = 3.0) -> Spoilt:
-    """Give each sample a variance of its own; those of more than three ordinary deviations are labelled outliers."""
+    """Give each sample a variance of its own; those of more than three ordinary deviations are labeled outliers."""
     ratio = np.sqrt(df / rng.chisquare(df, clean.shape))
     return _enlarged(before, clean, ratio, ratio > 3.0)
 

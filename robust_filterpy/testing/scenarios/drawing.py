@@ -1,7 +1,7 @@
 """Problems with everything known: the model, the recording, the truth, the labels, and what a filter told them gets.
 
 `draw` draws them all: state estimation (`robust_filterpy.testing.scenarios.models` lists the systems), identification
-(`robust_filterpy.testing.scenarios.plants`), spoilt in the ways of `robust_filterpy.testing.scenarios.contamination`.
+(`robust_filterpy.testing.scenarios.plants`), spoiled in the ways of `robust_filterpy.testing.scenarios.contamination`.
 """
 
 from __future__ import annotations

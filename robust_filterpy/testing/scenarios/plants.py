@@ -7,7 +7,7 @@ name          plant                                            good for
 ============  ===============================================  ====================================================
 arx           A(q) y = B(q) u + v                              exact answers: recursive least squares
 output error  y = B(q)/A(q) u + v                              bias: measured outputs in phi give a wrong a
-armax         A(q) y = B(q) u + C(q) v                         noise with a colour of its own
+armax         A(q) y = B(q) u + C(q) v                         noise with a color of its own
 fir           y = B(q) u + v                                   robustness alone: no outlier is in phi
 servo         the pneumatic servo in its position loop         a plant that no linear model is equal to
 ============  ===============================================  ====================================================
@@ -169,7 +169,7 @@ def linear(
 
 
 def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,), **options: Any) -> Plant:
-    """Return a plant whose noise has a colour, A(q) y = B(q) u + C(q) v."""
+    """Return a plant whose noise has a color, A(q) y = B(q) u + C(q) v."""
     c = _checks.finite_vector("c", c)
     plant = linear(lambda na, nb, nk: ARMAX(na, nb, c.size, nk), system, **options)
     return replace(plant, theta=np.concatenate((_required(plant.theta), c)))
