@@ -14,6 +14,7 @@ from support import TOLD, cart, make, random_problem, simulate, with_, without_k
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, copies
+from robust_filterpy.correction.spread import NUMBERS
 
 # How probable the classes are before anything has been seen.
 SHARES = np.array([0.85, 0.05, 0.05, 0.05])
@@ -259,7 +260,7 @@ def test_r_does_not_depend_on_how_wild_an_outlier_is(kind, size, monkeypatch):
         one.predict()
         one.update([0.3, wild] if kind != "joint" else [wild, wild])
     # All but the reading itself, and what the recursion as given takes it for.
-    own, others = (np.delete(one.learnt, np.r_[-34:-17, -2:0], axis=1) for one in (kf, twin))
+    own, others = (np.delete(one.learnt, np.r_[-17 - NUMBERS : -17, -2:0], axis=1) for one in (kf, twin))
     np.testing.assert_allclose(others, own, rtol=1e-6)
     np.testing.assert_allclose(twin.x, kf.x, rtol=1e-6)
 
