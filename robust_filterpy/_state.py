@@ -131,8 +131,8 @@ def widened(name: str, value: Array, width: int | None) -> Array:
         return value
     if name.endswith("spread") and value.shape[-1] in _FORMER:
         return np.concatenate((value, np.zeros((*value.shape[:-1], missing))), axis=-1)
-    for count, behind in _OF_NOISE:
-        if name.endswith(("learnt", "memory")) and missing in (count, 22) and value.shape[-1] > behind:
+    for count, behind in _OF_NOISE if name.endswith(("learnt", "memory")) else ():
+        if missing in (count, sum(dict(_OF_NOISE))) and value.shape[-1] > behind:
             value, missing = np.insert(value, [value.shape[-1] - behind] * count, 0.0, axis=-1), missing - count
     return value
 

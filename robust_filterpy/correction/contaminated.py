@@ -193,7 +193,7 @@ class Contaminated:
 
         Returns
         -------
-        labeledSample
+        LabelledSample
             values (float) and is_outlier (bool), both of shape size.
         """
         rng = np.random.default_rng(random_state)

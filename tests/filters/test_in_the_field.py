@@ -235,3 +235,23 @@ def test_where_runs_come_to_nothing_jumps_need_as_many_readings_as_ever():
         kf.predict()
         kf.update(30.0)
         assert abs(kf.x[0, 0]) < 5.0
+
+
+@pytest.mark.parametrize("jumps", [True, False], ids=["with jumps", "without"])
+def test_a_state_of_learned_noise_without_typical_innovations_is_read(jumps):
+    def learning():
+        return moving(lambda **sizes: RobustKalmanFilter(**sizes, noise="learnt"))
+
+    kf, other, rng = learning(), learning(), np.random.default_rng(5)
+    for z in rng.normal(size=40):
+        kf.predict()
+        kf.update(z)
+    state = kf.state()
+    absent = np.r_[-17 - NUMBERS : -17, () if jumps else np.r_[-15:-10]].astype(int)
+    state["learnt"] = np.delete(state["learnt"], absent, axis=1)
+    other.restore(state)
+    assert_array_equal(np.delete(other.learnt, absent, axis=1), state["learnt"])
+    for one in (kf, other):
+        one.predict()
+        one.update(0.3)
+    assert_allclose(other.x, kf.x, rtol=1e-9)
