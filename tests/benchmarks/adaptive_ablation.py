@@ -100,7 +100,7 @@ TESTED = {
 NAMES = {
     "the same through one row": "sensors in turn through one row",
     "the same box for 400 steps": "SORT's box for 400 steps",
-    "the same, R told 10 times too small": "two sensors, each fails, R told 10 times too small",
+    "the same, R given 10 times too small": "two sensors, each fails, R given 10 times too small",
 }
 
 
@@ -135,14 +135,15 @@ def rows() -> dict[str, tuple[Callable[[int], Trap], Callable[..., float]]]:
     one = drop_in_study.one
     found |= {
         "20 samples, mixture .1": (_told(partial(one, kind="mixture .1, scale 10", steps=20)), error),
-        "60 samples, R told 100 times too large": (_told(partial(one, kind="clean", steps=60), r=100.0), error),
-        "R told 1000 times too large": (_told(partial(one, kind="clean"), r=1e3), error),
-        "R told 1000 times too small": (_told(partial(one, kind="clean"), r=1e-3), error),
+        "60 samples, R given 100 times too large": (_told(partial(one, kind="clean", steps=60), r=100.0), error),
+        "R given 1000 times too large": (_told(partial(one, kind="clean"), r=1e3), error),
+        "R given 1000 times too small": (_told(partial(one, kind="clean"), r=1e-3), error),
         "a level on a ramp": (ramp, error),
         "readings in coarse steps": (partial(coarse, step=1.0, sigma=0.3), error),
         "at rest without noise": (partial(coarse, step=0.0, sigma=1.0, rests=150), error),
     }
-    named = {NAMES.get(title, title).replace("the same, mix", "P, Q, R told, mix"): row for title, row in found.items()}
+    said = {title: NAMES.get(title, title).replace("the same, mix", "P, Q, R given, mix") for title in found}
+    named = {said[title]: row for title, row in found.items()}
     assert len(named) == len(found)
     return named
 

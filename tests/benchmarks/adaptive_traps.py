@@ -168,7 +168,7 @@ def together(seed: int) -> Trap:
 
 
 def large_q(seed: int, factor: float) -> Trap:
-    """Ten per cent outliers, Q told too large."""
+    """Ten per cent outliers, Q given too large."""
     g = np.random.default_rng(seed)
     trap = moving(g, mixed(g))
     return trap._replace(Q=factor * trap.Q)
@@ -315,8 +315,8 @@ ROWS: list[tuple[str, Callable[[int], Trap], Measure, float, str | None]] = [
     ("ranges to anchors, coloured .93, walls: error over the gate's", anchors, error, 0.97, GATE),
     ("the same: coverage", anchors, coverage, 0.5, None),
     ("3 sensors correlated .8 that fail together: error", together, error, 1.1, JOINT),
-    ("Q told 10 times too large, outliers: error", partial(large_q, factor=10.0), error, 1.1, None),
-    ("Q told 100 times too large, outliers: error", partial(large_q, factor=100.0), error, 1.1, None),
+    ("Q given 10 times too large, outliers: error", partial(large_q, factor=10.0), error, 1.1, None),
+    ("Q given 100 times too large, outliers: error", partial(large_q, factor=100.0), error, 1.1, None),
     ("level, R = Q = var(diff z)/2, outliers: error", level, error, 1.1, None),
     ("jumps of 30 every 200: error", partial(jumping, size=30.0), error, 13.0, JUMPS),
     ("jump of 100: steps until back", partial(jumping, size=100.0), partial(steps_back, at=200), 15.0, JUMPS),

@@ -92,14 +92,14 @@ def rows() -> dict[str, Row]:
     )}  # fmt: skip
     found["R steps by 9"] = Row(partial(one, kind="R steps by 9", steps=1800))
     for c in (0.01, 0.1, 10.0, 100.0):
-        found[f"P, Q, R told x {c:g}"] = Row(clean, c, c, c)
+        found[f"P, Q, R given x {c:g}"] = Row(clean, c, c, c)
         found[f"the same, mixture .1, x {c:g}"] = Row(mixed, c, c, c)
     for c in (0.01, 0.1, 10.0, 100.0):
         found[f"R alone x {c:g}"] = Row(clean, R=c)
         found[f"Q alone x {c:g}"] = Row(clean, Q=c)
     both = position_and_velocity
     found |= {
-        "Q told 0": Row(clean, Q=0.0),
+        "Q given 0": Row(clean, Q=0.0),
         "position and velocity": Row(both),
         "position and velocity, .1": Row(partial(both, share=0.1)),
         "position and velocity, Q x 100": Row(both, Q=100.0),

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from peers.recursion import Correction, kalman, length
+from peers.recursion import Correction
 
 #: The authors search both thresholds on a grid, by the error on a recording whose truth is known.
 GRID_ONE = [{"of_z": float(b)} for b in np.geomspace(0.3, 10.0, 12)]
@@ -32,13 +32,14 @@ def two_steps(of_x: float, of_z: float) -> Correction:
 def _correct(
     steps: int, of_x: float, of_z: float, x: np.ndarray, P: np.ndarray, z: np.ndarray, case: Any, memory: dict
 ) -> Any:
-    zero = np.zeros(len(x))
-    K = np.array([kalman(zero, P, unit, case.H, case.R)[0] for unit in np.eye(len(z))]).T
-    P_root = np.linalg.pinv(P, hermitian=True)
+    C, R_inverse = P @ case.H.T, np.linalg.inv(case.R)
+    K = np.linalg.solve(case.H @ C + case.R, C.T).T
     at = x
-    for _ in range(steps):
+    for step in range(steps):
         move, y = at - x, z - case.H @ at
-        from_x = move * min(1.0, of_x / max(np.sqrt(max(move @ P_root @ move, 0.0)), 1e-300))
-        from_z = y * min(1.0, of_z / max(length(y, case.R), 1e-300))
+        # The first step begins where nothing has moved.
+        size = np.sqrt(max(move @ np.linalg.pinv(P, hermitian=True) @ move, 0.0)) if step and of_x < np.inf else 0.0
+        from_x = move * min(1.0, of_x / max(size, 1e-300))
+        from_z = y * min(1.0, of_z / max(np.sqrt(y @ R_inverse @ y), 1e-300))
         at = at + K @ from_z - (from_x - K @ (case.H @ from_x))
-    return at, P - K @ case.H @ P
+    return at, P - K @ C.T
