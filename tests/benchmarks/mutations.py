@@ -1,11 +1,11 @@
 """How many wrong lines do the tests see? Lines drawn at random over the rooms are spoilt, one at a time, in a copy.
 
-    python tests/benchmarks/mutations.py [--count 100] [--seed 0] [--limit 40] [--room filters]
+    python tests/benchmarks/mutations.py [--count 100] [--seed 0] [--limit 40] [--rest 90] [--room filters]
 
-A line counts as seen if a test fails within the limit, in seconds. The tests that come near the line by the names that
-they mention go first, 40 at most. A line that survives is one that no test sees, one whose change changes nothing, or
-one whose test was not among these or comes later than the limit: try the tests of its room before writing one. The C of
-the kernel is drawn by `kernel_mutations.py`.
+A line counts as seen if a test fails within the limit, in seconds of processor time. The tests that come near the line
+by the names that they mention go first, 40 at most; then all others of its room, within a limit of their own. A line
+that survives is one that no test of its room sees, or one whose change changes nothing. The C of the kernel is drawn by
+`kernel_mutations.py`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import ast
 import os
 import random
 import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -119,6 +121,11 @@ def definitions(path: Path) -> Iterator[tuple[str, set[str]]]:
                     yield name, used(node.value)  # type: ignore[arg-type]
 
 
+def room_of(path: Path) -> str:
+    """Return the folder of the tests of a file's room."""
+    return f"tests/{path.parts[1] if len(path.parts) > 2 else 'package'}"
+
+
 class Chooser:
     """Which tests go first for a line: those that come near it by names, rare names counting for more."""
 
@@ -146,7 +153,7 @@ class Chooser:
         for depth in range(1, 5):
             edge = {one for name in edge for one in self.mentioned_by.get(name, ())} - near.keys()
             near.update(dict.fromkeys(edge, 0.5**depth))
-        room = f"tests/{path.parts[1] if len(path.parts) > 2 else 'package'}/"
+        room = f"{room_of(path)}/"
         marks = {
             test: sum(near[name] / self.common[name] for name in mentions & near.keys())
             * (3.0 if test.startswith(room) else 1.0)
@@ -163,11 +170,15 @@ def seen(copy: Path, tests: Iterable[str], limit: float, without: Iterable[str] 
     command = [sys.executable, "-W", "ignore", "-m", "pytest", *options, *left_out, *tests]
     own = {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     environment = {**os.environ, **own, **environment}
+    seconds = max(int(limit), 1)
     try:
         done = subprocess.run(
-            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=limit, check=False
-        )
+            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=20.0 * limit, check=False,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1)),
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
+        return "(none within the limit)"
+    if -done.returncode in (signal.SIGXCPU, signal.SIGKILL):
         return "(none within the limit)"
     if done.returncode == pytest.ExitCode.USAGE_ERROR and "while loading conftest" not in done.stderr:
         raise SystemExit(f"pytest was not asked for tests that there are: {done.stderr[-1000:]}")
@@ -198,6 +209,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--limit", type=float, default=40.0)
+    parser.add_argument("--rest", type=float, default=90.0)
     parser.add_argument("--room", default="")
     args = parser.parse_args()
     chooser = Chooser()
@@ -217,6 +229,8 @@ def main() -> None:
             def spoilt_run(without: set[str], path=path, tests=tests, text=spoilt_source, source=source) -> str:
                 (copy / path).write_text(text)
                 by = seen(copy, tests, args.limit, without)
+                if by.startswith("(") and args.rest > 0.0:
+                    by = seen(copy, [room_of(path)], args.rest, {*without, *tests})
                 (copy / path).write_text(source)
                 return by
 

@@ -43,22 +43,6 @@ class FirstOrderCovariance(Textbook):
         return P + A @ P + P @ A.T + self.Q
 
 
-@wrong("prediction_adds_Q_once", "prediction_moves_the_covariance_by_F")
-class QThroughF(Textbook):
-    """P = F (P + Q) F'."""
-
-    def spread(self, P):
-        return self.F @ (P + self.Q) @ self.F.T
-
-
-@wrong("prediction_adds_Q_once", "units_change_nothing", "prediction_moves_the_covariance_by_F")
-class Jitter(Textbook):
-    """A millionth on the diagonal of P at each step, for stability."""
-
-    def spread(self, P):
-        return super().spread(P) + 1e-6 * np.eye(self.dim_x)
-
-
 @wrong("units_change_nothing", "prediction_moves_the_covariance_by_F", "nothing_is_remembered_but_x_and_P")
 class VarianceWithACeiling(Textbook):
     """No variance grows above 1e4."""
@@ -97,14 +81,6 @@ class CorrectsAtTheNextPrediction(Textbook):
             super().update(self.waiting)
             self.waiting = None
         super().predict(u)
-
-
-@wrong("units_change_nothing", "correction_is_the_kalman_gain_times_the_innovation", "a_true_jump_is_followed")
-class EveryInnovationIsAnAngle(Textbook):
-    """Innovations are wrapped to half a turn either way, lengths too."""
-
-    def innovation(self, z):
-        return (super().innovation(z) + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @wrong("measurement_counts_at_once", "nothing_is_remembered_but_x_and_P", "measurement_makes_the_state_more_certain")
@@ -156,22 +132,6 @@ class MirroredWithTheDiagonalTwice(Textbook):
     def shrunk(self, P, K, S):
         P = super().shrunk(P, K, S)
         return np.triu(P) + np.triu(P).T
-
-
-@wrong("small_innovations_are_believed", "correction_is_the_kalman_gain_times_the_innovation")
-class DeadBand(Textbook):
-    """An innovation below a tenth of its deviation moves nothing."""
-
-    def corrected(self, x, K, y):
-        return x if (y.T @ np.linalg.solve(self.S, y)).item() < 0.01 * self.dim_z else super().corrected(x, K, y)
-
-
-@wrong("mirror_image_of_the_data_gives_the_mirror_image", "correction_is_the_kalman_gain_times_the_innovation")
-class NothingIsNegative(Textbook):
-    """A state below zero is set to zero: a level cannot be negative."""
-
-    def corrected(self, x, K, y):
-        return np.maximum(super().corrected(x, K, y), 0.0)
 
 
 # What is remembered
@@ -302,14 +262,6 @@ class RefusesTooLate(Textbook):
         super().update(z)
         if not (np.isfinite(self.x).all() and np.isfinite(self.P).all() and np.linalg.eigvalsh(self.P).min() > -1e-9):
             raise ValueError(f"z: expected finite numbers, got {z}")
-
-
-@wrong("likelihood_is_the_gaussian_density_of_the_innovation")
-class LikelihoodOfAllSoFar(Textbook):
-    """log_likelihood is the sum since the start."""
-
-    def likelihood(self, y, S):
-        return self.log_likelihood + super().likelihood(y, S)
 
 
 @wrong("innovation_and_its_covariance_are_shown")
