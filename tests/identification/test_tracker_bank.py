@@ -23,6 +23,7 @@ STRUCTURES = [
     OutputError(1, (2, 1), nk=(1, 0)), OutputError(0, 3), ARMAX(2, 2, 2), ARMAX(0, 1, 1), ARMAX(1, 0, 2), FIR(6),
     BoxJenkins((2, 1), 2, 1, 1, nk=(0, 2)), FIR(2, nk=0), LinearRegression(3),
 ]  # fmt: skip
+MIXED = [ARX(2, (1, 0, 2), nk=(0, 1, 2)), ARMAX(2, 2, 2), BoxJenkins((2, 1), 2, 1, 1, nk=(0, 2)), LinearRegression(3)]
 
 
 def recording(structure, seed=1, missing=True):
@@ -148,9 +149,11 @@ def assert_steps_are_the_loop(structure, y, u, **options):
     trackers = [bank.tracker(i) for i in range(bank.n)]
     signals = ("outputs", "inputs", "gradients", "residuals", "measured", "undisturbed", "prefiltered")
     for k in range(len(y)):
-        before = bank.state()
+        before, ahead = bank.state(), bank.predict(u[k])
+        same(before.values(), bank.state().values())
         grown += (before["P"].max(axis=(1, 2)) > 1.01 * 100.0).sum()
         sample = bank.update(y[k], u[k])
+        close([ahead], [sample.prediction], rtol=1e-13)
         after = bank.state()
         for i, tracker in enumerate(trackers):
             own = {name: before[name][i] for name in ("theta", "P", "enabled", "recursion", "start", *signals)}
@@ -182,17 +185,6 @@ def test_a_spike_in_phi_is_tempered_as_in_the_loop(structure, gradient, spike):
 
 
 # One sample or a recording, kept or not
-
-
-@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
-def test_run_gives_the_numbers_of_update(structure):
-    y, u = recording(structure)
-    one, other = (support.told_bank(N, structure, R=0.25, Q=1e-4) for _ in range(2))
-    result = one.run(y, u)
-    rows = [(other.update(y[k], u[k]), other.theta, other.std) for k in range(LENGTH)]
-    samples, theta, std = zip(*rows, strict=True)
-    close(result[:6], (theta, std, *zip(*samples, strict=True)))
-    close(one.state().values(), other.state().values())
 
 
 def test_result_has_an_axis_for_samples_and_one_for_actuators():
@@ -274,20 +266,6 @@ def test_coefficients_split_theta():
         support.told_bank(N, LinearRegression(3)).coefficients  # noqa: B018
 
 
-@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
-def test_prediction_is_what_the_next_update_finds(structure):
-    y, u = recording(structure)
-    bank = support.told_bank(N, structure, F=0.999 * np.eye(structure.n_theta))
-    bank.enabled = np.arange(N) != 2
-    for k in range(40):
-        before = bank.state()
-        ahead = bank.predict(u[k])
-        same(before.values(), bank.state().values())
-        if not any(nb and nk == 0 for nb, nk in structure.inputs):
-            same([ahead], [bank.predict()])
-        close([bank.update(y[k], u[k]).prediction], [ahead], rtol=1e-13)
-
-
 @pytest.mark.parametrize("dt", [-1, 0.0, np.nan, np.inf, False, None, "1"])
 def test_transfer_function_of_no_sampling_period_is_refused(dt):
     pytest.importorskip("control")
@@ -298,7 +276,7 @@ def test_transfer_function_of_no_sampling_period_is_refused(dt):
         assert tracker.transfer_function(dt=good).dt == good
 
 
-@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+@pytest.mark.parametrize("structure", MIXED, ids=str)
 def test_tracker_goes_on_where_the_bank_is(structure):
     y, u = recording(structure)
     forgetting, gradient = np.linspace(0.9, 1.0, N), ["filtered", "pseudolinear"] * 2 + ["filtered"]
@@ -334,7 +312,7 @@ def test_which_actuators_learn_is_a_list_of_bools():
     assert bank.enabled.tolist() == [True, False, True, False, True]
 
 
-@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+@pytest.mark.parametrize("structure", MIXED, ids=str)
 def test_pickle_and_state_continue_bit_for_bit(structure):
     y, u = recording(structure)
     original = support.told_bank(N, structure, Q=1e-5, R=np.linspace(0.1, 0.5, N), forgetting=0.99)
@@ -350,32 +328,6 @@ def test_pickle_and_state_continue_bit_for_bit(structure):
     expected = original.run(y[70:], u[70:])
     same(expected, thawed.run(y[70:], u[70:]))
     same(expected, restored.run(y[70:], u[70:]))
-
-
-def test_state_is_a_copy_both_ways():
-    structure = ARMAX(1, 1, 1)
-    y, u = recording(structure)
-    bank = support.told_bank(N, structure, R=0.25)
-    bank.run(y[:50], u[:50])
-    state = bank.state()
-    first = bank.run(y[50:], u[50:])
-    bank.restore(state)
-    same(first, bank.run(y[50:], u[50:]))
-    bank.restore(state)
-    for value in state.values():
-        value[...] = 0
-    bank.theta[:], bank.P[:] = 0.0, 0.0
-    same(first, bank.run(y[50:], u[50:]))
-
-
-def test_reset_goes_back_to_the_start():
-    y, u = recording(ARMAX(2, 2, 1))
-    bank = support.told_bank(N, ARMAX(2, 2, 1), theta=0.1, P=2.0, R=0.5)
-    first = bank.run(y, u)
-    bank.enabled, bank.R, bank.Q = False, 3.0, np.eye(5)
-    bank.reset()
-    assert bank.enabled.all()
-    same(first, bank.run(y, u))
 
 
 @pytest.mark.parametrize("state", [
@@ -395,13 +347,9 @@ def test_state_of_another_bank_is_refused(state):
 
 @pytest.mark.parametrize(("name", "value", "words"), [
     ("R", 0.0, "R > 0.*: actuator 2$"),
-    ("R", -1.0, "R > 0.*: actuator 2$"),
     ("alpha_sq", 0.0, "alpha_sq >= 1.*: actuator 2$"),
-    ("alpha_sq", np.inf, "finite numbers in alpha_sq.*: actuator 2$"),
     ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite.*: actuator 2$"),
     ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric.*: actuator 2$"),
-    ("P", np.nan, "finite numbers in P.*: actuator 2$"),
-    ("undisturbed", np.inf, "finite numbers in undisturbed.*: actuator 2$"),
     ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model.*: actuator 2$"),
 ])  # fmt: skip
 def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
@@ -425,35 +373,23 @@ def test_unstable_model_is_restored_where_no_guard_keeps_it_stable():
         bank.restore({**bank.state(), "theta": theta[::-1]})
 
 
-@pytest.mark.parametrize("state", [None, "bank.npz", [1.0]])
-def test_what_is_no_state_is_refused(state):
-    with pytest.raises(TypeError, match=r"state: expected what state\(\) returned, or what numpy\.load"):
-        support.told_bank(N, ARX(2, 2)).restore(state)
-
-
 # Bad input
 
 
 @pytest.mark.parametrize(("options", "error", "words"), [
     ({"theta": [1.0, 2.0]}, ValueError, r"theta: expected shape \(4,\) or \(5, 4\)"),
     ({"theta": np.full((N, 4), np.nan)}, ValueError, "theta: expected finite"),
-    ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
     ({"theta": np.eye(N)[:, :4] * 1.5}, ValueError, "stable model.*actuators 0, 1"),
     ({"Q": None}, TypeError, "Q: expected numbers, got None"),
     ({"guard": np.array("project")}, ValueError, "guard: expected one of"),
-    ({"P": -1.0}, ValueError, "P: expected a positive semidefinite"),
     ({"P": [1.0, 1.0, -1.0, 1.0, 1.0]}, ValueError, r"P\[2\]: expected a positive semidefinite"),
     ({"P": np.ones(4)}, ValueError, "P: expected"),
     ({"Q": np.triu(np.ones((N, 4, 4)))}, ValueError, r"Q\[0\]: expected a symmetric"),
-    ({"R": 0.0}, ValueError, "R: expected"),
     ({"R": np.inf}, ValueError, "R: expected"),
     ({"R": [1.0, 1.0, 0.0, 1.0, np.nan]}, ValueError, "R: expected.*actuators 2, 4"),
     ({"R": np.eye(2)}, ValueError, r"R: expected shape \(5,\)"),
-    ({"F": np.eye(3)}, ValueError, "F: expected shape"),
     ({"F": np.full((N, 4, 4), np.inf)}, ValueError, "F: expected finite"),
-    ({"forgetting": 1.1}, ValueError, "forgetting: expected"),
     ({"forgetting": [1.0, 1.0, 0.0, 1.0, 1.0]}, ValueError, "forgetting: expected.*actuator 2"),
-    ({"guard": "project"}, ValueError, "guard: expected one of"),
     ({"guard": ["halve", "project", "none", "none", "none"]}, ValueError, r"guard\[1\]: expected one of"),
     ({"guard": ["halve"] * 4}, ValueError, "guard: expected one for all or a list of 5, got 4"),
     ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
@@ -483,15 +419,12 @@ def bad(shape, value, *where):
 
 @pytest.mark.parametrize(("call", "words"), [
     (lambda b: b.update(np.ones(4), 1.0), r"y: expected shape \(5,\)"),
-    (lambda b: b.update(1.0, 1.0), r"y: expected shape \(5,\)"),
     (lambda b: b.update(bad(N, np.inf, 1, 3), 1.0), "y: expected finite.*actuators 1, 3"),
     (lambda b: b.update(np.ones(N), np.ones(4)), r"u: expected"),
     (lambda b: b.update(np.ones(N)), r"u: expected.*got None"),
     (lambda b: b.update(np.ones(N), bad(N, np.nan, 4)), "u: expected finite.*actuator 4"),
-    (lambda b: b.update(np.ones(N), np.nan), "u: expected finite"),
     (lambda b: b.update(["a"] * N, 1.0), "y: expected real numbers"),
     (lambda b: b.run(np.ones((3, 4)), np.ones(3)), r"y: expected shape \(N, 5\)"),
-    (lambda b: b.run(np.ones((0, N)), np.ones(0)), "y: expected"),
     (lambda b: b.run(np.ones((3, N)), np.ones(4)), "u: expected"),
     (lambda b: b.run(bad((3, N), np.inf, (1, 2), (2, 4)), np.ones(3)), "sample 1.*actuator 2"),
     (lambda b: b.run(np.ones((3, N)), bad((3, N), np.nan, (2, 0))), "sample 2.*actuator 0"),
@@ -510,10 +443,8 @@ def test_a_refused_call_changes_nothing(call, words):
 
 @pytest.mark.parametrize(("name", "value", "words"), [
     ("R", [1.0, 1.0, -1.0, 1.0, 1.0], "R: expected.*actuator 2"),
-    ("R", np.ones(4), "R: expected shape"),
     ("Q", 1.0, "Q: expected shape"),
     ("Q", np.full((4, 4), np.nan), "Q: expected finite numbers"),
-    ("F", np.eye(3), "F: expected shape"),
     ("F", 1e200 * np.eye(4), "finite"),
 ])  # fmt: skip
 def test_settings_spoilt_between_samples_are_refused(name, value, words):

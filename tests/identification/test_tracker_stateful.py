@@ -12,8 +12,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from interruption import interrupted
 
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, OutputError, ParameterTracker
+from robust_filterpy.influence import Hampel
 
-STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1), FIR(3), BoxJenkins(1, 1, 1, 1)]
+STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1), FIR(2, nk=0), ARX(1, 2, nk=3), BoxJenkins(1, 1, 1, 1)]
 values = st.one_of(st.floats(-50.0, 50.0), st.sampled_from([0.0, np.nan, 1e6, -1e12, 1e150]))
 
 
@@ -35,6 +36,10 @@ class Calls(RuleBasedStateMachine):
                 "R": st.sampled_from([None, 0.25]),
                 "regressor": st.sampled_from(["measured", "cleaned"]),
                 "forgetting": st.sampled_from([None, 0.98]),
+                "gradient": st.sampled_from(["filtered", "pseudolinear"]),
+                "guard": st.sampled_from(["halve", "reject"]),
+                "influence": st.sampled_from([None, Hampel()]),
+                "scaling": st.sampled_from([None, "bounded"]),
             }
         ),
     )
@@ -45,8 +50,10 @@ class Calls(RuleBasedStateMachine):
 
     @rule(y=values, u=st.sampled_from([-1.0, 0.3, 1.0]))
     def update(self, y, u):
+        ahead = self.tracker.predict(u)
         one, other = self.tracker.update(y, u), self.twin.update(y, u)
         np.testing.assert_array_equal(one, other)
+        assert one.prediction == pytest.approx(ahead, rel=1e-12, abs=1e-12)
 
     @rule(seed=st.integers(0, 1000), length=st.integers(1, 30))
     def run_some(self, seed, length):
