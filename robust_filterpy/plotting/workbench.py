@@ -12,7 +12,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy.identification.judging.compare import Comparison
-from robust_filterpy.identification.judging.grid import Selection
+from robust_filterpy.identification.judging.select import Selection
 from robust_filterpy.identification.judging.validate import Validation, Validations
 from robust_filterpy.identification.recursive.tuned import TunedTracker
 from robust_filterpy.plotting import sources

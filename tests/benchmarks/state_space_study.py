@@ -16,7 +16,7 @@ import numpy as np
 from robust_filterpy.identification import StateSpace, identify
 from robust_filterpy.identification.estimation.prediction_error import minimised
 from robust_filterpy.identification.models.noise import Noise, Noises
-from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
+from robust_filterpy.identification.models.state_space import Matrices, StateSpaceResiduals
 from robust_filterpy.influence import Linear
 
 ORDER, INPUTS, OUTPUTS, STEPS = 4, 2, 2, 40

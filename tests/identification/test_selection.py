@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from statsmodels.tsa.ar_model import AutoReg
 
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, OutputError, identify, select_structure
-from robust_filterpy.identification.judging.grid import Grid
+from robust_filterpy.identification.judging.select import Grid
 
 A, B = [1.0, -1.5, 0.7], [1.0, 0.5]
 

@@ -15,10 +15,9 @@ from robust_filterpy.identification.estimation.prediction_error import evidence,
 from robust_filterpy.identification.estimation.profile import profiled
 from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
 from robust_filterpy.identification.estimation.starts import require_informative
-from robust_filterpy.identification.models.model import Ending, Model
+from robust_filterpy.identification.models.model import Ending, Model, filled_memory, resting_level
 from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel, SeveralRecordings, ends_of
-from robust_filterpy.identification.models.prediction import filled_memory, resting_level
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
@@ -106,6 +105,7 @@ class Problem(NamedTuple):
 
 class Levelled:
     """Residuals and their derivatives for an output less levels of sizes that are found with the model."""
+
     # The free parameters are those of the model, then the sizes.
 
     def __init__(self, model: PolynomialModel, columns: Array) -> None:

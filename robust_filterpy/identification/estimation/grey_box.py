@@ -11,12 +11,16 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
 from robust_filterpy.identification.estimation.prediction_error import evidence_of_outputs, minimised, sandwich
-from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
-from robust_filterpy.identification.models.grey_box_residuals import GreyRecording, GreyResiduals, require_inputs
+from robust_filterpy.identification.models.grey_box import (
+    GreyBox,
+    GreyBoxModel,
+    GreyRecording,
+    GreyResiduals,
+    require_inputs,
+)
 from robust_filterpy.identification.models.noise import ROUNDING, Noise, Noises
-from robust_filterpy.identification.models.recording import ANY_TIMES, recorded
+from robust_filterpy.identification.models.recording import ANY_TIMES, recorded, require_motion
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
-from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Huber, Influence
 
 _FIRST_STEPS: Final = 30
@@ -29,12 +33,7 @@ _PART: Final = 0.3
 
 
 def identified_grey_box(
-    y: Any,
-    u: Any,
-    structure: GreyBox,
-    t: Any = None,
-    influence: Influence | None = None,
-    trend: str = "breaks",
+    y: Any, u: Any, structure: GreyBox, t: Any = None, influence: Influence | None = None, trend: str = "breaks"
 ) -> GreyBoxModel:
     """Find the parameters of a physical model."""
     recording = recorded(ANY_TIMES, y, u, t=t)

@@ -20,12 +20,11 @@ from robust_filterpy.identification.estimation.polynomials import identified_pol
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.recording import recorded
+from robust_filterpy.identification.models.recording import recorded, require_motion
 from robust_filterpy.identification.models.results import said
 from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.unmeasured import require_motion
 from robust_filterpy.influence.functions import Influence
 
 __all__ = ["identify"]

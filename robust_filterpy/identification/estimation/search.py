@@ -176,8 +176,7 @@ def searched_again(model: Any, end: End, missing: Any, limits: Limits | None) ->
 
 
 def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
-    """Return the derivatives of the residuals that count less what unknown outputs could make of them, and residuals.
-    """
+    """Return the derivatives of the residuals that count less what unknown outputs may make of them, and residuals."""
     derivatives, residual, h = model.jacobian(end.p), model.residuals(end.p), response(model, end.p)
     if h.size > 1 and end.outliers.wrong.any():
         weights = end.noise.weights(end.residual)

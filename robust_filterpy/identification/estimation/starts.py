@@ -26,7 +26,7 @@ from scipy.signal import lfilter
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.regressor import mirrored, stabilised
-from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
+from robust_filterpy.identification.models.state_space import Matrices, StateSpaceResiduals
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 
 # Singular values below this share of the largest are zero but for rounding.

@@ -21,12 +21,10 @@ from robust_filterpy.identification.estimation.prediction_error import (
 )
 from robust_filterpy.identification.estimation.starts import impulse_start, predictor_start
 from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
-from robust_filterpy.identification.models.recording import Recording, recorded
+from robust_filterpy.identification.models.recording import Recording, recorded, require_motion
 from robust_filterpy.identification.models.responses import balancing
-from robust_filterpy.identification.models.signals import fingerprint, operating_point
-from robust_filterpy.identification.models.state_space import Signals, StateSpace, StateSpaceModel
-from robust_filterpy.identification.models.state_space_residuals import Matrices, StateSpaceResiduals
-from robust_filterpy.identification.models.unmeasured import require_motion
+from robust_filterpy.identification.models.signals import Signals, fingerprint, operating_point
+from robust_filterpy.identification.models.state_space import Matrices, StateSpace, StateSpaceModel, StateSpaceResiduals
 from robust_filterpy.influence.functions import Huber, Influence
 
 _LENGTHS: Final = (25, 60, 150)
@@ -65,12 +63,7 @@ class _Found(NamedTuple):
 
 
 def identified_state_space(
-    y: Any,
-    u: Any,
-    structure: StateSpace,
-    influence: Influence | None = None,
-    groups: Any = None,
-    trend: str = "breaks",
+    y: Any, u: Any, structure: StateSpace, influence: Influence | None = None, groups: Any = None, trend: str = "breaks"
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs."""
     recording = recorded(Signals.of(y, u), y, u, groups)
@@ -104,10 +97,7 @@ def identified_state_space(
 
 
 def _modelled(
-    recording: Recording,
-    spans: tuple[slice, ...],
-    structure: StateSpace,
-    influence: Influence | None,
+    recording: Recording, spans: tuple[slice, ...], structure: StateSpace, influence: Influence | None
 ) -> StateSpaceModel:
     """Return the model of recordings as they are."""
     rest, units, parts, measured = _scaled(recording, spans)

@@ -3,14 +3,14 @@
 * `structures`: orders, and which signals the regressor phi is made of; the usual ones.
 * `regressor`: the regressor of one sample, from what is remembered; polynomials and transfer functions made of theta,
   and keeping those stable that feed back the model's own output.
-* `signals`, `time_axis`, `unmeasured`: recordings as arrays; pandas objects in, results on the same index; which
-  samples are no measurements.
+* `signals`, `time_axis`: recordings as arrays; pandas objects in, results on the same index.
 * `polynomial_model`: residuals of all structures and their derivatives, of one recording and of several.
-* `state_space`, `state_space_residuals`: several outputs.
-* `recording`: what was recorded, read and checked once: one or several, gaps in u, times that jump or come at will.
-* `grey_box`, `grey_box_residuals`: equations in continuous time, and their model of a recording.
-* `model`: what `identify` returns; a transfer function of python-control in its place.
-* `prediction`: predictions through outliers, and how a simulation begins.
+* `state_space`: several outputs, residuals and model.
+* `recording`: what was recorded, read and checked once: one or several, gaps in u, times that jump or come at will;
+  which samples are no measurements.
+* `grey_box`: equations in continuous time, their residuals and their model of a recording.
+* `model`: what `identify` returns: predictions through outliers, how a simulation begins; a transfer function of
+  python-control in its place.
 * `noise`: the noise that residuals show, of one output and of several, and how well a model agrees with a recording.
 * `dependence`: whether the plant is still the model's: what is left that follows the inputs, and the gain.
 * `responses`: what any system tells: responses, poles and zeros, the same in continuous time or with fewer states, with

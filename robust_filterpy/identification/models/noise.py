@@ -85,51 +85,14 @@ def least_variance(y: Array, size: float, in_steps: bool = True) -> float:
 
 
 def ordinary_samples(residual: Array, y: Array) -> Any:
-    """Tell which samples are ordinary: within three standard deviations of the noise, known by its median.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        Measured less predicted output; NaN where there is none.
-    y : ndarray, shape (N,)
-        Measured output: what is rounding of its variation is ordinary.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        False where the residual is NaN.
-
-    Examples
-    --------
-    >>> ordinary_samples(np.array([0.1, -0.1, 0.2, 9.0, np.nan]), np.array([4.0, 2.0, 4.0, 2.0, 4.0]))
-    array([ True,  True,  True, False, False])
-    """
+    """Tell which samples are ordinary: within three standard deviations of the noise, known by its median."""
     e, measured = residual[~np.isnan(residual)], y[~np.isnan(y)]
     scale = max(mad_scale(e), ROUNDING * size_of(measured - np.median(measured))) if e.size else 0.0
     return np.abs(np.where(np.isnan(residual), np.inf, residual)) <= _ORDINARY * scale
 
 
 def ordinary_fit(y: Array, y_model: Array, ordinary: Any) -> float:
-    """Compute the fit of a model's output on ordinary samples.
-
-    Parameters
-    ----------
-    y, y_model : ndarray, shape (N,)
-        Measured and computed output; NaN where there is none.
-    ordinary : ndarray of bool, shape (N,)
-        Which samples count.
-
-    Returns
-    -------
-    float
-        Percent; NaN if the output does not vary in these samples.
-
-    Examples
-    --------
-    >>> y = np.array([0.0, 2.0, 0.0, 2.0, 99.0])
-    >>> round(ordinary_fit(y, np.array([0.0, 1.0, 0.0, 1.0, 0.0]), y < 9.0), 1)
-    29.3
-    """
+    """Compute the fit of a model's output on ordinary samples."""
     counts = ordinary & ~np.isnan(y) & ~np.isnan(y_model)
     if counts.sum() < 2 or np.std(y[counts]) <= _constant(np.abs(y[counts]).max()):
         return float("nan")
@@ -158,22 +121,7 @@ class Noise:
     least: float = np.finfo(float).tiny
 
     def refitted(self, residual: Array, steps: int = 5) -> Noise:
-        """Return the noise that these residuals show.
-
-        Parameters
-        ----------
-        residual : ndarray, shape (N,)
-            Residuals of a model, outliers among them.
-        steps : int, default 5
-            Steps of expectation-maximization, for a `Contaminated`.
-
-        Returns
-        -------
-        Noise
-            For a `Contaminated` the step of expectation-maximization with weak priors (contamination .05 as if
-            from 10 samples, scale_ratio 8 as if from 2 outliers), from the present one; otherwise R is the square of
-            the scaled median absolute deviation from 0.
-        """
+        """Return the noise that these residuals show, of a `Contaminated` after steps with its weak priors."""
         if isinstance(self.influence, Contaminated):
             return self._maximised(self.influence, residual, steps)
         return self if self.known else replace(self, R=max(mad_scale(residual) ** 2, self.least))
@@ -218,11 +166,9 @@ class Noise:
         return max(float(np.mean(self.influence.psi_deriv(residual / math.sqrt(self.R)))), 1e-3)
 
     def log_likelihood(self, residual: Array) -> float:
-        """Return the log-likelihood of the residuals under the density that psi is made for.
-
-        Beyond the reach of a `Contaminated` the density falls as Cauchy's does: with outliers of two sizes the smaller
-        ones set its ratio, and the larger ones would say nothing but that.
-        """
+        """Return the log-likelihood of the residuals under the density that psi is made for."""
+        # Beyond the reach of a `Contaminated` the density falls as Cauchy's does: with outliers of two sizes the
+        # smaller ones set its ratio, and the larger ones would say nothing but that.
         normalizer = getattr(self.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
         beyond = 0.0
         if isinstance(self.influence, Contaminated):

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 # A pole this near to the negative real axis, or to 0, is on it.
 _ON: Final = 1e-9
 # The matrices A, B, C, D of a system.
-Matrices = tuple[Array, Array, Array, Array]
+Realization = tuple[Array, Array, Array, Array]
 
 
 class System(Estimated):
@@ -68,7 +68,7 @@ class System(Estimated):
         """Tell whether the way from the inputs to y is stable for other parameters."""
         raise NotImplementedError
 
-    def _realized(self, what: str, dead: bool = True) -> tuple[Matrices, Any]:
+    def _realized(self, what: str, dead: bool = True) -> tuple[Realization, Any]:
         """Return the matrices, with dead times as states or these apart in samples, or raise where there are none."""
         raise NotImplementedError
 
@@ -448,7 +448,7 @@ class PolynomialSystem(System):
         """Return the roots of the B of an input."""
         return np.roots(theta[self.structure.polynomials.b[input or 0]])
 
-    def _realized(self, what: str, dead: bool = True) -> tuple[Matrices, Any]:
+    def _realized(self, what: str, dead: bool = True) -> tuple[Realization, Any]:
         """Return the matrices in observer form; with dead times as states these are balanced, or raise."""
         self._require(what)
         a, structure = regressor.denominator(self.structure, self.theta)[1:], self.structure

@@ -167,19 +167,7 @@ class TrackingResult(Pictured, _Recorded):
         return "\n".join([brief(self), *lines_of({"at the end": end})])
 
     def labelled(self, names: tuple[str, ...], index: Any = None) -> TrackingResult:
-        """Return the same columns with names of the parameters and an index.
-
-        Parameters
-        ----------
-        names : tuple of str, length n
-            Names of the parameters.
-        index : pandas.Index, optional
-            When the samples were taken.
-
-        Returns
-        -------
-        TrackingResult
-        """
+        """Return the same columns with names of the parameters and an index."""
         result = TrackingResult(*self)
         result.names, result.index = names, index
         return result
@@ -201,13 +189,7 @@ class TrackingResult(Pictured, _Recorded):
         return table(self.columns(), self.index, "sample" if self.index is None else None)
 
     def columns(self) -> dict[str, Array]:
-        """Return the columns by name.
-
-        Returns
-        -------
-        dict of str to ndarray
-            As in `to_frame`.
-        """
+        """Return the columns by name."""
         names = self.names or tuple(f"theta{j + 1}" for j in range(self.theta.shape[-1]))
         columns = dict(zip(names, np.moveaxis(self.theta, -1, 0), strict=True))
         columns |= {f"{name}_std": std for name, std in zip(names, np.moveaxis(self.std, -1, 0), strict=True)}

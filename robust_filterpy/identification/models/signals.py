@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -170,3 +170,45 @@ def trend_of(trends: Iterable[tuple[int, Array]], y: Array) -> Array:
     """Return what was taken off a recording, 0 if it is not known again."""
     taken = {(number, trend.shape): trend for number, trend in trends if trend.size}
     return taken.get((fingerprint(y), y.shape), np.zeros(y.shape)) if taken else np.zeros(y.shape)
+
+
+class Signals(NamedTuple):
+    """How many inputs and outputs recordings have, for what is asked of a structure there.
+
+    Attributes
+    ----------
+    n_inputs, n_outputs : int
+        How many.
+    takes_phi : bool
+        No regressor comes from the caller.
+    """
+
+    n_inputs: int
+    n_outputs: int
+    takes_phi: bool = False
+
+    def __str__(self) -> str:
+        """Return what they are."""
+        return f"a model of {self.n_inputs} input(s) and {self.n_outputs} output(s)"
+
+    @property
+    def inputs(self) -> Any:
+        """A place for each input."""
+        return range(self.n_inputs)
+
+    @classmethod
+    def of(cls, y: Any, u: Any) -> Signals:
+        """Return those of recordings, or raise."""
+        if u is None:
+            raise ValueError("u: expected a recording of the inputs for a state-space model, got None")
+        several = are_several(y, u)
+        if several and not (isinstance(u, (list, tuple)) and len(u) == len(y)):
+            got = len(u) if isinstance(u, (list, tuple)) else type(u).__name__
+            raise ValueError(f"u: expected a list of {len(y)} recordings like y, got {got}")
+        first, second = (y[0], u[0]) if several else (y, u)
+        shapes = np.shape(first), np.shape(second)
+        for name, shape in zip("yu", shapes, strict=True):
+            if len(shape) not in (1, 2):
+                raise ValueError(f"{name}: expected shape (N,) or (N, n), got {shape}")
+        n_outputs, n_inputs = (int(shape[1]) if len(shape) == 2 else 1 for shape in shapes)
+        return cls(n_inputs, n_outputs)

@@ -86,32 +86,7 @@ class TimeAxis(NamedTuple):
 
 
 def recording(structure: Any, /, **signals: Any) -> tuple[Any, ...]:
-    """Return the common time axis of signals, and each of them without its index.
-
-    Parameters
-    ----------
-    structure : Structure or None
-        What they are for; the samples of a LinearRegression may come at any time, all others reach back in equal steps.
-    **signals : array_like, shape (N,) or (N, n), or None
-        By name; pandas objects have one index in common.
-
-    Returns
-    -------
-    axis : TimeAxis
-    *signals
-        Arrays in the place of pandas objects, the others as they were given.
-
-    Raises
-    ------
-    ValueError
-        If two indexes differ, or one is not uniform, or has times as text.
-
-    Examples
-    --------
-    >>> axis, y = recording(None, y=[1.0, 2.0])
-    >>> axis.index is None, y
-    (True, [1.0, 2.0])
-    """
+    """Return the common time axis of signals, and each of them without its index."""
     labelled = {name: signal for name, signal in signals.items() if _is_pandas(signal)}
     if not labelled:
         return TimeAxis(), *signals.values()

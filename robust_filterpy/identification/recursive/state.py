@@ -91,37 +91,11 @@ class ColdStart(NamedTuple):
 
     @classmethod
     def of(cls, n_theta: int, n_inputs: int, samples: int) -> ColdStart:
-        """Keep nothing yet.
-
-        Parameters
-        ----------
-        n_theta : int
-            Number of parameters.
-        n_inputs : int
-            Number of inputs.
-        samples : int
-            How many samples it may look at.
-
-        Returns
-        -------
-        ColdStart
-        """
+        """Keep nothing yet."""
         return cls(samples, np.zeros(0), np.zeros((0, n_inputs)), _until_next(samples, 0, n_theta))
 
     def added(self, y: Array, u: Array) -> ColdStart:
-        """Return it with more samples, at most as many as it waits for.
-
-        Parameters
-        ----------
-        y : ndarray, shape (N,)
-            Outputs.
-        u : ndarray, shape (N, n_inputs)
-            Inputs.
-
-        Returns
-        -------
-        ColdStart
-        """
+        """Return it with more samples, at most as many as it waits for."""
         # A frozen tracker does not look: it stays due, and a count below 0 would say in a state that there is no start.
         waits, keep = max(self.waits - len(y), 0), max(0, _LONGEST * self.samples - len(y))
         return ColdStart(self.samples, np.append(self.y[-keep:], y), np.concatenate((self.u[-keep:], u)), waits)
@@ -204,17 +178,7 @@ class State(NamedTuple):
         return State(self.theta.copy(), self.P.copy(), past, self.scale.copy(), self.readings.copy(), *self[5:])
 
     def rows(self, which: np.ndarray | slice) -> State:
-        """Return the state of some actuators: of a slice in the same arrays, of a list of them in arrays of its own.
-
-        Parameters
-        ----------
-        which : ndarray of int, shape (k,), or slice
-            Which of them.
-
-        Returns
-        -------
-        State
-        """
+        """Return the state of some actuators: of a slice in the same arrays, of a list of them in arrays of its own."""
 
         def taken(part: Any) -> Any:
             return type(part)(*map(taken, part)) if isinstance(part, tuple) else part[which]
@@ -225,19 +189,7 @@ class State(NamedTuple):
         return State(**arrays, starts=starts)
 
     def with_rows(self, which: np.ndarray, rows: State) -> State:
-        """Return this with some actuators as another state has them; starts, what is followed and windows stay.
-
-        Parameters
-        ----------
-        which : ndarray of int, shape (k,)
-            Which of them.
-        rows : State
-            Of k actuators.
-
-        Returns
-        -------
-        State
-        """
+        """Return this with some actuators as another state has them; starts, what is followed and windows stay."""
 
         def replaced(whole: Any, part: Any) -> Any:
             if isinstance(whole, tuple):
@@ -270,21 +222,7 @@ class State(NamedTuple):
         }  # fmt: skip
 
     def restored(self, stored: Mapping[str, Array], R: Array) -> State:
-        """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said.
-
-        A state from before there was a watch in it is watched from here on.
-
-        Parameters
-        ----------
-        stored : mapping of str to ndarray
-            What `arrays` returned.
-        R : ndarray, shape (n,)
-            Noise variances.
-
-        Returns
-        -------
-        State
-        """
+        """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said."""
         n = len(self.theta)
         rule = stored["recursion"]
         watch = stored.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 6)))))

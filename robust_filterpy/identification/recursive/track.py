@@ -22,10 +22,10 @@ from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import LARGEST, Memory
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.unmeasured import measurements
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.recursion import Recursion, Regressor, note, ordinary_mean
 from robust_filterpy.identification.recursive.state import READINGS, WINDUP, ColdStart, Form, State, Unjudged

@@ -91,19 +91,7 @@ class Followed(NamedTuple):
 
     @classmethod
     def none(cls, n: int, n_signals: int) -> Followed:
-        """Return it before the first sample.
-
-        Parameters
-        ----------
-        n : int
-            Number of actuators.
-        n_signals : int
-            What residuals are held against: the prediction and the inputs.
-
-        Returns
-        -------
-        Followed
-        """
+        """Return it before the first sample."""
         rows, scores = np.zeros((n, SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2))
         return cls(np.zeros(n, dtype=int), np.zeros((n, _USUAL)), rows, scores)
 
@@ -114,19 +102,7 @@ class Followed(NamedTuple):
 
     @classmethod
     def restored(cls, numbers: Array, rows: Array) -> Followed:
-        """Return it from its numbers, fewer from before there were so many, and rows of the last samples, (n, L, ..).
-
-        Parameters
-        ----------
-        numbers : ndarray, shape (n, 4), (n, 5) or (n, 29)
-            Samples seen, what is usual, and the scores.
-        rows : ndarray, shape (n, L, 1 + n_signals)
-            The last samples.
-
-        Returns
-        -------
-        Followed
-        """
+        """Return it from its numbers, fewer from before there were so many, and rows of the last samples."""
         whole = np.zeros((len(rows), SPAN, rows.shape[2]))
         last = rows[:, -SPAN:]
         whole[:, SPAN - last.shape[1] :] = last
@@ -148,25 +124,7 @@ class Followed(NamedTuple):
         return followed
 
     def begun(self, i: int, residuals: Array, signals: Array, rounding: float) -> tuple[Followed, float]:
-        """Return it with what is usual of an actuator: what its model leaves of its own recording.
-
-        Parameters
-        ----------
-        i : int
-            Which actuator.
-        residuals : ndarray, shape (N,)
-            Of the model's recording.
-        signals : ndarray, shape (N, n_signals)
-            Predictions and inputs of these samples.
-        rounding : float
-            Residuals that are not larger tell nothing.
-
-        Returns
-        -------
-        after : Followed
-        share : float
-            How much of the residuals follows the inputs, 0 if not in most of the windows beyond chance.
-        """
+        """Return it with what is usual of an actuator: what its model leaves of its own recording."""
         windows = [slice(k - SPAN, k) for k in range(len(residuals), SPAN - 1, -SPAN)]
         after = self.forgotten(i)
         if not windows or np.isnan(residuals).all() or _tells_nothing(residuals, rounding):
@@ -187,31 +145,7 @@ class Followed(NamedTuple):
         has_offset: bool,
         rounding: Array,
     ) -> tuple[Followed, News]:
-        """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's.
-
-        Parameters
-        ----------
-        which : ndarray of int, shape (k,)
-            These actuators.
-        residuals : ndarray, shape (k, N)
-            NaN where y is missing.
-        signals : ndarray, shape (k, N, n_signals)
-            What a residual follows that does not come from noise.
-        structure : Structure
-            Of the models.
-        theta : ndarray, shape (k, n_theta)
-            Their parameters.
-        has_offset : bool
-            Whether the models have a constant: what those without one leave may be off zero.
-        rounding : ndarray, shape (k,)
-            Residuals that are not larger tell nothing.
-
-        Returns
-        -------
-        after : Followed
-        news : list of Trouble
-            Which actuators have lost their plants, in words.
-        """
+        """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's."""
         seen, usual, rows, scores = (a.copy() for a in self)
         new = np.concatenate((residuals[..., None], signals), axis=2)[:, -SPAN:]
         rows[which] = np.concatenate((self.rows[which, new.shape[1] :], new), axis=1)
@@ -345,39 +279,13 @@ class Windows(NamedTuple):
         return self._replace(recent=recent, R=R, spoken=spoken)
 
     def without_model(self, i: int, trouble: str) -> tuple[Windows, News]:
-        """Return them and why the start has found no model, unless that has been said.
-
-        Parameters
-        ----------
-        i : int
-            Which actuator.
-        trouble : str
-            Why.
-
-        Returns
-        -------
-        after : Windows
-        news : list of Trouble
-        """
+        """Return them and why the start has found no model, unless that has been said."""
         spoken = self.spoken_of_start.copy()
         spoken[i] = True
         return self._replace(spoken_of_start=spoken), [] if self.spoken_of_start[i] else [Trouble(i, trouble)]
 
     def with_stuck(self, stuck: np.ndarray, text: str = _STUCK) -> tuple[Windows, News]:
-        """Return them and which sensors are stuck, unless that has been said of an actuator.
-
-        Parameters
-        ----------
-        stuck : ndarray of bool, shape (n,)
-            Which of them.
-        text : str, optional
-            What was seen.
-
-        Returns
-        -------
-        after : Windows
-        news : list of Trouble
-        """
+        """Return them and which sensors are stuck, unless that has been said of an actuator."""
         new = np.flatnonzero(stuck & ~self.spoken_of_stuck).tolist()
         news = [Trouble(i, text, StuckSensorWarning) for i in new]
         return (self._replace(spoken_of_stuck=self.spoken_of_stuck | stuck) if new else self), news
@@ -385,29 +293,7 @@ class Windows(NamedTuple):
     def seen(
         self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool, rounding: Array
     ) -> tuple[Windows, News]:
-        """Return them with samples (n, N), R (n,) after these, and what is wrong, in words, once for each actuator.
-
-        Parameters
-        ----------
-        weights : ndarray, shape (n, N)
-            Weights of the samples, NaN where y is missing.
-        guard : ndarray, shape (n, N)
-            Whether the guard held a step back.
-        residuals : ndarray, shape (n, N)
-            Of the samples.
-        R : ndarray, shape (n,)
-            Noise variances after them.
-        has_offset : bool
-            Whether the model has a constant.
-        rounding : ndarray, shape (n,)
-            Residuals that are not larger tell nothing.
-
-        Returns
-        -------
-        after : Windows
-        news : list of Trouble
-            What is wrong, once for each actuator.
-        """
+        """Return them with samples (n, N), R (n,) after these, and what is wrong, in words, once for each actuator."""
         if self.spoken.all():
             return self, []
         recent = np.concatenate((self.recent, np.stack((weights, guard, residuals), axis=2)), axis=1)
