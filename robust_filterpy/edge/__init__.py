@@ -1,9 +1,8 @@
 """Filters and trackers on a microcontroller: one C99 file that steps exactly this one.
 
-* `export`: what a user calls.
-* `filter_model`, `mixture_model`, `tracker_model`: from a filter, one that weighs its noise or an extended one, or a
-  tracker, to what the file holds, or why it cannot.
-* `text`: the headers of `robust_filterpy.kernel` and, from ``texts``, a few lines beside them.
+* `export`: what a user calls, and how a text and a table become C.
+* `filter_model`, `tracker_model`: from a filter or a tracker to what the file holds, or why it cannot.
+* ``texts``: what stands beside the headers of `robust_filterpy.kernel`; which of its lines, the model decides.
 
 Imports from below: `correction`, `kernel`, `filters`, `identification`.
 """

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
+import textwrap
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from string import Template
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
+
+import numpy as np
 
 from robust_filterpy import _checks, kernel
+from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy._version import __version__
-from robust_filterpy.edge.filter_model import described_filter
-from robust_filterpy.edge.mixture_model import described_extended, described_mixture, is_extended, mixes
-from robust_filterpy.edge.text import REALS, Described, comment, rendered, table
+from robust_filterpy.edge.filter_model import Described, described_filter, is_extended, mixes
 from robust_filterpy.edge.tracker_model import described_tracker
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
@@ -22,6 +27,10 @@ from robust_filterpy.identification import Model, ParameterTracker
 __all__ = ["Exported", "Precision", "export_c"]
 
 Precision: TypeAlias = Literal["double", "single"]
+
+_TEXTS: Final = Path(__file__).parent / "texts"
+_WIDTH: Final = 110
+_INDENT: Final = " " * 4
 
 # Headers of C, before which one of the same name beside the source would be found.
 _STANDARD = frozenset(
@@ -100,16 +109,14 @@ def export_c(
     precision = _checks.option("precision", precision, ("double", "single"))
     source = _source(path)
     name = source.stem
-    plain, extended = type(model) in (RobustKalmanFilter, AdaptiveKalmanFilter), is_extended(model)
-    if (plain or extended) and precision == "single" and mixes(model):  # type: ignore[arg-type]
+    is_filter = type(model) in (RobustKalmanFilter, AdaptiveKalmanFilter) or is_extended(model)
+    if is_filter and precision == "single" and mixes(model):  # type: ignore[arg-type]
         raise ValueError(
             'precision: expected "double" for noise that is given or learned, whose probabilities are smaller than a '
             'float can be, got "single"'
         )
-    if plain:
-        form = (described_mixture if mixes(model) else described_filter)(model, name)  # type: ignore[arg-type]
-    elif extended:
-        form = described_extended(model, name)  # type: ignore[arg-type]
+    if is_filter:
+        form = described_filter(model, name)  # type: ignore[arg-type]
     elif type(model) is ParameterTracker:
         form = described_tracker(model, name)
     else:
@@ -118,14 +125,12 @@ def export_c(
             f"{_remedy(model)}"
         )
     values = {
-        **form.values, "title": comment(form.title), "name": name, "NAME": name.upper(), "real": REALS[precision],
+        **form.values, "title": _comment(form.title), "name": name, "NAME": name.upper(),
+        "remark": _comment(form.values.get("remark", "")), "real": "double" if precision == "double" else "float",
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
     }  # fmt: skip
-    if "remark" in values:
-        values["remark"] = comment(f"A component of z that is NaN is missing. {values['remark']}")
     exported = Exported(source, source.with_suffix(".h"))
-    values |= {part: rendered(text, values) for part, text in form.parts.items()}
-    texts = (_code(form, values, name, precision), _tidy(rendered(f"{form.header or form.text}.h", values)))
+    texts = (_code(form, values, name, precision), _rendered(f"{form.header}.h", values))
     own = set(re.findall(rf"\b(?:{name}|{name.upper()})_\w+", re.sub(r"/\*.*?\*/", "", texts[1], flags=re.DOTALL)))
     if taken := own.intersection(re.findall(r"\w+", _kernel(form.headers))):
         raise ValueError(
@@ -137,15 +142,15 @@ def export_c(
     return exported
 
 
-def _code(form: Described, values: dict[str, str], name: str, precision: str) -> str:
+def _code(form: Described, values: Mapping[str, Any], name: str, precision: str) -> str:
     """Return the C file."""
     tables = (
-        table(f"const {name}_model {name}_default", form.model, precision),
-        table(f"const {name}_state {name}_start", form.start, precision),
+        _table(f"const {name}_model {name}_default", form.model, precision),
+        _table(f"const {name}_state {name}_start", form.start, precision),
     )
     define = "#define ROBUST_FILTERPY_FLOAT\n" if precision == "single" else ""
     start = f'/*\n * {values["title"]}\n *\n * See {name}.h.\n */\n#include "{name}.h"\n\n{define}'
-    return _tidy("\n".join([start, _kernel(form.headers), *tables, rendered(f"{form.text}.c", values)]))
+    return "\n".join([start, _kernel(form.headers), *tables, _rendered(f"{form.text}.c", values)])
 
 
 def _kernel(headers: tuple[str, ...]) -> str:
@@ -155,9 +160,66 @@ def _kernel(headers: tuple[str, ...]) -> str:
     return "\n".join(re.sub(r'^#include "\w+\.h"\n', "", text, flags=re.M) for text in texts)
 
 
-def _tidy(text: str) -> str:
-    """Return C without the empty lines that empty names left behind."""
-    return re.sub(r"\n{3,}", "\n\n", text)
+def _rendered(name: str, values: Mapping[str, Any]) -> str:
+    """Return a text with its $names filled in."""
+    return re.sub(r"\n{3,}", "\n\n", "\n".join([*_lines(name, values), ""]))
+
+
+def _lines(name: str, values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of a text; what begins with $?name is there where that is true, with $!name where it is not."""
+    for line in (_TEXTS / name).read_text(encoding="ascii").splitlines():
+        *conditions, text = re.split(r"^((?:\$[?!]\w+ )+)", line)[-2:] if line[:2] in ("$?", "$!") else (line,)
+        if all(bool(values.get(one[2:])) == (one[1] == "?") for one in "".join(conditions).split()):
+            included = text.removeprefix("$include ")
+            yield from [Template(text).substitute(values)] if included == text else _lines(included, values)
+
+
+def _table(declaration: str, entries: Mapping[str, Any], precision: str) -> str:
+    """Return the definition of a constant structure."""
+    lines = [f"{declaration} = {{"]
+    for name, value in entries.items():
+        if isinstance(value, int):
+            lines.append(f"{_INDENT}.{name} = {value},")
+        elif np.ndim(value) == 0:
+            lines.append(f"{_INDENT}.{name} = {_number(name, value, precision)},")
+        else:
+            lines += [f"{_INDENT}.{name} = {{", *_rows(name, np.atleast_2d(value), precision), f"{_INDENT}}},"]
+    return "\n".join([*lines, "};\n"])
+
+
+def _rows(name: str, matrix: Array, precision: str) -> list[str]:
+    """Return the numbers of a matrix, each row on lines of its own."""
+    return [
+        textwrap.fill(
+            " ".join(f"{_number(name, value, precision)}," for value in row), _WIDTH - 1,
+            initial_indent=_INDENT * 2, subsequent_indent=_INDENT * 2, break_on_hyphens=False,
+        )
+        for row in matrix
+    ]  # fmt: skip
+
+
+def _number(name: str, value: float, precision: str) -> str:
+    """Return a number as C writes it, so that it is read back exactly; or raise, where its type cannot hold it."""
+    if name == "threshold" and math.isinf(value):
+        return "INFINITY"
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: expected finite numbers, got {value!r} among them")
+    if precision == "double":
+        return repr(float(value))
+    with np.errstate(over="ignore", under="ignore"):
+        single = np.float32(value)
+    if not np.isfinite(single) or (single == 0.0 and value != 0.0):
+        raise ValueError(
+            f'{name}: expected numbers that "single" precision can hold, got {value!r}; choose other units, '
+            f'or precision="double"'
+        )
+    text = str(single)
+    return f"{text}F" if "." in text or "e" in text else f"{text}.0F"
+
+
+def _comment(text: str) -> str:
+    """Return a text that stands in a comment, wrapped with its stars."""
+    return "\n * ".join(textwrap.wrap(text, _WIDTH + 1, break_long_words=False, break_on_hyphens=False))
 
 
 def _source(path: Any) -> Path:

@@ -1,59 +1,148 @@
-"""From a `RobustKalmanFilter` to the tables and sections of its C, or the reason why there is none."""
+"""From a filter to the tables and names of its C, or the reason why there is none."""
 
 from __future__ import annotations
 
-from typing import Any, Final, cast
+import textwrap
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.copies import start as start_of_copies
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.policies import process_scales
 from robust_filterpy.correction.spread import NUMBERS
-from robust_filterpy.edge.text import Described
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.kernel.series import JOINT_MOST, rule
 
 # Rounding that a symmetric matrix may have gathered.
 _SLACK: Final = 1e-12
+# Numbers of a rule before its scales: copies, classes, stay, jump, two memories, whether it learns.
+_HEAD = 9
+# What a subclass may not do in its own way; `predict_x` is the motion, which is a function in C.
+_METHODS = ("predict", "update", "_checked", "_correct", "_corrected", "_keep", "_skip")
+
+
+class Described(NamedTuple):
+    """What the C of a filter or tracker is made of."""
+
+    title: str
+    headers: tuple[str, ...]
+    """Of the kernel, in their order."""
+    text: str
+    """That steps by them."""
+    header: str
+    values: Mapping[str, Any]
+    """What $names stand for, and which lines are there."""
+    model: Mapping[str, Any]
+    """Entries of the table of what stays, in the order of their fields."""
+    start: Mapping[str, Any]
+    """Of what moves."""
+
+
+def is_extended(model: Any) -> bool:
+    """Return whether the C of an extended filter steps this one."""
+    own = RobustExtendedKalmanFilter
+    return isinstance(model, own) and all(getattr(type(model), name) is getattr(own, name) for name in _METHODS)
+
+
+def mixes(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> bool:
+    """Return whether the kernel weighs what this filter's noise may have been."""
+    own = kf.policy.rule
+    return own is not None and not own[7:_HEAD].any()
 
 
 def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Described:
     """Return what the C of a filter is made of, or raise."""
-    require_plain(kf, "model")
-    choices = kf.choices
+    mixed, extended = mixes(kf), isinstance(kf, RobustExtendedKalmanFilter)
+    require_own(kf, "model") if mixed else require_plain(kf, "model")
     x, P = state_of(kf)
     n, m = len(x), kf.dim_z
-    model = matrices(kf) | influence_fields(choices)
+    model = _matrices(kf)
+    inputs = model["B"].shape[1] if "B" in model else 0
+    own_motion = isinstance(kf, RobustExtendedKalmanFilter) and (
+        type(kf).predict_x is not RobustExtendedKalmanFilter.predict_x or "predict_x" in vars(kf)
+    )  # fmt: skip
+    values = {
+        "n": n, "m": m, "inputs": inputs, "extended": extended, "mixes": mixed, "fades": "alpha_sq" in model,
+        "moves": own_motion, "or": "never" if own_motion else "or",
+        "alpha_sq": "model->alpha_sq" if "alpha_sq" in model else "REAL(1.0)",
+        "innovation": "residual(z, h(x))" if extended else "z - H x",
+        "example_u": ", u" * bool(inputs), "example_sensor": ", &sensor" * extended,
+        "example_motion": (", &motion" if own_motion else ", NULL") * extended,
+        "motion_parameter": f", const {name}_motion *motion" * extended,
+        "sensor_parameter": f", const {name}_sensor *sensor" * extended,
+        "predict_parameter": f", const {name}_real u[{inputs}]" * bool(inputs),
+        "control_given": "(u != NULL) ? control : NULL" if inputs else "NULL",
+        "control_too": " || (u != NULL)" * bool(inputs),
+    }  # fmt: skip
+    part = _mixture if mixed else _bounded
+    headers, said, own, start, shown, remark = part(kf, name, x, P, model)
+    if extended:
+        headers = ("real", "prediction", *headers[1:]) if mixed else (*headers, "moments")
+        start = {field: value for field, value in start.items() if field in ("x", "P", "memory")}
+        own = {**own, "copies": ""}
+        remark += f" h, f and their Jacobians are yours: see {name}_sensor and {name}_motion."
+    text = "extended" if extended else "mixture" if mixed else "filter"
+    title = f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), {said}"
+    values = {**values, **own, "remark": f"A component of z that is NaN is missing. {remark}"}
+    return Described(title, headers, text, "filter", values, {**model, **shown}, start)
+
+
+_Part = tuple[tuple[str, ...], str, dict[str, Any], dict[str, Any], dict[str, Any], str]
+
+
+def _bounded(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _Part:
+    """Return headers, choices in words, names, start, fields and a remark of a filter that corrects by psi."""
+    choices, m = kf.choices, kf.dim_z
     joint = m > 1 and choices.grouping != "component"
     if joint:
         _require_joint(choices, model["R"])
-    start = {"x": finite("x", x.ravel(), (n,)), "P": symmetric("P", P)}
-    # Linear, which cannot become anything else at run time, has no thresholds to learn for.
-    if choices.scaling == "learnt" and psi_of(choices)[0] != "linear":
-        start["memory"] = finite("memory", sensor_memory(kf, "spread"), (m, NUMBERS))
-    return Described(
-        f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), {shown(choices)}",
-        ("real", "psi", "prediction", "correction", *(("joint",) if joint else ()), "spread", "update"), "filter",
-        {**matrix_values(model, name), **choice_values(choices, name)}
-        | {
-            "memory_field": f"    {name}_real memory[{m} * {NUMBERS}]; /* what is usual of each sensor's innovations */"
-            if "memory" in start
-            else "",
-            "copies_fields": "",
-            "grouping": "    static const real normalizers[JOINT_MOST] = {0}; /* of a likelihood nobody asks for */"
-            if joint
-            else "",
-            "joint": "normalizers" if joint else "NULL",
-            "remark": f"For another threshold at run time change a copy of {name}_default.",
-            "shown_fields": f"""    {name}_real e[{m}];      /* the same, standardized */
-    {name}_real weight[{m}]; /* psi(e)/e: 1 is full trust; NaN where missing */""",
-            "influence_fields": influence_declarations(choices, name),
-        },
-        model, start, parts={"refusal": "refusal.c"},
-    )  # fmt: skip
+    values = choice_values(choices, name)
+    start = {"x": finite("x", x.ravel(), x.shape[:1]), "P": symmetric("P", P)}
+    if values["learns"]:
+        start["memory"] = finite("memory", _sensor_memory(kf, "spread"), (m, NUMBERS))
+    headers = "real", "psi", "prediction", "correction", *(("joint",) if joint else ()), "spread", "update"
+    values |= {"width": NUMBERS, "copies": "", "joint": joint, "normalizers": "normalizers" if joint else "NULL"}
+    remark = f"For another threshold at run time change a copy of {name}_default."
+    return headers, shown(choices), values, start, influence_fields(choices), remark
+
+
+def _mixture(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _Part:
+    """Return the same of a filter that weighs what its noise may have been."""
+    n, m, numbers = len(x), kf.dim_z, kf.policy.rule
+    q, K = int(numbers[0]), int(numbers[1])
+    process, scales, begin = np.split(numbers[_HEAD:], [q, q + K])
+    # One copy, which is x and P themselves, is not kept apart.
+    one = start_of_copies(x.ravel(), P, process_scales(None)).packed
+    state: dict[str, Any] = dict(zip(("means", "covariances", "belief"), one, strict=True)) | kf.state()
+    copies = len(state["means"])
+    for covariance in (P, *state["covariances"]):
+        symmetric("P", covariance)
+    # As they stand: what is symmetric but for the last bit has to go on as it would in Python.
+    start = {
+        "x": finite("x", x.ravel(), (n,)), "P": P, "means": finite("x", state["means"], (copies, n)),
+        "covariances": np.concatenate(state["covariances"]), "belief": state["belief"].ravel(),
+        "memory": finite("memory", _sensor_memory(kf, "learnt"), (m, len(begin))),
+    }  # fmt: skip
+    values = {
+        "copies": copies, "parts": len(state["belief"]), "width": len(begin), "q": q, "K": K, "learns": "",
+        "process": _listed(process), "scales": _listed(scales), "begin": _listed(begin),
+        "numbers": _listed(numbers[2:6]), "adapts": int(numbers[6]), "influence_fields": "",
+    }  # fmt: skip
+    remark = f"A step that Python leaves to its definition is refused, {name.upper()}_SINGULAR."
+    headers = "real", "psi", "correction", "spread", "update", "repeats", "learnt"
+    return headers, f"noise={kf.noise!r}, process={kf.process!r}", values, start, {}, remark
+
+
+def _listed(values: Iterable[float]) -> str:
+    """Return numbers as C writes them, of its own type."""
+    written = ", ".join(f"REAL({float(value)!r})" for value in values)
+    return textwrap.fill(written, 110, initial_indent=" " * 4, subsequent_indent=" " * 4)
 
 
 def _require_joint(choices: Choices, R: Array) -> None:
@@ -71,7 +160,7 @@ def _require_joint(choices: Choices, R: Array) -> None:
         )
 
 
-def matrices(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> dict[str, Any]:
+def _matrices(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> dict[str, Any]:
     """Return the matrices of a filter, as the model in C has them, or raise."""
     n, m, B = kf.dim_x, kf.dim_z, _control(kf.B, kf.dim_x)
     F = finite("F", kf.F, (n, n))
@@ -82,76 +171,33 @@ def matrices(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> dict[str, A
     return model if alpha_sq == 1.0 else model | {"alpha_sq": alpha_sq}
 
 
-def sensor_memory(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Array:
+def _sensor_memory(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Array:
     """Return what a filter knows of its sensors, by its name in a state: nothing before the first correction."""
     nothing = kf.policy.begin(kf.dim_z)
     memory = kf.state().get(name, nothing)
     return memory if len(memory) == len(nothing) else nothing
 
 
-def matrix_values(model: dict[str, Any], name: str) -> dict[str, str]:
-    """Return what the C of a filter with these matrices has for them."""
-    fades = "alpha_sq" in model
-    return _control_values(model["B"].shape[1] if "B" in model else 0, name) | {
-        "n": str(n := len(model["F"])),
-        "m": str(m := len(model["R"])),
-        "sensor_field": f"    {name}_real H[{m} * {n}]; /* z(k) = H x(k) + v(k) */",
-        "innovation": "z - H x",
-        **dict.fromkeys(
-            ("example_motion", "example_sensor", "motion_parameter", "sensor_parameter", "or_functions", "functions"),
-            "",
-        ),
-        "alpha_sq": "model->alpha_sq" if fades else "REAL(1.0)",
-        "alpha_field": f"    {name}_real alpha_sq; /* P is multiplied by it at each prediction */" if fades else "",
-    }
-
-
-def choice_values(choices: Choices, name: str) -> dict[str, str]:
+def choice_values(choices: Choices, name: str) -> dict[str, Any]:
     """Return the choices of a filter as the kernel names them."""
-    kind, numbers = psi_of(choices)
+    kind, numbers = cast("tuple[str, dict[str, float]]", choices.kernel_psi)
+    # Linear, which cannot become anything else at run time, has no thresholds to learn for.
     learns = choices.scaling == "learnt" and kind != "linear"
-    scaling = f"SCALING_{choices.scaling.upper()}" if learns or choices.scaling != "learnt" else "SCALING_INNOVATION"
-    fields = [f"    rule.psi.{own} = model->{field};" for own, field in zip("abc", numbers, strict=False)]
-    if choices.information == "expected":
-        fields.append("    rule.expected = model->expected;")
-    if learns and kind == "huber":
-        # The definition's way: without a threshold it is the Kalman filter.
-        fields.append("    rule.scaling = real_is_finite(model->threshold) ? SCALING_LEARNT : SCALING_INNOVATION;")
+    scaling = choices.scaling if learns or choices.scaling != "learnt" else "innovation"
+    meant = {"threshold": "standard deviations", "df": "degrees of freedom"}
     return {
-        "kind": f"PSI_{kind.upper()}",
-        "scaling": scaling,
+        "kind": f"PSI_{kind.upper()}", "scaling": f"SCALING_{scaling.upper()}",
         "information": f"INFORMATION_{choices.information.upper()}",
-        "rule": "\n".join(fields),
-        "expected_field": f"    {name}_real expected; /* E[psi'], which belongs to the psi above */"
-        if choices.information == "expected"
-        else "",
+        "rule": "\n".join(f"    rule.psi.{own} = model->{field};" for own, field in zip("abc", numbers, strict=False)),
+        "influence_fields": "\n".join(
+            f"    {name}_real {field}; /* of psi: {meant.get(field, 'a corner, in standard deviations')} */"
+            for field in numbers
+        ),
+        "expected": choices.information == "expected", "learns": learns,
+        # The definition's way: without a threshold it is the Kalman filter.
+        "may_be_linear": learns and kind == "huber",
         "memory": "(spread_memory *)next.memory" if learns else "NULL",
-    }
-
-
-def _control_values(inputs: int, name: str) -> dict[str, str]:
-    """Return what the C of a filter with so many control inputs has for them."""
-    if not inputs:
-        empty = ("inputs_define", "control_field", "example_u", "predict_parameter", "control", "control_sum")
-        comment = "/* Predict the next state. */"
-        return {**dict.fromkeys(empty, ""), "control_given": "NULL", "predict_comment": comment}
-    return {
-        "inputs_define": f"#define {name.upper()}_INPUTS {inputs}",
-        "control_field": f"    {name}_real B[{name.upper()}_STATES * {inputs}];",
-        "example_u": ", u",
-        "predict_parameter": f", const {name}_real u[{inputs}]",
-        "predict_comment": "/* Predict the next state, with the control input u, or without where u is NULL. */",
-        "control": "    real control[N] = {0};",
-        "control_given": "(u != NULL) ? control : NULL",
-        "control_sum": f"""    for (int k = 0; (k < {inputs}) && (u != NULL); k++) {{
-        if (!real_is_finite(u[k])) {{
-            return {name.upper()}_BAD_ARGUMENT;
-        }}
-        for (int i = 0; i < N; i++) {{
-            control[i] += model->B[i * {inputs} + k] * u[k];
-        }}
-    }}""",
-    }
+    }  # fmt: skip
 
 
 def require_own(kf: Any, name: str) -> None:
@@ -184,19 +230,8 @@ def require_plain(kf: Any, name: str) -> None:
 
 def influence_fields(choices: Choices) -> dict[str, Any]:
     """Return the parameters of psi, and E[psi'] where that is asked for."""
-    fields: dict[str, Any] = psi_of(choices)[1].copy()
-    if choices.information == "expected":
-        fields["expected"] = float(choices.expected)
-    return fields
-
-
-def influence_declarations(choices: Choices, name: str) -> str:
-    """Return the fields of a model that are psi's."""
-    meant = {"threshold": "standard deviations", "df": "degrees of freedom"}
-    return "\n".join(
-        f"    {name}_real {field}; /* of psi: {meant.get(field, 'a corner, in standard deviations')} */"
-        for field in psi_of(choices)[1]
-    )
+    expected = {"expected": float(choices.expected)} if choices.information == "expected" else {}
+    return {**cast("tuple[str, dict[str, float]]", choices.kernel_psi)[1], **expected}
 
 
 def shown(choices: Choices) -> str:
@@ -230,8 +265,3 @@ def _control(B: Any, n: int) -> Array | None:
     if control.size % n or (control.ndim and len(control) != n):
         raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(control)}")
     return finite("B", control.reshape(n, -1), (n, control.size // n))
-
-
-def psi_of(choices: Choices) -> tuple[str, dict[str, float]]:
-    """Return the kernel's name of psi, and its numbers; of an export that was not refused it has both."""
-    return cast("tuple[str, dict[str, float]]", choices.kernel_psi)

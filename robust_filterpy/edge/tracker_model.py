@@ -8,15 +8,14 @@ import numpy as np
 
 from robust_filterpy._arrays import process_noise
 from robust_filterpy.edge.filter_model import (
+    Described,
     choice_values,
     finite,
-    influence_declarations,
     influence_fields,
     require_plain,
     shown,
     symmetric,
-)
-from robust_filterpy.edge.text import Described
+)  # fmt: skip
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import ParameterTracker
 
@@ -63,15 +62,13 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
             "set scaling='innovation' before the export"
         )
     model, start = _model(tracker), _start(tracker)
-    values = {
-        **choice_values(choices, name),
-        "influence_fields": influence_declarations(choices, name),
-        **_values(tracker, model, start),
-    }
     return Described(
         f"{name}: ParameterTracker({tracker.structure}), {shown(choices)}",
-        ("real", "psi", "prediction", "correction", "mend", "repeats", "tracker"), "tracker",
-        {**values, "model_fields": _declared(model, name), "state_fields": _declared(start, name)},
+        ("real", "psi", "prediction", "correction", "mend", "repeats", "tracker"), "tracker", "tracker",
+        {
+            **choice_values(choices, name), **_values(tracker, model, start),
+            "model_fields": _declared(model, name), "state_fields": _declared(start, name),
+        },
         {**model, **influence_fields(choices)}, {**start, "enabled": int(tracker.enabled)},
     )  # fmt: skip
 
@@ -113,33 +110,22 @@ def _declared(table: dict[str, Any], name: str) -> str:
     return "\n".join(f"    {name}_real {field}{size}; /* {_MEANT[field]} */" for field, size in sizes.items())
 
 
-def _values(tracker: ParameterTracker, model: dict[str, Any], start: dict[str, Any]) -> dict[str, str]:
+def _values(tracker: ParameterTracker, model: dict[str, Any], start: dict[str, Any]) -> dict[str, Any]:
     """Return what the text of a tracker names, besides its choices."""
     structure, name = tracker.structure, list(tracker.structure.names)
     if tracker.form.has_offset:
         name.insert(structure.constant_place, "constant")
-    numbers = tracker.form.layout.numbers.tolist()
-    counts, starts = numbers[:12], numbers[11]
-    lists = {"start": numbers[12 : 12 + starts], "used": numbers[12 + starts : 12 + 2 * starts]}
-    lists["source"] = numbers[12 + 2 * starts :]
-    places = [f"static const int {one}[] = {{{', '.join(map(str, own))}}};" for one, own in lists.items() if own]
-    follows, filtered = "R_memory" in model, "prefiltered" in start or "gradients" in start
-    own = ["    how.learns = state->enabled;", "    how.Q = model->Q;"]
-    own += ["    how.F = model->F;"] * ("F" in model)
-    own += ["    how.alpha_sq = model->alpha_sq;", "    how.windup = model->windup;"] * ("alpha_sq" in model)
-    scale = ("state->R", "state->R_samples", "model->R_mean", "model->R_memory", "model->R_rounding")
-    fields = [f"    next.{one} = state->{one};" for one in start if one not in ("R", "R_samples")]
-    fields += [f"    scale[{i}] = {one};" for i, one in enumerate(scale if follows else ("model->R", *"0100"))]
-    followed = ["    state->R = scale[0];", "    state->R_samples = scale[1];"] * follows
+    counts, places = np.split(tracker.form.layout.numbers, [12])
+    parts = np.split(places, [counts[11], 2 * counts[11]])
+    lists = dict(zip(("start", "used", "source"), (", ".join(map(str, one.tolist())) for one in parts), strict=True))
     return {
-        "n": str(tracker.form.layout.n), "inputs": str(structure.n_inputs), "names": ", ".join(name),
-        "inputs_or_one": str(max(structure.n_inputs, 1)), "places": "\n".join(places),
-        "layout": ", ".join([*map(str, counts), *(one if own else "NULL" for one, own in lists.items())]),
-        "filtered": str(int(filtered)), "guard": f"GUARD_{tracker.guard.upper()}",
-        "cleans": str(int(tracker.form.cleans)), "judges": str(int(tracker.form.judges)),
-        "followed": "\n".join(followed),
-        "fields": "\n".join([*fields, "    next.scale = scale;"]),
-        "minus_centre": " - model->centre" if tracker.form.has_offset else "",
-        "plus_centre": " + model->centre" if tracker.form.has_offset else "",
-        "own_rule": "\n".join(own),
+        **lists, "layout": ", ".join([*map(str, counts.tolist()), *(one if lists[one] else "NULL" for one in lists)]),
+        "n": tracker.form.layout.n, "inputs": structure.n_inputs, "names": ", ".join(name),
+        "inputs_or_one": max(structure.n_inputs, 1), "guard": f"GUARD_{tracker.guard.upper()}",
+        "filtered": int("prefiltered" in start or "gradients" in start), "cleans": int(tracker.form.cleans),
+        "judges": int(tracker.form.judges), "follows": "R_memory" in model, "fades": "alpha_sq" in model,
+        "moves": "F" in model,
+        "fields": "\n".join(f"    next.{one} = state->{one};" for one in start if one not in ("R", "R_samples")),
+        "minus_centre": " - model->centre" * tracker.form.has_offset,
+        "plus_centre": " + model->centre" * tracker.form.has_offset,
     }  # fmt: skip

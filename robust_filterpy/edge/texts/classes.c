@@ -14,5 +14,5 @@ $begin
 };
 static const learnt_rule rule = {
     $q, CLASSES, process, scales, begin,
-$numbers, $learns, NULL, 0, 0, NULL
+$numbers, $adapts, NULL, 0, 0, NULL
 };

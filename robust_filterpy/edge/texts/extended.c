@@ -1,19 +1,22 @@
-$refusal
-$classes
+$!mixes $include refusal.c
+$?mixes $include classes.c
 ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state,
                                const ${name}_motion *motion$predict_parameter)
 {
     ${name}_state next;
     real work[predict_work(N)], moved[N] = {0}, F[N * N] = {0}, check = 0;
-$control
+$?inputs     real control[N] = {0};
     if ((model == NULL) || (state == NULL)) {
         return ${NAME}_BAD_ARGUMENT;
     }
-$motion_needed
+$?moves     /* This filter's predict_x is its own: f alone knows the motion. */
+$?moves     if (motion == NULL) {
+$?moves         return ${NAME}_BAD_ARGUMENT;
+$?moves     }
     if ((motion != NULL) && ((motion->f == NULL) || (motion->jacobian == NULL)$control_too)) {
         return ${NAME}_BAD_ARGUMENT;
     }
-$control_sum
+$?inputs $include control.c
     next = *state;
     if (motion != NULL) {
         motion->f(state->x, moved, motion->context);
@@ -38,7 +41,14 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
                               const ${name}_real z[$m], ${name}_shown *shown)
 {
     ${name}_state next;
-$correction_needs
+$?mixes     learnt_state s;
+$?mixes     real work[learnt_correct_work(N, M, 1, CLASSES)] = {0};
+$?mixes     real weights[M], outlying[M], belief[3 * N] = {0}, likelihood = 0;
+$?joint     static const real normalizers[JOINT_MOST] = {0}; /* of a likelihood nobody asks for */
+$!mixes     correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $normalizers};
+$!mixes     correction c;
+$!mixes     real work[update_moments_work(N, M)] = {0};
+$!mixes     int seen = 0;
     real at[M] = {0}, filled[M], y[M], H[M * N] = {0}, check = 0;
     if ((model == NULL) || (state == NULL) || (z == NULL) || (sensor == NULL)) {
         return ${NAME}_BAD_ARGUMENT;
@@ -51,7 +61,7 @@ $correction_needs
             return ${NAME}_BAD_ARGUMENT;
         }
     }
-$rule
+$!mixes $include rule.c
     sensor->h(state->x, at, sensor->context);
     sensor->jacobian(state->x, H, sensor->context);
     /* What is missing is as predicted where the residual looks at it. */
@@ -73,7 +83,8 @@ $rule
         return ${NAME}_NOT_FINITE;
     }
     next = *state;
-$correction
+$!mixes $include bounded.c
+$?mixes $include mixed.c
     *state = next;
     return ${NAME}_OK;
 }

@@ -1,13 +1,13 @@
-$refusal
+$include refusal.c
 ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$predict_parameter)
 {
     ${name}_state next;
     real work[predict_work(N)];
-$control
+$?inputs     real control[N] = {0};
     if ((model == NULL) || (state == NULL)) {
         return ${NAME}_BAD_ARGUMENT;
     }
-$control_sum
+$?inputs $include control.c
     next = *state;
     if (!predict(N, state->x, state->P, model->F, model->Q, $control_given, $alpha_sq,
                  next.x, next.P, work)) {
@@ -21,8 +21,8 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
                               ${name}_shown *shown)
 {
     ${name}_state next;
-$grouping
-    correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $joint};
+$?joint     static const real normalizers[JOINT_MOST] = {0}; /* of a likelihood nobody asks for */
+    correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $normalizers};
     correction c;
     real work[update_work(N, M)] = {0};
     if ((model == NULL) || (state == NULL) || (z == NULL)) {
@@ -33,7 +33,7 @@ $grouping
             return ${NAME}_BAD_ARGUMENT;
         }
     }
-$rule
+$include rule.c
     next = *state;
     correction_begin(N, M, 0, &c, work);
     if (!update(N, M, &rule, z, model->H, model->R, NULL, $memory,

@@ -23,7 +23,7 @@ extern "C" {
 
 #define ${NAME}_STATES $n
 #define ${NAME}_SENSORS $m
-$inputs_define
+$?inputs #define ${NAME}_INPUTS $inputs
 
 typedef $real ${name}_real;
 
@@ -33,41 +33,53 @@ typedef enum {
     ${NAME}_BAD_ARGUMENT = 1, /* a null pointer, an input that is not finite, a measurement of $largest or more */
     ${NAME}_SINGULAR = 2,     /* S = H P H' + R has no inverse, or a sensor is told by the others to the last digit */
     ${NAME}_INDEFINITE = 3,   /* scaling "unit" would make P indefinite, or singular */
-    ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding$or_functions */
+$!extended     ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding */
+$?extended     ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding;
+$?extended                                  or one of your functions wrote what is not */
 } ${name}_status;
 
-$functions
+$?extended $include functions.h
 
 /* The model; matrices are flat, row by row. */
 typedef struct {
     ${name}_real F[$n * $n]; /* x(k+1) = F x(k) + B u(k) + w(k) */
-$control_field
+$?inputs     ${name}_real B[${NAME}_STATES * $inputs];
     ${name}_real Q[$n * $n]; /* covariance of w */
-$sensor_field
+$!extended     ${name}_real H[$m * $n]; /* z(k) = H x(k) + v(k) */
     ${name}_real R[$m * $m]; /* covariance of v */
-$alpha_field
+$?fades     ${name}_real alpha_sq; /* P is multiplied by it at each prediction */
 $influence_fields
-$expected_field
+$?expected     ${name}_real expected; /* E[psi'], which belongs to the psi above */
 } ${name}_model;
 
 /* What moves. */
 typedef struct {
     ${name}_real x[$n];
     ${name}_real P[$n * $n]; /* covariance of x, symmetric */
-$memory_field
-$copies_fields
+$?learns     ${name}_real memory[$m * $width]; /* what is usual of each sensor's innovations */
+$?copies     /* The copies that x and P are merged from; who writes x or P writes them all. */
+$?copies     ${name}_real means[$copies * $n];
+$?copies     ${name}_real covariances[$copies * $n * $n];
+$?copies     ${name}_real belief[$parts * $n]; /* for each state: how likely each copy, a jump; part */
+$?mixes     ${name}_real memory[$m * $width]; /* what is known of each sensor; the first is the factor of its R */
 } ${name}_state;
 
 /* What an update found of each component. */
 typedef struct {
     ${name}_real y[$m];      /* innovation $innovation, 0 where missing */
-$shown_fields
+$!mixes     ${name}_real e[$m];      /* the same, standardized */
+$!mixes     ${name}_real weight[$m]; /* psi(e)/e: 1 is full trust; NaN where missing */
+$?mixes     ${name}_real outlying[$m]; /* probability that it was an outlier, 0 where missing */
+$?mixes     ${name}_real weight[$m];   /* 1 is full trust; NaN where missing */
 } ${name}_shown;
 
 extern const ${name}_model ${name}_default;
 extern const ${name}_state ${name}_start;
 
-$predict_comment
+$!extended $!inputs /* Predict the next state. */
+$!extended $?inputs /* Predict the next state, with the control input u, or without where u is NULL. */
+$?extended $!inputs /* Predict the next state by f; $or by F, where motion is NULL. */
+$?extended $?inputs /* Predict the next state by f; $or by F, where motion is NULL, and then with the control input u, unless that is NULL. */
 ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$motion_parameter$predict_parameter);
 
 /* Correct the state by a measurement z; what it found goes into `shown`, unless that is NULL. */

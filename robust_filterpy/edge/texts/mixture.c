@@ -1,4 +1,4 @@
-$classes
+$include classes.c
 #define COPIES $copies
 
 static learnt_state copies_of(${name}_state *const state)
@@ -12,11 +12,11 @@ ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$
     ${name}_state next;
     learnt_state s;
     real work[learnt_predict_work(N, COPIES)];
-$control
+$?inputs     real control[N] = {0};
     if ((model == NULL) || (state == NULL)) {
         return ${NAME}_BAD_ARGUMENT;
     }
-$control_sum
+$?inputs $include control.c
     next = *state;
     s = copies_of(&next);
     if (!learnt_has_parts(N, &rule, &s)) {

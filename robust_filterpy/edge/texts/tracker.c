@@ -2,7 +2,9 @@
 #define N ${NAME}_PARAMETERS
 
 /* Where everything stands in phi. */
-$places
+$?start static const int start[] = {$start};
+$?used static const int used[] = {$used};
+$?source static const int source[] = {$source};
 static const tracker_layout layout = {$layout};
 
 /* What the kernel says of a sample that it declines. */
@@ -25,15 +27,31 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
             return ${NAME}_BAD_ARGUMENT;
         }
     }
-$rule
+$include rule.c
     how.correction = rule;
-$own_rule
+    how.learns = state->enabled;
+    how.Q = model->Q;
+$?moves     how.F = model->F;
+$?fades     how.alpha_sq = model->alpha_sq;
+$?fades     how.windup = model->windup;
 $fields
+$!follows     scale[0] = model->R;
+$!follows     scale[1] = 0;
+$!follows     scale[2] = 1;
+$!follows     scale[3] = 0;
+$!follows     scale[4] = 0;
+$?follows     scale[0] = state->R;
+$?follows     scale[1] = state->R_samples;
+$?follows     scale[2] = model->R_mean;
+$?follows     scale[3] = model->R_memory;
+$?follows     scale[4] = model->R_rounding;
+    next.scale = scale;
     y = ((y == y) ? tracker_bounded(y) : y)$minus_centre;
     if (!tracker_step(&layout, N, &how, &next, y, u, (real)NAN, &found, work)) {
         return refusals[found.refused];
     }
-$followed
+$?follows     state->R = scale[0];
+$?follows     state->R_samples = scale[1];
     if (sample != NULL) {
         sample->prediction = found.prediction$plus_centre;
         sample->residual = found.residual;

@@ -42,7 +42,7 @@ typedef enum {
 typedef struct {
 $model_fields
 $influence_fields
-$expected_field
+$?expected     ${name}_real expected; /* E[psi'], which belongs to the psi above */
 } ${name}_model;
 
 /* What moves; past signals newest first. */

@@ -1,0 +1,8 @@
+    for (int k = 0; (k < $inputs) && (u != NULL); k++) {
+        if (!real_is_finite(u[k])) {
+            return ${NAME}_BAD_ARGUMENT;
+        }
+        for (int i = 0; i < N; i++) {
+            control[i] += model->B[i * $inputs + k] * u[k];
+        }
+    }
