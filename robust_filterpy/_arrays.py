@@ -180,7 +180,7 @@ def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Array:
 def regardless(function: Any, *args: Any) -> Any:
     """Call a pure function; anew and without floating-point errors where the program has numpy raise them.
 
-    That underflow is 0 and overflow is told from the result, the functions of this package rely on. To set numpy's
+    That underflow is 0 and overflow is seen in the result, the functions of this package rely on. To set numpy's
     error state at every step would cost more than the few steps that are taken twice.
     """
     try:

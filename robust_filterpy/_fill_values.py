@@ -133,14 +133,14 @@ def _table(rows: Any) -> Array:
 
 
 def _is_far(finite: Array, value: float, others: Array, counts: Array) -> bool:
-    """Tell whether a value lies far outside the others, sorted, which occur so often, and in the signal beside them."""
+    """Tell whether a value lies far outside the others, sorted, with counts, and between ordinary ones in time."""
     places = np.cumsum(counts) - 0.5 * counts
     low, middle, high = np.interp(counts.sum() * np.array([0.01, 0.5, 0.99]), places, others)
     deviations = np.abs(others - middle)
     order = np.argsort(deviations)
     half = int(np.searchsorted(np.cumsum(counts[order]), 0.5 * counts.sum()))
     scale = _MAD_TO_SCALE * float(deviations[order][min(half, order.size - 1)])
-    # More than half of the others at one value: their width is all that is known.
+    # More than half of the others at one value: their width is all that there is.
     away = max(_FAR * scale, high - low)
     alone = float(np.abs(others - value).min()) > _FAR * scale
     if not (alone and bool(value > high + away or value < low - away)):

@@ -1,5 +1,5 @@
 """filterpy's filters, which the robust ones extend; the types of their attributes, which filterpy does not tell, are in
-the stub beside this page.
+the stub next to this page.
 """
 
 from __future__ import annotations

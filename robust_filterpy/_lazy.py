@@ -1,7 +1,7 @@
-"""Public names from one list: the stub beside a package's first page, which type checkers read too (PEP 562, SPEC 1).
+"""Public names from one list: the stub next to a package's first page, which type checkers read too (PEP 562, SPEC 1).
 
 Each line of the stub ``__init__.pyi`` is ``from package.module import name as name``; a line more is a name more. A
-name that is not in the list is looked for on the first pages of the rooms beside it, and its error says where it is.
+name that is not in the list is looked for on the first pages of its sister packages, and its error says where it is.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
     homes = _names(Path(file).with_suffix(".pyi"))
 
     def __getattr__(name: str) -> Any:
-        """Import a name of another module, or a room, when it is first asked for."""
+        """Import a name of another module, or a package, when it is first asked for."""
         if name in homes or (Path(file).parent / name / "__init__.py").exists():
             room = importlib.import_module(homes.get(name, f"{package}.{name}"))
             value = getattr(room, name) if name in homes else room
@@ -115,6 +115,6 @@ def _names(page: Path) -> dict[str, str]:
 
 
 def _rooms(folder: Path, name: str) -> list[str]:
-    """Return the rooms in a folder whose first page has a name: its stub, where it has one."""
+    """Return the packages in a folder whose first page has a name: its stub, where it has one."""
     pages = {page.parent.name: page for suffix in ("py", "pyi") for page in folder.glob(f"[a-z]*/__init__.{suffix}")}
     return sorted(room for room, page in pages.items() if name in _names(page))

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 # What takes less is not waited for.
 _SHORT: Final = 2.0
-# What comes next is told once the time has grown by this share: a call of an hour tells some 20 lines.
+# What comes next is said once the time has grown by this share: a call of an hour tells some 20 lines.
 _GROWN: Final = 0.5
 
 

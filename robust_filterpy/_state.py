@@ -19,7 +19,7 @@ LABEL: Final = "format"
 #: Shape of an array: sizes, and None for any.
 Shape = tuple[int | None, ...]
 
-# Arrays of a state that are covariances, or stacks of them, and what `_checks.covariance` is told of them.
+# Arrays of a state that are covariances, or stacks of them, and what `_checks.covariance` is given for them.
 _MOVING: Final = {"slack": _checks.GATHERED, "gathered": _checks.ROUNDING}
 _COVARIANCES: Final[dict[str, dict[str, float]]] = {
     **{name: _MOVING for name in ("P", "R", "covariances", "prior_P", "window_R")},

@@ -3,7 +3,7 @@
 * `sktime`: `RobustKalmanTransformer`, a transformer of series with fit and transform.
 * `darts`: `RobustKalmanModel`, a filtering model of Darts.
 * `river`: `RiverTracker`, a tracker as a regressor of river.
-* `series`: what the first two share: a model where none was told, its noises, the estimates.
+* `series`: what the first two share: a model where none was given, its noises, the estimates.
 
 Nothing imports these modules::
 

@@ -1,4 +1,4 @@
-"""A filtering model of Darts, beside its `KalmanFilter` and `MovingAverageFilter`.
+"""A filtering model of Darts, next to its `KalmanFilter` and `MovingAverageFilter`.
 
 This module imports Darts, and nothing imports this module::
 

@@ -77,7 +77,7 @@ class Diagnosis:
     clipped : ndarray, shape (m,)
         Share of clipped innovations.
     clipped_expected : ndarray, shape (m, 2)
-        That share without outliers, and with the contamination that psi is made for, that is told, or the one given;
+        That share without outliers, and with the contamination that psi is made for, that is nominal, or the one given;
         NaN where the noise is learned and no psi clips.
     longest_run : ndarray, shape (m,)
         Longest run of clipped samples.
@@ -137,7 +137,7 @@ class Diagnosis:
             lines.append(wrapped(f"In {self.samples} samples these would not have shown: {unseen}.", "  "))
         for i in range(len(self.observed)):
             low, high = self.clipped_expected[i]
-            # Learnt noise has no threshold, so that nothing is known beforehand.
+            # Learnt noise has no threshold, so that no share is expected.
             expected = "" if np.isnan(low) else f"expected {low:.0%} to {high:.0%}, "
             text = (
                 f"  z[{i}]: {self.observed[i]} of {self.samples} samples; {self.clipped[i]:.0%} clipped "
@@ -204,7 +204,7 @@ def diagnose(  # what filterpy's `batch_filter` takes, and two words
 
     Notes
     -----
-    Of one sensor and a state that follows it, a wrong H can often be told from a wrong Q by nothing in the data;
+    Of one sensor and a state that follows it, often nothing in the data tells a wrong H from a wrong Q;
     what is named then is the simplest repair. Factors below 2 of a variance are not reported. The causes are looked
     for in the first 4000 samples.
 

@@ -168,7 +168,7 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
 
 
 def _psi(kf: Any) -> Any:
-    """Return the influence function, None of a filter without one, as of one that weighs by noise told or learned."""
+    """Return the influence function, None of a filter without one, as of one that weighs by noise given or learned."""
     influence = getattr(kf, "influence", None)
     return influence if hasattr(influence, "psi_deriv") else None
 

@@ -42,7 +42,7 @@ class Repair:
     jump: Array | float = 0.0  # (n + m,), variances of what jumps there
 
     def then(self, other: Repair) -> Repair:
-        """Return both repairs, told as the second."""
+        """Return both repairs, described as the second."""
         rows = np.where(np.isnan(np.asarray(other.rows)), self.rows, other.rows)
         keep = self if other.jump_at < 0 else other
         return replace(

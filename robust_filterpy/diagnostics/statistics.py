@@ -33,7 +33,7 @@ def normalized(recording: FilterRecord) -> Array:
 
 
 def bulk(e: Array) -> tuple[float, float]:
-    """Return the scale of the ordinary values by the median, and the share of outliers beside them."""
+    """Return the scale of the ordinary values by the median, and the share of outliers among them."""
     # The median of |e| belongs to a higher quantile of the ordinary values the more outliers there are.
     size = np.abs(e[~np.isnan(e)])
     if not len(size):

@@ -32,7 +32,7 @@ _TEXTS: Final = Path(__file__).parent / "texts"
 _WIDTH: Final = 110
 _INDENT: Final = " " * 4
 
-# Headers of C, before which one of the same name beside the source would be found.
+# Headers of C, before which one of the same name next to the source would be taken.
 _STANDARD = frozenset(
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
     "stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype".split()
@@ -57,7 +57,7 @@ def export_c(
     """Write one C99 file and its header that step exactly this filter or tracker, from its present state.
 
     The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling and information, or with noise that
-    is told or learned (``noise=Contaminated()``, ``Learnt()``, ``process=Scales()``), or takes a sample as
+    is given or learned (``noise=Contaminated()``, ``Learnt()``, ``process=Scales()``), or takes a sample as
     `ParameterTracker.update` does. It allocates nothing, needs no library but math.h, and says by a status what Python
     says by an exception; a refused call changes nothing there either. NaN in a measurement is a missing component, an
     infinite one is refused.
@@ -69,10 +69,10 @@ def export_c(
         filter and its Jacobian are C functions of yours, which its header declares; so is the motion, where
         `predict_x` is overridden.
     path : path-like
-        The C file, such as "cart.c", in a folder that exists; the header stands beside it. Its stem is the prefix of
+        The C file, such as "cart.c", in a folder that exists; the header stands next to it. Its stem is the prefix of
         all names in C.
     precision : {"double", "single"}
-        Type of every number in C: double or float. Noise that is told or learned needs double.
+        Type of every number in C: double or float. Noise that is given or learned needs double.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def export_c(
     -----
     Not exported are the log-likelihood, a tracker's warnings, R of a single sample, and `update_correlated`. The
     threshold (or another parameter of psi) is a field of the model in C, and may be changed at run time. Under noise
-    that is told or learned a step that the package's kernel leaves to the definition (a state 1e6 times less certain
+    that is given or learned a step that the package's kernel leaves to the definition (a state 1e6 times less certain
     than its sensor) is refused by the C.
 
     Examples

@@ -85,7 +85,7 @@ def bootstrap_interval(
     ----------
     samples : array_like, shape (runs, ...), or a tuple of such arrays of the same runs
         What the runs gave. Several arrays are resampled together, run by run: filters compared on the same
-        noise share its luck, and their ratio is far better known than their errors.
+        noise share its luck, and their ratio is far more certain than their errors.
     statistic : {"mean", "median", "rms", "ratio"} or callable
         "ratio" is the mean of the first of two arrays over the mean of the second. A callable takes
         as many arrays as there are samples and, to be fast, ``axis``.

@@ -42,7 +42,7 @@ class Raised(NamedTuple):
 def _run(trial: Trial, root: SeedSequence, index: int) -> Any:
     """Do one run, wherever this is called."""
     try:
-        # What takes long inside of one run is not told: the study tells how many runs there are.
+        # What takes long inside of one run is not shown: the study says how many runs there are.
         with stages("run", progress=False):
             return trial(default_rng(child_of(root, index)))
     except (Exception, SystemExit) as error:

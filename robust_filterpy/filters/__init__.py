@@ -3,8 +3,8 @@
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
 * `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learned.
-* `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise told or learned, copies of the
-  state.
+* `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise given or learned, in several
+  models of the state.
 * `series`: `filter_series`, many recordings, the noise of each learned on request.
 * `driver`: many steps, by the kernel where it serves, else by the definition.
 * `ensemble`: the ensemble Kalman filter.

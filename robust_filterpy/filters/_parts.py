@@ -47,7 +47,7 @@ class Parts(NamedTuple):
         return cls(before, sensors, (*left, part), settings)
 
     def as_arrays(self) -> Correction:
-        """Return them beside each other."""
+        """Return them next to each other."""
         last: Any = _arrays(self.before)
         for part in self.parts:
             last = embed_block(last, _arrays(part.correction), part.start, self.sensors)

@@ -78,7 +78,7 @@ class RecordingMixin(Shell):
     def _read(self, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any) -> Problem | None:
         """Return a recording as arrays, None if the call is for the filter's own methods."""
         kf: Any = self
-        # Sensors of an H that is passed are known by its rows, which the filter's own methods look up.
+        # Sensors of an H that is passed are identified by its rows, which the filter's own methods look up.
         if Hs is not None and self._policy.learns:
             return None
         try:

@@ -55,5 +55,5 @@ class AdaptiveKalmanFilter(RobustKalmanFilter):
         process: Contaminated | Scales | str | None = Scales(),
         grouping: Grouping = "component",
     ) -> None:
-        """Set up filterpy's attributes, the copies and the noise."""
+        """Set up filterpy's attributes, the models and the noise."""
         super().__init__(dim_x, dim_z, dim_u, grouping=grouping, noise=noise, process=process)

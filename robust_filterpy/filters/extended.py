@@ -60,7 +60,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
     noise, patience : optional
-        As in `RobustKalmanFilter`; Q has to be told.
+        As in `RobustKalmanFilter`; Q has to be given.
     process : None
         What a linear filter takes; refused here.
 

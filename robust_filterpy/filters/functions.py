@@ -48,7 +48,7 @@ def update(
     return_all : bool, default False
         Whether y, K, S and log_likelihood are returned too.
     influence, scaling, information, grouping
-        As in `RobustKalmanFilter`; a single call has no custom to learn, so that "learnt" bounds nothing here.
+        As in `RobustKalmanFilter`; a single call knows no typical innovation, so "learnt" bounds nothing here.
 
     Returns
     -------

@@ -79,12 +79,12 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         or those named, such as ``((0, 1), (2,))``.
     noise : Contaminated, Learnt or "learnt", optional
         How measurements fail, instead of a bound: psi is then the score of what is given, or learned online, and
-        influence, scaling and information follow from it. R is the covariance of ordinary noise, told or, under
+        influence, scaling and information follow from it. R is the covariance of ordinary noise, given or, under
         `Learnt`, a guess that may be wrong by a factor of 1000 either way. Default: psi bounds what an innovation does.
     process : Scales, Contaminated or "scales", optional
-        What the process noise may be, with `noise`: copies of the filter that take it for s Q run side by side and are
+        What the process noise may be, with `noise`: models of the filter that take it for s Q run side by side and are
         weighed by their likelihood. `Scales` keep their scale for long and know jumps, `Contaminated` draws anew in
-        each step. Default: Q as told.
+        each step. Default: Q as given.
     patience : int, optional
         How many refused measurements in a row that agree are believed, >= 2: a redescending psi such as
         `TukeyBiweight` leaves out a run of outliers that is shorter, and comes back after a true jump in so many steps
@@ -129,11 +129,11 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     Notes
     -----
     ``y``, ``S``, ``SI`` and ``mahalanobis`` are those of the Kalman filter; ``K`` is the gain before psi, C T'T.
-    ``log_likelihood`` is that of the least favorable density, linear in \\|e\\| beyond the threshold, with S as told.
+    ``log_likelihood`` is that of the least favorable density, linear in \\|e\\| beyond the threshold, with S as given.
 
-    Under "learnt" nothing is an outlier before there is a custom: the very first reading is believed as the Kalman
-    filter believes it. Sensors that take turns through ``update(z, R, H)`` are told apart by their rows of H, or by
-    ``sensor=``. Where redundant sensors contradict one of them, the rest is charged to it as noise of its own; where a
+    Under "learnt" nothing is an outlier before there is a typical innovation: the very first reading is believed as
+    the Kalman filter believes it. Sensors that take turns through ``update(z, R, H)`` are distinguished by their rows
+    of H, or by ``sensor=``. Where redundant sensors contradict one of them, the rest is added to its variance; where a
     sensor's innovations keep their sign and height four times in a row and nobody contradicts, P grows and the state
     jumps. S and K are then those of the grown P.
 
@@ -146,8 +146,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     1975); ``S``, ``SI``, ``K``, ``e`` and ``mahalanobis`` are those of ordinary noise, as learned before the
     measurement, and x_post is not x_prior + K y_bounded. ``log_likelihood`` is that of the mixture;
     `update_steadystate` clips. Under `Learnt` an outlier is what exceeds most samples: if ordinary samples are no
-    longer the majority, the noise itself has grown. A program that assigns x or P assigns it to every copy. The larger
-    the scale_ratio that is told, the farther an outlier may lie, and the longer a jump of the state by less is taken
+    longer the majority, the noise itself has grown. A program that assigns x or P assigns it to every model. The larger
+    the scale_ratio that is given, the farther an outlier may lie, and the longer a jump of the state by less is taken
     for outliers. Under `patience` only `update` and `update_correlated` count, and what agrees for longer is a jump: a
     sensor that fails for good is believed in turn. Innovations agree only while H stays about the same, so patience is
     nothing for a `ParameterTracker`: give that `noise` and `process`.
@@ -239,7 +239,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         return predicted[:2]
 
     def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
-        """Return the predicted mean, in the shape of x, the covariance and what the policy keeps beside them."""
+        """Return the predicted mean, in the shape of x, the covariance and what else the policy keeps."""
         x, P = state_of(self)
         F, noise, Bu = self._transition(x.shape, u, B, F, Q)
         x, P, carried = self._policy.predicted(self._kept, x, P, F, noise, Bu, self._alpha_sq)
@@ -317,7 +317,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             Measurement matrix for this call, otherwise ``self.H``; z and R then have its height m.
         sensor : str or int, optional
             Whose reading it is, where several sensors take turns: what is learned of noise (or of how large innovations
-            usually are) belongs to it. Without, a sensor is told by its place in z, or by its row of an H that is
+            usually are) belongs to it. Without, a sensor is identified by its place in z, or by its row of an H that is
             passed; two that see the same through one row would have one noise.
 
         Raises
@@ -386,7 +386,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         return H, R, values, M
 
     def _corrected(self, x: Array, P: Array, values: Any, H: Array, R: Array, M: Any, before: Any) -> tuple[Any, Any]:
-        """Return the correction of x by checked values, and what the policy keeps beside it; changes nothing."""
+        """Return the correction of x by checked values, and what else the policy keeps; changes nothing."""
 
         def correct(before: Any, P: Array) -> Any:
             """Correct with this P."""
@@ -447,7 +447,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         S = self.S if np.shape(self.S) == (m, m) and np.any(self.S) else H.dot(P).dot(H.T) + R
         values = np.atleast_1d(values)
         y = values - finite_product(H, x.ravel())
-        # Of the correction by this S only what psi leaves of y is used: the gain is K. Nothing insists.
+        # Of the correction by this S only what psi leaves of y is used: the gain is K. No refusal counts.
         before, C = self._known(m)._replace(kept=None), P @ H.T
         correction: Any = None
         if self._inverse is None:
@@ -537,7 +537,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         self._as_posterior()
 
     def _whole_memory(self) -> Array | None:
-        """Return what is known of all sensors of z under scaling "learnt", None where nothing is learned."""
+        """Return the memory of all sensors of z under scaling "learnt", None where nothing is learned."""
         return self._known(self.dim_z).memory if self._learns_spread else None
 
     def batch_filter(

@@ -243,7 +243,7 @@ def look_for_stuck(kf: Any, weights: Array, first: int | None = None) -> None:
 
 
 def look_for_repeats(kf: Any, memory: Array, before: Array | None = None) -> None:
-    """Warn, once for each filter, if far readings that repeat the one before are taken for missing by custom."""
+    """Warn, once for each filter, if far readings that repeat the one before are taken for missing under "learnt"."""
     more = memory[:, FILLED] > (0.0 if before is None else before[:, FILLED])
     repeats = np.flatnonzero(more & ((memory[:, HELD] > 0.0) | (before is not None)))
     if len(repeats):

@@ -1,10 +1,10 @@
 """What judges a filter's measurements: one of two policies, and which of them was asked for.
 
-`Bounded` lets psi bound what an innovation does, and `patience` how long one that is refused may insist; `Mixture`
-weighs what noise may have been, told or learned: copies of the state, each corrected under every class of noise and
-weighed; who assigns x or P from outside has assigned it to every copy. A policy never changes. What it knows is the
-filter's, arrays and tuples that are never written to: a memory, one row for each sensor, and what it keeps besides
-(copies of the state, a count). It is handed to every call, and what comes back takes its place when the whole call has
+`Bounded` lets psi bound what an innovation does, and opens P after as many refusals that agree as `patience` says;
+`Mixture` weighs what noise may have been, given or learned: models of the state, each corrected under every class of
+noise and weighed; who assigns x or P from outside has assigned it to every model. A policy never changes. What it knows
+is the filter's, arrays and tuples that are never written to: a memory, one row for each sensor, and what else it keeps
+(models of the state, a count). It is handed to every call, and what comes back takes its place when the whole call has
 gone well: so a refused call changes nothing, and a filter is copied, stored and put back without asking the policy. A
 correction is a `Correction`, or has its x, P, memory, weights and log_density and makes one by ``as_arrays``; that of
 `corrected` is by a linear sensor, z of shape (m,) with NaN where missing. Which steps are the kernel's is a policy's
@@ -68,7 +68,7 @@ class Known(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """The copies, and the x and P merged from them."""
+    """The models, and the x and P merged from them."""
 
     means: Array
     """Shape (q, n)."""
@@ -83,7 +83,7 @@ class Kept(NamedTuple):
 
     @property
     def hypotheses(self) -> Copies:
-        """The copies alone."""
+        """The models alone."""
         return Copies.unpacked(*self[:3])
 
 
@@ -120,7 +120,7 @@ class Bounded:
 
     @cached_property
     def unwatched(self) -> bool:
-        """Whether nothing is looked at after a step of the kernel: whether innovations insist, or clip."""
+        """Whether nothing is looked at after a step of the kernel: whether innovations are refused, or clip."""
         return self.by_kernel and self.choices.scaling != "innovation" and self.choices.kernel_psi is not None
 
     @property
@@ -129,7 +129,7 @@ class Bounded:
         return self.choices.by_custom
 
     def begin(self, sensors: int) -> Array:
-        """Return the memory of sensors of which nothing is known."""
+        """Return the memory of sensors of which nothing was learned."""
         return spread.begin(sensors)
 
     def start(self, x: Array, P: Array, sensors: int) -> Insistence | None:
@@ -164,7 +164,7 @@ class Bounded:
         self, before: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction, Any]:  # fmt: skip
-        """Return the correction, P widened where refused innovations have insisted for long enough."""
+        """Return the correction, P widened where enough refused innovations agreed."""
         if self.learns:
             last = correct_by_custom(before.memory, x, P, innovation, self.choices, inv is not None)
         else:
@@ -181,7 +181,7 @@ class Bounded:
         return (last, carried) if jump is None else (last._replace(P=last.P + jump), carried.recovered())
 
     def current(self, carried: Any, x: Array, P: Array) -> Kept:
-        """Return the one copy that there is."""
+        """Return the one model that there is."""
         return alone(x, P)
 
     def standing(self, carried: Any, x: Array, P: Array, memory: Array) -> State:
@@ -198,7 +198,7 @@ class Bounded:
         return series.run(self.choices, state, zs, model, into, **how)
 
     def factors(self, memory: Array) -> Array:
-        """Return what a sensor's innovations are over what was told, in variance, as learned."""
+        """Return the variance of a sensor's innovations over the nominal one, as learned."""
         return np.where((memory[:, spread.WEIGHT] > 0) & self.learns, memory[:, spread.SPREAD] ** 2, 1.0)
 
     def contamination(self, memory: Array) -> Array:
@@ -235,7 +235,7 @@ class Bounded:
 
 
 def alone(x: Array, P: Array) -> Kept:
-    """Return the copy of a filter that trusts its process."""
+    """Return the model of a filter that trusts its process."""
     n = len(x)
     return Kept(x[None], P[None], np.array([np.ones(n), np.zeros(n), np.zeros(n)]), x, P)
 
@@ -267,7 +267,7 @@ class Mixture:
     by_kernel = False
 
     def __post_init__(self) -> None:
-        """Make of what was told what the correction takes."""
+        """Make of what was given what the correction takes."""
         is_given = isinstance(self.noise, Contaminated)
         steady = Huber.from_contamination(self.noise.contamination) if is_given else Huber()  # type: ignore[union-attr]
         for name, value in (
@@ -294,16 +294,16 @@ class Mixture:
         return () if isinstance(self.grouping, str) else self.grouping
 
     def begin(self, sensors: int) -> Array:
-        """Return the memory of sensors of which nothing is known."""
+        """Return the memory of sensors of which nothing was learned."""
         return self.classes.start(sensors)
 
     def start(self, x: Array, P: Array, sensors: int) -> Kept | None:
-        """Return the copies, all at x, P; None where there is but one."""
+        """Return the models, all at x, P; None where there is but one."""
         begun = side_by_side.start(x, P, self.scales)
         return Kept(*begun.packed, x.copy(), P.copy()) if self.scales.count > 1 else None
 
     def current(self, carried: Kept | None, x: Array, P: Array) -> Kept:
-        """Return the copies; all of them at x, P if these have been assigned from outside."""
+        """Return the models; all of them at x, P if these have been assigned from outside."""
         if carried is None:
             return alone(x, P)
         if x.tobytes() == carried.x.tobytes() and P.tobytes() == carried.P.tobytes():
@@ -321,7 +321,7 @@ class Mixture:
     def predicted(
         self, carried: Kept | None, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
     ) -> tuple[Array, Array, Kept | None]:
-        """Return x and P of all copies after a prediction: mixed as the scale may have changed, then moved."""
+        """Return x and P of all models after a prediction: mixed as the scale may have changed, then moved."""
         control = None if Bu is None else Bu.ravel()
         now = self.current(carried, x.ravel(), P).hypotheses
         moved, *merged_to = half_step.predict(now, F, Q, self.scales, control, alpha_sq)
@@ -331,7 +331,7 @@ class Mixture:
     def corrected(
         self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
     ) -> tuple[Correction | Mixed, Kept | None]:
-        """Return the correction of every copy, merged."""
+        """Return the correction of every model, merged."""
         prior = self.current(before.kept, x, P)
         # Raises where H x is not finite.
         finite_product(H, x)
@@ -350,7 +350,7 @@ class Mixture:
         self, before: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction | Mixed, Any]:  # fmt: skip
-        """Return the correction of one copy; what a line does not explain of z is a state of its own."""
+        """Return the correction of one model; what a line does not explain of z is a state of its own."""
         readings, y, C, S, R, H = innovation
         curvature = np.zeros((0, 0))
         if H is None:
@@ -425,14 +425,14 @@ class Mixture:
         return mean if given is None else mean * given.factor
 
     def entries(self, carried: Kept | None, x: Array, P: Array) -> dict[str, Array]:
-        """Return the copies as arrays of a state."""
+        """Return the models as arrays of a state."""
         if carried is None:
             return {}
         now = self.current(carried, x, P)
         return {"means": now.means, "covariances": now.covariances, "belief": now.belief}
 
     def resumed(self, entries: dict[str, Array], x: Array, P: Array) -> Kept | None:
-        """Return the copies of a state, if their probabilities are some."""
+        """Return the models of a state, if their probabilities are some."""
         if self.scales.count == 1:
             return None
         side_by_side.require_belief("state: belief", entries["belief"], self.scales)
@@ -459,12 +459,12 @@ class Mixed(NamedTuple):
     prior_P: Array
     H: Array
     R: Array
-    """As it was told."""
+    """As it was given."""
     M: Array | None
     z: Array
     """Shape (m,); NaN where missing."""
     before: Array
-    """What was known of the noise."""
+    """What was learned of the noise."""
     curvature: Array | None = None
     """Covariance of what a line does not explain of z."""
     together: tuple[tuple[int, ...], ...] = ()
@@ -510,7 +510,7 @@ def _any_outlier(outlying: Array, grouping: Any) -> Array:
 
 
 def ordinary_noise(R: Array, memory: Array) -> Array:
-    """Return the covariance of ordinary noise for an R that was told, memory a row for each sensor or one for all."""
+    """Return the covariance of ordinary noise for an R that was given, memory a row for each sensor or one for all."""
     if len(memory) == 1:
         return np.asarray(R * memory[0, 0])
     r = np.sqrt(memory[: len(R), 0])

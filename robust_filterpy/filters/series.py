@@ -200,7 +200,7 @@ def continued(policy: Any, given: SeriesArguments, state: Mapping[str, Any]) -> 
 
 
 def _learnt(classes: NoiseClasses, learnt: ArrayLike | None, series: int, m: int) -> Array:
-    """Return what is known of each series' noise before its first step, or raise."""
+    """Return the memory of each series' noise before its first step, or raise."""
     if learnt is None:
         return np.tile(classes.start(m), (series, 1, 1))
     values = numbers("learnt", learnt)
@@ -231,7 +231,7 @@ class FilteredSeries(NamedTuple):
         Under ``noise=``, the mean factor of Q in the step before the measurement.
     state : dict of str to ndarray
         Where each series stands after its last step, what `RobustKalmanFilter.state` calls so with the series in front:
-        x, P, what is known of its sensors (``spread`` or ``learnt``), and the copies under ``process=``. x and P are
+        x, P, the memory of its sensors (``spread`` or ``learnt``), and the models under ``process=``. x and P are
         NaN where a series was refused.
     """
 
@@ -289,7 +289,7 @@ def filter_series(
     influence, scaling, information, grouping, noise, process
         As in `RobustKalmanFilter`; with ``noise=Learnt()`` what is learned is each series' own.
     learnt : array_like, shape (1 or dim_z, w), or (S, ..) for each series its own, optional
-        What is known of the noise before the first step: the ``learnt`` of a filter, or of a state, with the same
+        What was learned of the noise before the first step: the ``learnt`` of a filter, or of a state, with the same
         ``noise=``.
     state : mapping of str to ndarray, optional
         Where an earlier part of the same series, with the same options, has ended, instead of x0, P0 and learned: many

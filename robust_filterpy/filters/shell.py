@@ -131,7 +131,7 @@ class Shell(StateMixin):
         self._named_sensors = {}
 
     def _start(self) -> None:
-        """Let what is kept beside x and P begin at them; called at the end of a constructor."""
+        """Let what is kept with x and P begin at them; called at the end of a constructor."""
         x, P = state_of(self)
         self._kept = self._policy.start(np.ravel(x), P, self.dim_z)
 
@@ -259,7 +259,7 @@ class Shell(StateMixin):
         return True
 
     def _counted(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
-        """Take a correction, see whether refused ones insist, and look now and then whether most of them clip."""
+        """Take a correction, see whether refused ones agree, and look now and then whether most of them clip."""
         if self._policy.unwatched:
             return bool(step(self, *given))
         insists = self._policy.patience is not None
@@ -284,7 +284,7 @@ class Shell(StateMixin):
         return True
 
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
-        """Count a correction that the kernel took, and widen P where refused ones have insisted for long enough."""
+        """Count a correction that the kernel took, and widen P where enough refused ones agreed."""
         if is_near(self._last):
             self._kept = self._kept.nearer()
             return
@@ -334,7 +334,7 @@ class Shell(StateMixin):
             look_for_stuck(self, last.weights)
             if self._counts_clipped:
                 self._signs = look_at_signs(self, self._signs, last, self._updates)
-        # Under a mixture psi follows from probabilities, and by custom from what is usual: no share is expected there.
+        # Under a mixture psi follows from probabilities, under "learnt" from what is typical: neither expects a share.
         expected = self._policy.noise is None and self._choices.scaling == "innovation"
         if expected and self._counts_clipped and self._updates % EVERY == 0:
             self._share.look(self, last if isinstance(last, Correction) else last.as_arrays())

@@ -96,7 +96,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
     noise, patience : optional
-        As in `RobustKalmanFilter`; Q has to be told.
+        As in `RobustKalmanFilter`; Q has to be given.
     process : None
         What a linear filter takes; refused here.
 
@@ -361,7 +361,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
     noise, patience : optional
-        As in `RobustKalmanFilter`; Q has to be told.
+        As in `RobustKalmanFilter`; Q has to be given.
     process : None
         What a linear filter takes; refused here.
 

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 #: Arrays of a state that may hold NaN.
 GAPS: Final = ("insisting",)
-# So many sensors that take turns through `update(z, R, H)` are told apart; the one that was met longest ago gives way.
+# So many sensors that take turns through `update(z, R, H)` are distinguished; the one seen longest ago gives way.
 _MOST = 32
 
 
 class Customs(NamedTuple):
     """Memories of sensors, w numbers each; nothing in here is ever written to."""
-    # A row of an H that was passed tells the sensor. One that is met for the first time begins with what is known of
+    # A row of an H that was passed tells the sensor. One that is met for the first time begins with what was learned of
     # its place in z, so that an H that varies from step to step goes by places.
 
     places: Array
@@ -40,7 +40,7 @@ class Customs(NamedTuple):
     """Of those that were met in an H that was passed, by its row, each of shape (w,)."""
 
     def of(self, begin: Array, keys: list[Any]) -> Array:
-        """Return the memories of some sensors, begin where nothing is known; keys as `sensor_keys` makes them."""
+        """Return the memories of some sensors, begin for new ones; keys as `sensor_keys` makes them."""
         memories = begin.copy()
         for i, key in enumerate(keys):
             place = i if isinstance(key, bytes) else key
@@ -95,7 +95,7 @@ class StateMixin:
 
     _policy: Any
     _choices: Choices
-    #: What the policy keeps beside x and P.
+    #: What the policy keeps with x and P.
     _kept: Any
     #: Of the sensors by their places in z, by their rows of an H that was passed, by their names.
     _memory: Array
@@ -116,15 +116,15 @@ class StateMixin:
     _process_scales: Array | None
 
     def _known_sensors(self) -> Customs:
-        """Return what is known of the sensors; the array alone is what the kernel reads and replaces."""
+        """Return the memory of the sensors; the array alone is what the kernel reads and replaces."""
         return Customs(self._memory, self._other_sensors)
 
     def _keep_sensors(self, value: Customs) -> None:
-        """Keep what is known of the sensors."""
+        """Keep the memory of the sensors."""
         self._memory, self._other_sensors = value
 
     def _known(self, m: int, passed: Array | None = None, first: int = 0) -> Known:
-        """Return what is known before a correction by m sensors, from place `first` in z on or by their rows of H."""
+        """Return the memory before a correction by m sensors, from place `first` in z on or by their rows of H."""
         learns = self._policy.learns
         if learns and passed is None and first + m <= len(self._memory):
             return Known(self._memory[first : first + m], self._kept)
@@ -176,7 +176,7 @@ class StateMixin:
     def spread(self) -> Array:
         """How large each sensor's standardized innovations usually are, shape (dim_z,); NaN before the first.
 
-        Under scaling "learnt" thresholds are in units of this: 1 where P, Q and R are right, 10 where they are told 100
+        Under scaling "learnt" thresholds are in units of this: 1 where P, Q and R are right, 10 where they are 100
         times too small.
         """
         if not self._learns_spread:
@@ -201,7 +201,7 @@ class StateMixin:
 
     @property
     def learnt(self) -> Array | None:
-        """Under ``noise=Learnt(..)``, what is known of the noise: a small array, r (a factor of R) first.
+        """Under ``noise=Learnt(..)``, what was learned of the noise: a small array, r (a factor of R) first.
 
         Keep it, or assign it to another filter with the same R, grouping and scales of noise, which then starts with
         it. Shape (1 or sensors, 14 + 2 K + K^2); a copy. None where no noise is learned.
@@ -225,7 +225,7 @@ class StateMixin:
 
     @property
     def sensors_learnt(self) -> dict[str, LearntNoise] | None:
-        """Under ``noise=Learnt(..)``, what has been learned of each sensor that `update` was told by `sensor`."""
+        """Under ``noise=Learnt(..)``, what has been learned of each sensor that `update` was given as `sensor`."""
         if not self._learns_noise:
             return None
         classes = self._policy.classes
@@ -263,7 +263,7 @@ class StateMixin:
     def process_scale(self) -> Array:
         """Mean factor of each state's Q in the step before the last measurement, given that measurement.
 
-        Shape (dim_x,), equal for states of one part; 1 if Q is taken as told.
+        Shape (dim_x,), equal for states of one part; 1 if Q is taken as given.
         """
         return self._policy.process_scale(self._kept, self.dim_x)  # type: ignore[no-any-return]
 
@@ -343,13 +343,13 @@ class StateMixin:
         return "spread" if self._policy.noise is None else "learnt"
 
     def _sensor_shapes(self) -> dict[str, _state.Shape]:
-        """Return the shapes of what is known of the sensors: at each place of z, and by the rows of an H passed."""
+        """Return the shapes of the sensors' memory: at each place of z, and by the rows of an H passed."""
         name, width = self._sensors_name, (None, self._memory.shape[1])
         shapes = {"sensors": (None, self.dim_x), "named": (None,), f"sensors_{name}": width, f"named_{name}": width}
         return shapes if name == "learnt" else {name: width, **shapes}
 
     def _sensors_in_state(self) -> dict[str, Array]:
-        """Return what is known of the sensors, if anything is."""
+        """Return the memory of the sensors, if there is any."""
         customs, name = self._known_sensors(), self._sensors_name
         entries = {name: customs.places} if name == "spread" and (customs.places.any() or customs.rows) else {}
         if customs.rows:
@@ -423,7 +423,7 @@ def sensor_keys(passed: Array, own: Any) -> list[Any]:
     if np.ndim(own) == 2 and np.shape(own)[1] == passed.shape[1]:
         places = {row.tobytes(): i for i, row in reversed(list(enumerate(np.asarray(own, dtype=float))))}
     keys = [places.get(row.tobytes(), row.tobytes()) for row in passed]
-    # Sensors that see exactly the same are told apart by their places.
+    # Sensors that see exactly the same are distinguished by their places.
     return keys if len(set(keys)) == m else list(range(m))
 
 
@@ -443,7 +443,7 @@ def moved_shapes(kf: StateMixin) -> dict[str, _state.Shape]:
 
 
 def kept_beside(kf: StateMixin) -> dict[str, Array]:
-    """Return what a filter keeps beside x and P, what it knows of its sensor among it."""
+    """Return what a filter keeps with x and P, what it knows of its sensor among it."""
     entries = {**kf._moving(), **kf._sensors_in_state()}
     return {f"filter_{name}": value for name, value in entries.items() if name not in ("x", "P")}
 

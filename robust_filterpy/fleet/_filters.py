@@ -91,7 +91,7 @@ def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
 
 
 def start(kf: Any) -> dict[str, Array]:
-    """Return what a filter's steps move, as it is; of sensors of which nothing is known yet, zeros."""
+    """Return what a filter's steps move, as it is; of sensors of which nothing was learned yet, zeros."""
     empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in moved_shapes(kf).items()}
     state = kf.state()
     return {name: state.get(name, value) for name, value in empty.items()}
@@ -129,7 +129,7 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
 
 
 def _moving(work: Work) -> tuple[Array, Array, Array]:
-    """Return x, without the axis of a column, P and what is known of the sensors of all keys, to be written into."""
+    """Return x, without the axis of a column, P and the memory of the sensors of all keys, to be written into."""
     x, P = work.entries["x"], work.entries["P"]
     return x.reshape(-1, P.shape[-1]), P, work.entries.get("spread", np.zeros((len(x), 0, 0)))
 

@@ -25,7 +25,7 @@ _GROUP = 500
 
 
 def start(tracker: ParameterTracker) -> dict[str, Array]:
-    """Return what a tracker's steps move, as it is; of a sensor of which nothing is known yet, zeros."""
+    """Return what a tracker's steps move, as it is; of a sensor of which nothing was learned yet, zeros."""
     unknown = {"filter_spread": spread.begin(1)} if keeps_spread(tracker) else {}
     return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
 

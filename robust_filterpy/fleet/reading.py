@@ -1,6 +1,6 @@
 """From the forms that engines hand over to numbers: arrays, and tables of any kind that narwhals knows.
 
-What is no number, and no time, costs its row alone: the others go on, and its reason stands beside it.
+What is no number, and no time, costs its row alone: the others go on, and its reason stands in its row.
 """
 
 from __future__ import annotations

@@ -206,7 +206,7 @@ def _held(u: Array, at: np.ndarray, bounds: np.ndarray, before: Array) -> Array:
     first = bounds[:-1][np.diff(bounds) > 0]
     keys = np.flatnonzero(np.diff(bounds) > 0)
     source[first] = np.where(source[first] < 0, keys, source[first])
-    # The last known one of the same key, since each key's first step is known.
+    # The last one of the same key, since each key's first step has one.
     last = np.maximum.accumulate(np.where(source >= 0, np.arange(total), 0))
     return np.ascontiguousarray(whole[source[last]])
 

@@ -20,13 +20,13 @@ __all__ = ["found_delays"]
 
 # Points of the grids, each around the best of the one before; rounds; readings that are compared.
 _GRID, _FINER, _ROUNDS, _MOST = 41, 3, 6, 4000
-# A delay is told if all that are less worse than this, in log-density, are in a tenth of what was searched.
+# A delay is found if all that are less worse than this, in log-density, are in a tenth of what was searched.
 _WORSE, _NARROW = 8.0, 0.1
 _FEWEST = 20
 
 
 def found_delays(setup: Setup, begin: Moment, rows: Rows, longest: float) -> tuple[dict[str, float], dict[str, str]]:
-    """Return how much later than the least late each sensor's stamps are, and why a delay cannot be told."""
+    """Return how much later than the least late each sensor's stamps are, and why a delay cannot be found."""
     layout = setup.layout
     seconds = (rows.keys - rows.keys[0]) / (1e9 if rows.keys.dtype == np.int64 else 1.0)
     own = {name: np.flatnonzero((~np.isnan(rows.zs[:, place])).any(axis=1)) for name, place in layout.places.items()}
@@ -71,7 +71,7 @@ def _track(
 def _shift(
     setup: Setup, track: tuple[Array, Array], said: tuple[Array, Array, str], longest: float
 ) -> tuple[float, bool]:
-    """Return the shift of one sensor that agrees best with a track, and whether it is told."""
+    """Return the shift of one sensor that agrees best with a track, and whether it is certain."""
     (times, states), (stamps, zs, name) = track, said
     place = setup.layout.places[name]
     # The same readings for every shift, or shifts could not be compared.

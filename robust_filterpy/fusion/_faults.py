@@ -1,6 +1,6 @@
 """The recent past, judged anew under every fault of every sensor from every onset: which of them explains it best.
 
-Beside each other run filters of the state and of one number more, b::
+Side by side run filters of the state and of one number more, b::
 
     biased, drifting   z = h x + f b + v,   f = 1, or seconds since the onset; b unknown from the onset on
     stuck              z = b + v,           v as noisy as ever, or ten times less
@@ -34,7 +34,7 @@ _FAULT, _MANOEUVRE = 1e-5, 1e-4
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to at the end.
 _SIZE = 4.0
 _NOISIER, _WORSE, _SPIKES = (2.0, 3.0, 5.0, 9.0), (10.0, 100.0, 1000.0), 0.3
-# By how much Q may be smaller all along, and how likely that is over how likely it is as told.
+# By how much Q may be smaller all along, and how likely that is over how likely it is as given.
 _CALMER = ((1.0, 1.0), (0.1, 0.125), (0.01, 0.125))
 _STILL = 0.01
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.

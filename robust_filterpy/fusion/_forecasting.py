@@ -39,7 +39,7 @@ class _Ahead(NamedTuple):
     spread: Array
     """Variance of the signal."""
     r: Array
-    """Variance of ordinary noise; NaN before it is known."""
+    """Variance of ordinary noise; NaN before it is estimated."""
     shares: Array
     """Of the classes, (.., C)."""
 

@@ -1,4 +1,4 @@
-"""Models of the state and of some constants beside each other: moved, and corrected under noise that is a mixture.
+"""Models of the state and of some constants side by side: moved, and corrected under noise that is a mixture.
 
 `_faults` has one for each fault from each onset, `reacquisition` one for each way in which readings and state can have
 come apart. All are advanced together, in place.

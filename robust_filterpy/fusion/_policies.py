@@ -1,12 +1,12 @@
 """How a filter of many sensors predicts and corrects: a filter's policy, as functions from state to state.
 
 All sensors' measurements are one vector in which whoever has not spoken is missing: what is learned has a row for each
-component, so every sensor has a noise, or a custom, of its own.
+component, so every sensor has a noise, or a typical innovation, of its own.
 
-How noisy a sensor is whose R nobody told its first readings say, and serve for nothing else: three in a row are
+How noisy a sensor is whose R nobody gave its first readings say, and serve for nothing else: three in a row are
 compared with a straight line in time, the middle one is off by e with variance R (1 + (a^2 + b^2)/(a + b)^2), a and b
 the times between them. Five such e, from seven readings, give R to begin with; from then on it is learned. The state
-plays no part, so it does not matter how badly it is known.
+plays no part, so it does not matter how uncertain it is.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ TRIAL = _SQUARES + _NEEDED
 
 
 def compared(trial: Array, sizes: Array, seconds: float, values: Array) -> tuple[Array, Array]:
-    """Return what is remembered after another moment, and the variances that are known by now."""
+    """Return what is remembered after another moment, and the variances that are estimated by now."""
     unknown = np.isnan(sizes)
     if not unknown.any():
         return trial, sizes
@@ -50,7 +50,7 @@ def compared(trial: Array, sizes: Array, seconds: float, values: Array) -> tuple
                 square = min(e * e / (1.0 + (a * a + b * b) / (a + b) ** 2), 1e300)
             row[_SQUARES:] = np.append(row[_SQUARES + 1 :], square)
         row[_BEFORE], row[_GAP], row[_LAST], row[_AGE], row[_COUNT] = row[_LAST], b, z, 0.0, count + 1
-        # A sensor that repeats itself to the last digit has not told yet.
+        # A sensor that repeats itself to the last digit has not shown it yet.
         if count + 1 >= _NEEDED + 2 and row[_SQUARES:].any():
             median = float(np.median(row[_SQUARES:])) / _MEDIAN
             sizes[i] = median if median > 0.0 else float(row[_SQUARES:].mean())
@@ -61,23 +61,23 @@ class State(NamedTuple):
     """A filter between two moments; nothing in here is ever written to."""
 
     x: Array
-    """Mean of all copies, (n,)."""
+    """Mean of all models, (n,)."""
     P: Array
     """Its covariance, (n, n)."""
     memory: Array
-    """What is known of each component's noise, (M, ..)."""
+    """What was learned of each component's noise, (M, ..)."""
     kept: Any
     """What the policy keeps besides."""
     sizes: Array
-    """Variance that stands for R where nobody told it, NaN until it is known, 1 elsewhere, (M,)."""
+    """Variance that stands for R where nobody gave it, NaN until it is estimated, 1 elsewhere, (M,)."""
     u: Array
     """Control input in force, (dim_u,)."""
     trial: Array
-    """First readings where nobody told R, (M, ..)."""
+    """First readings where nobody gave R, (M, ..)."""
 
 
 def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | None) -> Policy:
-    """Return what predicts and corrects, as `Fusion` is asked for it, or raise if a sensor's R is to be told."""
+    """Return what predicts and corrects, as `Fusion` is asked for it, or raise if a sensor's R is to be given."""
     noise, process = noise_policy(noise), process_policy(process)
     if influence is None:
         if isinstance(noise, Contaminated):
@@ -92,7 +92,7 @@ def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | N
 
 
 def _require_told(layout: Layout, why: str) -> None:
-    """Raise if the size of a noise is neither told nor learned."""
+    """Raise if the size of a noise is neither given nor learned."""
     for name, sensor in layout.sensors.items():
         if sensor.R is None:
             raise ValueError(f"sensor {name!r}: expected R, since with {why} nobody learns it")
@@ -105,7 +105,7 @@ def start(policy: Policy, x: Array, P: Array, sizes: Array, u: Array) -> State:
 
 
 def arrays(policy: Policy, state: State) -> tuple[Array, ...]:
-    """Return a state as arrays: the copies, their probabilities, memory, x, P, sizes, u, trial."""
+    """Return a state as arrays: the models, their probabilities, memory, x, P, sizes, u, trial."""
     hypotheses = policy.current(state.kept, state.x, state.P)[:3]
     return (*hypotheses, state.memory, state.x, state.P, state.sizes, state.u, state.trial)
 

@@ -14,7 +14,7 @@ from robust_filterpy.fusion.sensors import Layout
 
 __all__ = ["FAR", "Moment", "Setup", "advanced", "aged", "begun", "covariance", "moved"]
 
-# What the first readings tell of a noise that nobody told is worth so many samples.
+# What the first readings tell of a noise that nobody gave is worth so many samples.
 _UNTOLD = 2.0
 #: A reading is far beyond so many standard deviations.
 FAR = 6.0
@@ -37,7 +37,7 @@ class Moment(NamedTuple):
 
     state: State
     watch: Any = None
-    """What is known of the sensors' health (`_watch.Watch`); None if nobody looks."""
+    """What was learned of the sensors' health (`_watch.Watch`); None if nobody looks."""
     failed: tuple[tuple[str, str], ...] = ()
     """Sensors whose reading could not be used, since a function of theirs has no answer for this state, and why."""
     doubt: Any = None
@@ -106,7 +106,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
 
 
 def aged(state: State, seconds: float, values: Array) -> State:
-    """Return the state that knows the first readings of sensors that nobody told."""
+    """Return the state that has the first readings of sensors whose R nobody gave."""
     trial, sizes = compared(state.trial, state.sizes, seconds, values)
     if trial is state.trial:
         return state
@@ -119,7 +119,7 @@ def aged(state: State, seconds: float, values: Array) -> State:
 
 
 def covariance(layout: Layout, sizes: Array) -> Array:
-    """Return R of all sensors, where nobody told it as the first readings suggested."""
+    """Return R of all sensors, where nobody gave it as the first readings suggested."""
     if not layout.any_untold:
         return layout.R
     root = np.sqrt(np.where(np.isnan(sizes), 1.0, sizes))

@@ -22,7 +22,7 @@ class Clock:
     # would be known to a quarter of a microsecond. The first stamp decides which.
 
     def __init__(self, kind: str = "") -> None:
-        """Keep what is known."""
+        """Keep what was learned."""
         self.kind = kind
 
     def key(self, stamp: Any, name: str = "t") -> float | int:

@@ -1,6 +1,6 @@
 """What was read when, in the order of stamps, and what follows from it: late readings make the rest be judged anew.
 
-Each stamp has one entry, with what all sensors read then. What follows from an entry is kept beside it until
+Each stamp has one entry, with what all sensors read then. What follows from an entry is kept with it until
 something earlier arrives; then it is dirty, and judged anew when somebody asks. So the order of arrival plays no part,
 to the last bit. Entries older than the window take nothing more; some of them are kept as history.
 """

@@ -36,10 +36,10 @@ __all__ = [
     "recovered", "suspected", "worths",
 ]  # fmt: skip
 
-#: What can be the matter with a sensor, by number: 0 is nothing, 1 something that is not known yet.
+#: What can be the matter with a sensor, by number: 0 is nothing, 1 something that is not decided yet.
 FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
 
-# Columns of what is known of a component.
+# Columns of a component's memory.
 SLOW, _COUNT, _SIGN, _KEEPS, _REPEATS, _USUAL, _LAST, _NOISE, _CLASSES = range(9)
 # Logarithm of the odds of a fault at which there is an alarm, below which nothing is suspected, and of its prior at a
 # reading.
@@ -71,7 +71,7 @@ _RECENT, _ENOUGH, _CLIP = 20.0, 30.0, 3.0
 
 
 class Watch(NamedTuple):
-    """What is known of the health of each component and sensor; nothing in here is ever written to."""
+    """What was learned of the health of each component and sensor; nothing in here is ever written to."""
 
     statistics: Array
     """(M, 8 + C + C + 1): the columns above, the shares of the classes of noise, and the sums: of two sizes of grown
@@ -139,7 +139,7 @@ class Looked(NamedTuple):
     H: Array
     """(M, n)"""
     R: Array
-    """Variance of noise as told, (M,)."""
+    """Nominal variance of noise, (M,)."""
     weights: Array
     """How much each was believed, NaN where it was not used, (M,)."""
     policy: Any
@@ -148,14 +148,14 @@ class Looked(NamedTuple):
 
 
 def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
-    """Return what is known some seconds later."""
+    """Return the health some seconds later."""
     age = watch.age.copy()
     age[:, 1] += seconds
     return watch._replace(response=F @ watch.response, age=age)
 
 
 def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
-    """Return what is known after the readings of one moment."""
+    """Return the health after the readings of one moment."""
     here = np.flatnonzero(now.y == now.y)
     H, y, statistics, recent, due = now.H[here], now.y[here], watch.statistics.copy(), watch.recent, watch.due.copy()
     PH, rows, quiet, learnt = now.state.P @ H.T, statistics[here], watch.score < _QUIET, None
@@ -192,7 +192,7 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
 def _after(
     row: list[float], z: float, y: float, spread: float, R: float, scales: list[float], usual: list[float], quiet: bool
 ) -> list[float]:
-    """Return what is known of a component after a reading; usual: what is learned of its noise, if looked at."""
+    """Return a component's memory after a reading; usual: what is learned of its noise, if looked at."""
     C, old, e2, sign = len(scales), row[_COUNT] >= _FIRST, -0.5 * y * y, math.copysign(1.0, y)
     shares, sums = row[_CLASSES : _CLASSES + C], row[_CLASSES + C :]
     # Nothing is below 0, where what is nearer than a standard deviation leaves it.
@@ -224,7 +224,7 @@ def _after(
 def _scored(
     watch: Watch, here: list[int], y: Array, H: Array, PH: Array, inverse: Array, counts: list[float], R: Array
 ) -> Watch:
-    """Return what is known of biases and drifts after the readings of one moment, each of which counts for less."""
+    """Return the estimates of biases and drifts after the readings of one moment, each of which counts for less."""
     M, d = len(watch.statistics), -(H @ watch.response)
     own = d.reshape(len(y), *watch.age.shape)
     for i, c in enumerate(here):

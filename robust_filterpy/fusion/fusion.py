@@ -62,13 +62,13 @@ class Fusion:
     t0 : stamp, optional
         When the state was x0; by default at the earliest reading.
     noise : Contaminated, Learnt or "learnt", default "learnt"
-        How measurements fail, as in `RobustKalmanFilter`: told, or learned for each component of each sensor.
+        How measurements fail, as in `RobustKalmanFilter`: given, or learned for each component of each sensor.
     process : Scales, Contaminated or "scales", default "scales"
         What the process may be, as there. Dwell and jump of `Scales` are in stamps. ``Scales((1.0,), jump=0.0)`` trusts
         Q and the start.
     influence : Influence, optional
         Instead of noise and process: a bounded influence function as in `RobustKalmanFilter`, or ``Linear()`` for the
-        Kalman filter. R is then to be told.
+        Kalman filter. R is then to be given.
     watch : bool, default False
         Whether there are verdicts about the sensors, and one that lies is left out.
     reacquire : Reacquisition, optional
@@ -211,7 +211,7 @@ class Fusion:
                     FusionWarning,
                 )
         except Exception as error:
-            # The reading stands; only a motion that raises comes here, and who asks for an estimate is told.
+            # The reading stands; only a motion that raises comes here, and who asks for an estimate gets the error.
             if "" not in self._said:
                 self._said.add("")
                 warn(
@@ -338,7 +338,7 @@ class Fusion:
         return "late" if late else "taken"
 
     def estimate(self, t: Any = None) -> Estimate:
-        """Return what is known of the state at a moment by what was read up to it; nothing is written.
+        """Return the estimate of the state at a moment by what was read up to it; nothing is written.
 
         Parameters
         ----------
@@ -488,8 +488,8 @@ class Fusion:
         Returns
         -------
         dict of str to float
-            Seconds, what `Sensor` was already told included; NaN where the recording does not tell it. Only
-            differences can be seen: the sensor that is least late counts as on time, or as late as it was told.
+            Seconds, what `Sensor` was already given included; NaN where the recording does not tell it. Only
+            differences can be seen: the sensor that is least late counts as on time, or as late as it was given.
 
         Raises
         ------
@@ -499,7 +499,7 @@ class Fusion:
         Warns
         -----
         FusionWarning
-            If a delay cannot be told, and why.
+            If a delay cannot be found, and why.
         """
         _checks.positive("longest", longest)
         rows = read(self._setup, self._clock, table, time, sensor, value, None)
@@ -592,7 +592,7 @@ class Fusion:
             What the next step goes on from.
         output : dict of str to ndarray
             For each row ``outcome``, as `observe` returns it, None of a row that is none; ``error``, None or what is
-            wrong with the row, which costs that row alone; and by the names of the states what is known at the newest
+            wrong with the row, which costs that row alone; and by the names of the states the estimate at the newest
             stamp by then, and standard deviations, NaN before the first reading.
 
         Raises

@@ -5,7 +5,7 @@ x' = A x + B u + L w, with w white of spectral density Qc,
 
     F = exp(A dt),   Q = integral over 0..dt of exp(A s) L Qc L' exp(A' s) ds,   B(dt) = integral of exp(A s) B ds
 
-(van Loan 1978). u is what `Fusion.control` was told last, held until it is told another.
+(van Loan 1978). u is what `Fusion.control` was given last, held until it is given another.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Motion:
         names: tuple[str, ...] | None = None,
         together: Callable[[Array], tuple[Array, Array, Array]] | None = None,
     ) -> None:
-        """Keep what it is told."""
+        """Keep what it is given."""
         self.dim_x, self.dim_u = _checks.count("dim_x", dim_x, 1), _checks.count("dim_u", dim_u)
         self.names = tuple(f"x{i}" for i in range(dim_x)) if names is None else tuple(names)
         # The same stretch comes again and again.
@@ -157,7 +157,7 @@ def constant_velocity(dim: int = 1, q: ArrayLike = 1.0) -> Motion:
     Returns
     -------
     Motion
-        Its control input, if one is told, is the acceleration, shape (dim,).
+        Its control input, if one is given, is the acceleration, shape (dim,).
 
     Raises
     ------

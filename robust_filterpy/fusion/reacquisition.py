@@ -1,6 +1,6 @@
 """After a blackout or a jump: "this reading is wrong" and "I am wrong" are both carried until later readings decide.
 
-A reading more than six standard deviations from what is expected opens a doubt. From the state before it go, beside
+A reading more than six standard deviations from what is expected opens a doubt. From the state before it go, next to
 each other and each with a number c more for each component that is off::
 
     moves along   the sensor is off by c:    z = h(x) + c + v
@@ -55,7 +55,7 @@ _REACH, _OTHERS = 3.0, 0.5
 
 
 class Doubt(NamedTuple):
-    """Hypotheses beside each other, N of them; nothing in here is ever written to."""
+    """Hypotheses side by side, N of them; nothing in here is ever written to."""
 
     sensor: int
     """Whose reading was far."""

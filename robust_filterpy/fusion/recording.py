@@ -69,7 +69,7 @@ class Recording:
         said: dict[str, list[tuple[Any, Verdict]]] = {}
         for when, who, verdict in self.verdicts:
             of_it = said.setdefault(who, [])
-            # The same again is the same fault, its onset known better.
+            # The same again is the same fault, its onset more precise.
             if of_it and of_it[-1][1].fault == verdict.fault:
                 of_it[-1] = (of_it[-1][0], verdict)
             else:
@@ -118,7 +118,7 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
             moment, failed, said = _watched(setup, (begin, start), rows, (x, P))
         done = K
     while done < K:
-        # Step by step goes what the kernel cannot: what is not linear, first readings of sensors that nobody told.
+        # Step by step goes what the kernel cannot: what is not linear, first readings of sensors whose R nobody gave.
         stop = _next_first(moment, rows.zs, done) if straight else done
         if stop == done:
             moment = advanced(setup, moment, dts[done].item(), rows.zs[done], rows.inputs[done])
@@ -207,7 +207,7 @@ def _without_lies(layout: Layout, rows: Rows, said: list[tuple[int, str, Verdict
 
 
 def _next_first(moment: Moment, zs: Array, done: int) -> int:
-    """Return the next row with a reading of a component whose noise is not known yet, the number of rows if none."""
+    """Return the next row with a reading of a component whose noise is not estimated, the number of rows if none."""
     unknown = np.isnan(moment.state.sizes)
     if not unknown.any():
         return len(zs)

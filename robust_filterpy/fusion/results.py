@@ -16,7 +16,7 @@ class FusionWarning(RobustFilterWarning):
 
 
 class Estimate(NamedTuple):
-    """What is known of the state at a moment."""
+    """The estimate of the state at a moment."""
 
     time: Any
     """The moment, as a stamp."""
@@ -42,7 +42,7 @@ class Forecast(NamedTuple):
     middle: dict[str, Array]
     """What each sensor should read, (K, m)."""
     readings: dict[str, Array]
-    """Lower and upper end of the band of readings, (K, m, 2); NaN while a sensor's noise is not known."""
+    """Lower and upper end of the band of readings, (K, m, 2); NaN while a sensor's noise is not estimated."""
     signal: dict[str, Array]
     """Lower and upper end of the band of what is measured, noise apart, (K, m, 2)."""
 
@@ -55,7 +55,7 @@ class SensorNoise(NamedTuple):
     """What has been learned about a sensor's noise."""
 
     deviation: Array
-    """Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if nobody told."""
+    """Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if not given."""
     contamination: Array
     """Share of outliers, (m,); NaN where it is not learnt."""
 

@@ -177,7 +177,7 @@ class Layout:
         #: Components that fail together, as `correction` takes them.
         self.grouping = _grouping(self.sensors, self.party)
         self.H, self.R = np.zeros((at, n)), np.eye(at)
-        #: Components whose R nobody told, (M,).
+        #: Components whose R nobody gave, (M,).
         self.untold = np.zeros(at, dtype=bool)
         for name, place in self.places.items():
             sensor = self.sensors[name]

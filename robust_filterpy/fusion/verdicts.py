@@ -123,7 +123,7 @@ def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
 
 
 def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: np.ndarray) -> Watch:
-    """Return what is known when the last stamps have been judged anew."""
+    """Return the verdicts once the last stamps have been judged anew."""
     party, departs = line.setup.layout.party, watch.fault == _DEPARTS
     # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the
     # stretch begins. How fast one drifts is seen the better the longer.

@@ -48,7 +48,7 @@ def resolution(signal: Array) -> float:
     gaps, repeated = np.diff(values), counts > 1
     # Numbers that are equal but for rounding, as 0.1 + 0.2 and 0.3, are one value.
     apart = gaps > _EQUAL * (values[-1] - values[0])
-    # Single values between may be of another kind, but where nothing else repeats beside another they are all there is.
+    # Single values between may be of another kind, but where no two neighbors repeat they are all there is.
     both, either = repeated[1:] & repeated[:-1], repeated[1:] | repeated[:-1]
     steps = gaps[apart & (both if (both & apart).any() else either)]
     return float(steps.min()) if steps.size else 0.0
@@ -69,7 +69,7 @@ def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
         residual = y - X @ theta
         # Where most samples are at rest and rounded, what moves is no outlier.
         scale = max(mad_scale(residual), _LEAST * spread)
-        # Held against ordinary samples: beside gross errors every step is a small one.
+        # Held against ordinary samples: next to gross errors every step is a small one.
         if scale == 0.0 or np.linalg.norm(moved) <= 1e-3 * scale * np.sqrt(y.size):
             break
         weights = Huber().weights(residual / scale)

@@ -18,7 +18,7 @@ LEAST = 10
 # Beyond so many standard deviations of the widest hypothesis no part of the
 # noise model says anything, and a sentinel value weighs no more than any other outlier.
 _REACH = 8.0
-# By how much the first readings, in units of what they are, may be known better than P says before P is narrowed; and
+# By how much the first readings, in units of what they are, may be more certain than P says before P is narrowed; and
 # how many readings for each state.
 _WIDE, _FIRST_READINGS = 1e4, 4
 # The density falls again where an innovation was shortened to less than a tenth: a state that jumps stays believable.
@@ -179,7 +179,7 @@ class _Sensors(NamedTuple):
 
 
 def _seen(data: Problem, k: int, seen: np.ndarray, logs_R: Array) -> _Sensors:
-    """Return the sensors of a step, with their noises told apart."""
+    """Return the sensors of a step, with their noises separated."""
     part = np.flatnonzero(seen)
     H, R = data.H[min(k, len(data.H) - 1), part], data.R[min(k, len(data.R) - 1)]
     own, axes = np.linalg.eigh(R[np.ix_(part, part)])

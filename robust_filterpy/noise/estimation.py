@@ -205,7 +205,7 @@ def estimate_noise(
     contamination that runs to its limit of .45, are named in ``message``; ``converged`` is then False. How sure each
     factor is, `NoiseEstimate.intervals` says; the sampling error of a variance is about sqrt(2/N) at best.
 
-    The likelihood may have several maxima (R nearly 0 beside a large Q, many outliers instead of a larger R). A grid of
+    The likelihood may have several maxima (R nearly 0 with a large Q, many outliers instead of a larger R). A grid of
     ten decades of both factors, and for each ratio of Q to R the best size of both, with few and with many outliers,
     say where to start; all starts advance together, and the highest end wins.
 

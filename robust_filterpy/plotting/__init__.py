@@ -6,7 +6,7 @@
 * `sources`: batch results, a Saver or a tracker's run as arrays.
 
 `LOOKS` has color and line style of the filters that pictures compare: "Kalman", "gate", "Huber", "Tukey", "learnt"
-(noise learned on the way) and "told" (told what nobody can know). ``ax.plot(t, x, **LOOKS["Huber"])``.
+(noise learned on the way) and "told" (which knows what nobody can). ``ax.plot(t, x, **LOOKS["Huber"])``.
 
 matplotlib is imported when something is drawn.
 """

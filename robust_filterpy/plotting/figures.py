@@ -268,7 +268,7 @@ def plot_parameters(  # an argument for each choice of the picture, by name
 
     Notes
     -----
-    Axes that were empty show the paths; the band of the first samples, when little is known, may reach beyond.
+    Axes that were empty show the paths; the band of the first samples, where P is large, may reach beyond.
     """
     theta, deviation = sources.mean_and_deviation(source, covariances)
     N, n = theta.shape

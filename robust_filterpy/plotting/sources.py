@@ -41,7 +41,7 @@ def mean_and_deviation(source: Any, covariances: Any) -> tuple[Array, Array | No
     """Return states or parameters (N, n) and their standard deviations."""
     if is_run(source):
         std = np.asarray(source.std)
-        # No band where nothing is known yet.
+        # No band where nothing is estimated yet.
         return np.asarray(source.theta), np.where(np.isfinite(std), std, np.nan)
     if is_saver(source):
         mean, covariance = kept(source, "x"), kept(source, "P")

@@ -1,6 +1,6 @@
 """Pictures of the workbench: which structure, what is left in the residuals, which model, how fast parameters drift.
 
-Legends stand beside the data. matplotlib is imported when something is drawn.
+Legends stand next to the data. matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def plot_comparison(
     comparison: Comparison, *, output: int = 0, t: Any = None, unit: str = "", time_unit: str = "",
     ax: Axes | None = None,
 ) -> Axes:  # fmt: skip
-    """Draw the outputs of several models over the measured one, with their fits beside.
+    """Draw the outputs of several models over the measured one, with their fits next to them.
 
     Parameters
     ----------

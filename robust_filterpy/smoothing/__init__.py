@@ -1,4 +1,4 @@
-"""Robust smoothing: all states of a recording from all of its measurements, outliers and jumps told apart.
+"""Robust smoothing: all states of a recording from all of its measurements, outliers and jumps distinguished.
 
 * `smoother`: `smooth` for a filter and its recording, `smooth_series` for many series.
 * `recording`: from filters and lists to whitened arrays, checked.

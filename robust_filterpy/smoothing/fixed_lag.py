@@ -241,7 +241,7 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         -------
         dict of str to ndarray
             ``format``, as in `robust_filterpy.RobustKalmanFilter.state`; x and P; the window, a row for each of its L
-            steps: F, Q, c, H, R, z, precision, offset, process_scale and the estimates smooth; what is known before
+            steps: F, Q, c, H, R, z, precision, offset, process_scale and the estimates smooth; the prior before
             the window, prior_x and prior_P; count; and what is learned of the noises, beliefs (2, 4, kinds) and
             mixtures (2, 2, kinds), NaN where nothing is. All of float64.
         """

@@ -14,7 +14,7 @@ linear and nonlinear dynamic systems, 1963; P. de Jong, Journal of the American 
 Next to a diffuse P the last line loses the digits of P_s: there P - P L P is the difference of large numbers. So states
 and covariances, once they are wanted, come from the information filter run backward, whose result corrects x and P as a
 measurement would (D. C. Fraser and J. E. Potter, IEEE Transactions on Automatic Control 14, 1969), and e and V from
-them. They are wanted, whoever asks, where a measurement tells very much more than was known, as after a gap in front.
+them. They are wanted, whoever asks, where a measurement tells far more than the prior did, as after a gap in front.
 
 Every array has the axes (series, step) in front, of length 1 where one matrix serves all of them.
 """
@@ -106,7 +106,7 @@ def smoothing_pass(
 
 
 def _passed(model: Model, weighting: Weighting, out: Smooth) -> float:
-    """Write what a pass returns; return the most that a measurement told next to what was known, d H P H'."""
+    """Write what a pass returns; return the most that a measurement added to the prior information, d H P H'."""
     extension = kernel.extension()
     if extension is None:
         return _by_definition(model, weighting, out)
@@ -128,7 +128,7 @@ def _room(model: Model, weighting: Weighting, spread: bool, states: bool, proces
 
 
 def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> float:
-    """Smooth all series, step by step, and return the most that a measurement told next to what was known."""
+    """Smooth all series, step by step, and return the most that a measurement added to the prior information."""
     d, o, q = weighting
     series, steps = q.shape
     n = model.F.shape[-1]

@@ -71,7 +71,7 @@ def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Arr
     least = np.linalg.eigvalsh(R)[..., 0] if m > 1 else R[..., 0, 0]
     if (least <= 0.0).any():
         raise ValueError(f"R: expected noise of every sensor, got least eigenvalue {least.min():.3g}; give it a little")
-    # Nothing is told apart that is so many standard deviations away, and what is squared there stays finite.
+    # Nothing is distinguished that is so many standard deviations away, and what is squared there stays finite.
     filled = np.where(observed, z, 0.0)
     if not (R * (1.0 - np.eye(m))).any():
         root = 1.0 / np.sqrt(np.diagonal(R, axis1=-2, axis2=-1))

@@ -18,7 +18,7 @@ from robust_filterpy.testing.assertions import *  # noqa: F403
 from robust_filterpy.testing.checks import *  # noqa: F403
 from robust_filterpy.testing.scenarios import *  # noqa: F403
 
-# Each room lists its own names, and each of its modules its own.
+# Each package lists its own names, and each of its modules its own.
 __all__: list[str] = []
 __all__ += assertions.__all__
 __all__ += checks.__all__

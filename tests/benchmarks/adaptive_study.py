@@ -90,15 +90,20 @@ def tuned(make: Any, grid: list[dict[str, float]], q_scale: float = 1.0) -> Any:
     """Return a function of (recordings, error) that chooses from a grid what does best on them."""
 
     def choose(cases: list[Case], error: Callable[[np.ndarray, Case], float]) -> Estimator:
-        def loss(choice: dict[str, float]) -> float:
-            return float(np.mean([error(filtered(case, make(**choice), q_scale)[0], case) for case in cases]))
+        def losses(case: Case) -> list[float]:
+            if make not in TOGETHER:
+                return [error(filtered(case, make(**choice), q_scale)[0], case) for choice in grid]
+            columns = {name: np.array([[choice[name]] for choice in grid]) for name in grid[0]}
+            return [error(path, case) for path in filtered(case, make(**columns), q_scale)[0].swapaxes(0, 1)]
 
-        best = min(grid, key=loss)
+        best = grid[int(np.argmin(np.mean([losses(case) for case in cases], axis=0)))]
         return lambda case: filtered(case, make(**best), q_scale)
 
     return choose
 
 
+#: Whose P is the same for all choices, so that a recording is filtered once for a grid.
+TOGETHER = (iskf.one_step, iskf.two_steps)
 PEERS = {
     "WoLF IMQ, tuned": (wolf.imq, wolf.GRID),
     "WoLF TMD, tuned": (wolf.tmd, wolf.GRID),

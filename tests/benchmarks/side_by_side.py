@@ -2,7 +2,7 @@
 
 Run ``python tests/benchmarks/side_by_side.py [--runs N] [--seed S] [--jobs J] [--rows TEXT ..] [--store FILE]
 [--write-page]``. Peers are tuned by the truth, on recordings of other seeds; ours are not tuned. --write-page writes
-docs/side_by_side.md. A package that is not installed has no row. A row takes ten seconds; --store keeps what was
+docs/side_by_side.md. A package that is not installed has no row. A row takes four seconds; --store keeps what was
 measured, so that a run that was broken off goes on, and --rows measures anew those whose name has one of the texts.
 """
 
@@ -134,7 +134,7 @@ def kalman_q(practice: list[Case]) -> Callable[[Case], np.ndarray]:
 
 def states(problem: Drawn, seeds: range) -> dict[str, float]:
     """Return everybody's error over that of the filter which knows the labels: the geometric mean over recordings."""
-    practice = [_first(problem.told(TUNING_SEED))]
+    practice = [problem.told(TUNING_SEED)]
     filters: dict[str, Callable[[Case], Any]] = {
         "filterpy": partial(alone, KalmanFilter), "Q tuned": kalman_q(practice),
         "gate": partial(filtered, correct=gate()), "gate, reset": partial(filtered, correct=gate(patience=10)),
@@ -148,12 +148,6 @@ def states(problem: Drawn, seeds: range) -> dict[str, float]:
         case, labels = problem.told(seed), error(_path(problem.labels(problem.true(seed))), problem.true(seed))
         ratios.append([error(_path(estimate(case)), case) / labels for estimate in filters.values()])
     return dict(zip(filters, np.exp(np.log(ratios).mean(axis=0)).tolist(), strict=True))
-
-
-def _first(case: Case, steps: int = 300) -> Case:
-    """Return the first samples of a recording."""
-    cut = {name: getattr(case, name)[:steps] for name in ("truth", "zs", "w_scale", "v_scale")}
-    return case._replace(**cut)
 
 
 def _path(found: Any) -> np.ndarray:
@@ -317,7 +311,7 @@ Made by `python tests/benchmarks/side_by_side.py --write-page` on {datetime.date
 
 Root mean square error of what is measured, over that of the Kalman filter which knows the size of every noise; the
 least of each row is bold. WoLF, ISKF, ISKF2, STF (a filter of Student's t) and the variational R are written from their
-papers (`tests/benchmarks/peers`) and **tuned by the truth, for each row anew**, on 300 samples of
+papers (`tests/benchmarks/peers`) and **tuned by the truth, for each row anew**, on
 another recording, and so is "Q tuned", the Kalman filter with Q times 1e-4 to 1e4. The gate is at 99.73 %; with
 "reset" it begins anew after ten refusals in a row. Ours (`RobustKalmanFilter`, and `AdaptiveKalmanFilter`), the gates
 and filterpy are as they come.

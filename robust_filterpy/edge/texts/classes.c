@@ -2,7 +2,7 @@
 #define M ${NAME}_SENSORS
 #define CLASSES $K
 
-/* Factors of Q that are weighed, factors of R, and what is known of a sensor at first. */
+/* Factors of Q that are weighed, factors of R, and a sensor's memory at first. */
 static const real process[$q] = {
 $process
 };

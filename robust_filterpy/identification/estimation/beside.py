@@ -20,7 +20,7 @@ from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.influence.regression import mad_scale
 
 TRENDS: Final = ("none", "constant", "line", "breaks")
-# In fewer samples a step and the dynamics cannot be told apart.
+# In fewer samples a step and the dynamics cannot be distinguished.
 _LEAST_SAMPLES: Final = 200
 # Turns of levels and model.
 _ROUNDS: Final = 3

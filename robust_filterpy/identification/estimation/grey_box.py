@@ -26,7 +26,7 @@ from robust_filterpy.influence.functions import Huber, Influence
 _FIRST_STEPS: Final = 30
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
 _UNTOLD: Final = 0.5
-# Of a direction that nothing depends on, by this share of the best one, nothing is known at all.
+# Of a direction that nothing depends on, by this share of the best one, the recording says nothing.
 _NOTHING: Final = 1e-8
 # What a parameter has of such a direction to be named.
 _PART: Final = 0.3

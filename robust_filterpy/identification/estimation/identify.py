@@ -1,4 +1,4 @@
-"""identify: from a recording with outliers, gaps and an offset, in any unit, to a model; nothing told."""
+"""identify: from a recording with outliers, gaps and an offset, in any unit, to a model; nothing given."""
 
 from __future__ import annotations
 
@@ -115,9 +115,9 @@ def identify(
     R : float, optional
         Variance of the ordinary noise, in the unit of y squared, if it is known.
     trend : {"none", "constant", "line", "breaks"}, optional
-        What level y has beside the model: none (as ``offset=False``), a constant, a straight line, or a constant with
+        What level y has besides the model: none (as ``offset=False``), a constant, a straight line, or a constant with
         steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs. Outputs of
-        states have a constant at least, those of physics none beside their equations.
+        states have a constant at least, those of physics none besides their equations.
     groups : array_like, shape (N,), optional
         A label for each sample: those with the same one are a recording.
     t : array_like, shape (N,), optional

@@ -20,7 +20,7 @@ from robust_filterpy.influence.regression import mad_scale
 _JUMP: Final = 0.7
 _QUIET: Final = 0.4
 _MISSED: Final = 0.3
-# So many are no accident, in which most are missed. Of outliers beside a plant that swings some look like it in many.
+# So many are no accident, in which most are missed. Of outliers on a plant that swings some look like it in many.
 _FEWEST: Final = 4
 _ACCIDENTS: Final = 1 / 5000
 _MOST: Final = 0.5

@@ -1,4 +1,4 @@
-"""Parameters that are told: some as numbers, others as an interval that holds them; a number is an interval too."""
+"""Parameters that are given: some as numbers, others as an interval that holds them; a number is an interval too."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Limits(NamedTuple):
 
     @property
     def any(self) -> bool:
-        """Whether something is told."""
+        """Whether something is given."""
         return bool((np.isfinite(self.lower) | np.isfinite(self.upper)).any())
 
     def times(self, factor: Array) -> Limits:

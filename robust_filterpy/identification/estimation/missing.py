@@ -52,7 +52,7 @@ class Unknowns:
     first : int
         Sample that the first residual belongs to.
     prior : ndarray, shape (m,), optional
-        What is known of each correction beforehand: R over the variance that it has around 0.
+        The prior of each correction: R over the variance that it has around 0.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ _BENT: Final = 0.2
 # So many standard deviations are the most that an axis has, and it is found to two or three digits.
 _FARTHEST: Final = 16.0
 _HALVINGS: Final = 6
-# Ends so much less likely than the best count beside it.
+# Ends so much less likely than the best count.
 _CLOSE: Final = 4.0
 # A walk may begin at an end that is less likely still, since it leaves it.
 _WORTH_A_WALK: Final = 10.0

@@ -34,7 +34,7 @@ from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 
 # An outlier in the regressor changes the residuals, and these show which samples are outliers.
-# Where few of them are known yet, parameters that follow the others go astray: the first steps are few.
+# Where few of them are estimated yet, parameters that follow the others go astray: the first steps are few.
 # Residuals may move by less than this share between two turns of weights and parameters.
 _SETTLED: Final = 1e-5
 # Parameters within so many standard deviations of the optimum tell which samples are outliers.

@@ -2,7 +2,7 @@
 
 A wrong level bends the dynamics before it shows in their residual. So the output without a level comes from a model
 that no level disturbs: a long impulse response by robust regression, or a model of the differences. In what is left of
-y the step or ramp with the largest score is added, beside what a slow input could do, until there are four. Those stay
+y the step or ramp with the largest score is added, with what a slow input could do, until there are four. Those stay
 without which the residuals, with the color that they have then (`colour`), are less likely by 3 log N each, and which
 are larger than a step of the sensor.
 """
@@ -65,7 +65,7 @@ class Break(NamedTuple):
 
 
 class Trend(NamedTuple):
-    """What an output has beside what its inputs do.
+    """What an output has besides what its inputs do.
 
     Attributes
     ----------

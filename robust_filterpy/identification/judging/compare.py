@@ -123,7 +123,7 @@ def compare(
     u : array_like, shape (N,) or (N, n_inputs), optional
         Input.
     t : array_like, shape (N,), optional
-        Times in s, for a `GreyBoxModel`; beside a model in discrete time their steps are equal. Default: those of the
+        Times in s, for a `GreyBoxModel`; with a model in discrete time their steps are equal. Default: those of the
         index.
 
     Returns

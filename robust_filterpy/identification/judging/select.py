@@ -2,7 +2,7 @@
 
 All structures are compared on the same samples: the recording is cut for each of them such that its first residual
 belongs to the same sample. Steps and ramps of the level and outliers of the inputs are those that the largest structure
-has beside it: what each looked for itself would be parameters that the criterion does not count. Their residuals have
+has besides it: what each looked for itself would be parameters that the criterion does not count. Their residuals have
 the noise that `learnt_noise` learns from them, by the same rule:
 
     criterion = -2 log-likelihood + price n,   price = log(samples) for "bic", 2 for "aic"
@@ -561,7 +561,7 @@ class _Comparison:
         if self.rest is not None:
             held_out = _signals(model, self.rest[0], self.rest[1] if acting else None)
             if acting:
-                # Told its motion anew, a pole next to the unit circle would fit any drift.
+                # With its motion found anew, a pole next to the unit circle would fit any drift.
                 held_out = held_out[0], np.asarray(model.simulate(self.rest[1], start="continued"))
         self.tried[orders] = _Tried(row, model, residual, output, held_out)
         self.bar.update()

@@ -330,7 +330,7 @@ class Validation(Pictured):
         Whether this is the recording that the model was made from, which its weights show.
     shift : float
         How far the level of the recording is from the model's; 0 unless that is more than three standard deviations of
-        the noise. Correlations are those beside it.
+        the noise. Correlations are those without it.
     """
 
     picture = "workbench.plot_validation"

@@ -416,7 +416,7 @@ class GreyBoxModel(Identified):
     warning : str
         What makes the estimate doubtful; empty if nothing does.
     findings : tuple of Finding
-        What the recording has beside the model.
+        What the recording has besides the model.
     trends : tuple of (int, ndarray)
         As of a `StateSpaceModel`.
     colour : float

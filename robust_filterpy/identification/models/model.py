@@ -1,4 +1,4 @@
-"""Model: what a recording told, as one value: parameters and their uncertainty, the noise, predictions."""
+"""Model: what a recording says, as one value: parameters and their uncertainty, the noise, predictions."""
 
 from __future__ import annotations
 
@@ -213,11 +213,11 @@ class Model(PolynomialSystem, Identified):
     has_offset : bool
         Whether there is a constant.
     dt : float or None
-        Sampling period in s, if the index of the recording told it.
+        Sampling period in s, if the index of the recording has it.
     own_fit : float
         Fit of the prediction one step ahead on the ordinary samples of the recording, in percent.
     findings : tuple of Finding
-        What the recording has beside the model and its noise: fill values, level steps, .., with the evidence.
+        What the recording has besides the model and its noise: fill values, level steps, .., with the evidence.
     operating_point : ndarray, shape (n_inputs,)
         Inputs at which the plant rests: 0, unless an input is far from 0 in all of the recording, and then its mean.
     trend : ndarray, shape (N,) or (0,)
@@ -306,7 +306,7 @@ class Model(PolynomialSystem, Identified):
 
     @property
     def _facts(self) -> dict[str, str]:
-        """What the table says beside the parameters."""
+        """What the table says besides the parameters."""
         count = int((~np.isnan(self.weights)).sum())
         facts = {"Samples": f"{count} of {self.weights.size}", "R": f"{self.R:.4g}"}
         if isinstance(self.noise.influence, Contaminated):
@@ -361,7 +361,7 @@ class Model(PolynomialSystem, Identified):
         signal = held_input(self.structure, u, self.operating_point)
         layout = Layout(self.structure)
         if self.operating_point.any() and isinstance(start, str) and start == "rest":
-            # From the start: an input of 1e8 beside which there is motion of 1 is not switched on in the first sample.
+            # From the start: an input of 1e8 with motion of 1 on it is not switched on in the first sample.
             signal = signal - self.operating_point
             y = regressor.simulate(self.structure, layout, Memory.at_rest(layout), self.theta, signal)
             gain = self._ways(self.theta[None], np.ones(1), 0)[0, :, 0]

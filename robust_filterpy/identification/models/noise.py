@@ -110,7 +110,7 @@ class Noise:
     R : float
         Variance of the ordinary noise, in the unit of the residual squared.
     known : bool, default False
-        Whether R is told and stays as it is.
+        Whether R is given and stays as it is.
     least : float, optional
         R never becomes smaller than this, which keeps a recording without noise from dividing by 0.
     """

@@ -1,7 +1,7 @@
 """From what was recorded to arrays, once, at the door: one recording or several, at equal steps or any times.
 
 Several recordings come as lists, or as one table with a column that groups its rows. A gap of more than `LONG_GAP`
-samples in the inputs or in the time axis makes two recordings of one: what happened in it is not known, so what comes
+samples in the inputs or in the time axis makes two recordings of one: what happened in it is unknown, so what comes
 after it has a start of its own. In shorter gaps an input is held at the value before, which is said. Equations of
 physics hold it as long as it takes.
 

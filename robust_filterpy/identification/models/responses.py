@@ -104,7 +104,7 @@ class System(Estimated):
         level : float, default 0.95
             Probability of the band at each frequency.
         dt : float, optional
-            Sampling period in s. Default: that of the recording, if its index told it, else 1.
+            Sampling period in s. Default: that of the recording, if its index has it, else 1.
         rng : numpy.random.Generator or int, optional
             For bands by sampling, where the delta method fails.
 
@@ -194,7 +194,7 @@ class System(Estimated):
         """
         w, period, delays = self._frequencies(omega, dt)
         of = partial(self._density, delays=delays, output=self._numbered("output", output))
-        # R is known as well as a variance from so many samples.
+        # R is as certain as a variance from so many samples.
         spread = 2.0 / np.atleast_1d(self._noise_samples)
         n, whole = len(self.theta), np.concatenate((self.theta, np.zeros(spread.size)))
         joint = np.diag(np.concatenate((np.zeros(n), spread)))
@@ -262,7 +262,7 @@ class System(Estimated):
         Parameters
         ----------
         dt : float, optional
-            Sampling period in s. Default: as the index told it.
+            Sampling period in s. Default: as the index has it.
         level : float, default 0.95
             Probability of the region of each pole.
 
@@ -360,7 +360,7 @@ class PolynomialSystem(System):
         Parameters
         ----------
         dt : float, True or "recorded", default "recorded"
-            Sampling period in s; True leaves it open. "recorded": as an index told it, True if none did.
+            Sampling period in s; True leaves it open. "recorded": as an index has it, True if none does.
 
         Returns
         -------

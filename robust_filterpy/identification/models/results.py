@@ -1,4 +1,4 @@
-"""What models and trackers tell: parameters with intervals, a table, samples, what a recording has beside them."""
+"""What models and trackers tell: parameters with intervals, a table, samples, what a recording has besides them."""
 
 from __future__ import annotations
 
@@ -247,14 +247,14 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """Parameters with their uncertainty, and what was found beside them.
+    """Parameters with their uncertainty, and what was found besides them.
 
     Attributes
     ----------
     title : str
         The structure.
     facts : dict of str to str
-        What was found beside the parameters.
+        What was found besides the parameters.
     rows : tuple of Estimate
         The parameters.
     level : float
@@ -262,7 +262,7 @@ class Summary:
     warning : str
         What makes the estimates doubtful; empty if nothing does.
     found : str
-        What the recording has beside the model and its noise; empty if nothing.
+        What the recording has besides the model and its noise; empty if nothing.
     """
 
     title: str
@@ -286,7 +286,7 @@ class Summary:
         lines = [self.title.center(_WIDTH).rstrip(), "=" * _WIDTH, *(f"{a}  {b}".rstrip() for a, b in pairs)]
         lines += ["-" * _WIDTH, f"{'':<12}{'estimate':>14}{'std':>13}{'z':>11}{lower:>14}{upper:>14}", "-" * _WIDTH]
         for name, estimate, std, z, low, high in self.rows:
-            # A parameter that is told, or stands at a bound, or was not estimated, has nothing to be doubted.
+            # A parameter that is given, or stands at a bound, or was not estimated, has nothing to be doubted.
             short = f"{z:.1f}" if abs(z) < 1e6 else f"{z:.1e}"
             sure = f"{'held':>13}" if std == 0.0 else f"{std:>13.3g}{short:>11}{low:>14.5g}{high:>14.5g}"
             lines.append(f"{name:<12}{estimate:>14.5g}{sure}")
@@ -366,7 +366,7 @@ class Estimated:
         return intervals(self.theta, self.std, level)
 
     def summary(self, level: float = 0.95) -> Summary:
-        """Return a table of the parameters with their uncertainty, and what was found beside them.
+        """Return a table of the parameters with their uncertainty, and what was found besides them.
 
         Parameters
         ----------
@@ -422,7 +422,7 @@ class Estimated:
 
     @property
     def _facts(self) -> dict[str, str]:
-        """What the table says beside the parameters."""
+        """What the table says besides the parameters."""
         return {}
 
     @property
@@ -560,7 +560,7 @@ class Identified(Estimated):
 
     @property
     def _remarks(self) -> str:
-        """What was found beside the model, and what makes it doubtful, for `repr`."""
+        """What was found besides the model, and what makes it doubtful, for `repr`."""
         remarks = {"found": said(self.findings), "doubtful": self.warning}
         return "".join(f"; {name}: {text}" for name, text in remarks.items() if text)
 

@@ -162,12 +162,12 @@ def _require_finite(values: Array) -> None:
 
 
 def fingerprint(y: Array) -> int:
-    """Return a number by which a recording is known again."""
+    """Return a number by which a recording is recognized."""
     return crc32(np.ascontiguousarray(y).tobytes())
 
 
 def trend_of(trends: Iterable[tuple[int, Array]], y: Array) -> Array:
-    """Return what was taken off a recording, 0 if it is not known again."""
+    """Return what was taken off a recording, 0 if it is not recognized."""
     taken = {(number, trend.shape): trend for number, trend in trends if trend.size}
     return taken.get((fingerprint(y), y.shape), np.zeros(y.shape)) if taken else np.zeros(y.shape)
 

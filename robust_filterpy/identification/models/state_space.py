@@ -260,9 +260,9 @@ class StateSpaceModel(System, Identified):
     operating_point : ndarray, shape (m,)
         Inputs at which it rests.
     dt : float or None
-        Sampling period in s, if the index told it.
+        Sampling period in s, if the index has it.
     findings : tuple of Finding
-        What the recording has beside the model.
+        What the recording has besides the model.
     levels : ndarray, shape (n_recordings, p)
         Level of each recording.
     orders : tuple of (int, float)
@@ -313,7 +313,7 @@ class StateSpaceModel(System, Identified):
 
     @property
     def _facts(self) -> dict[str, str]:
-        """What the table says beside the entries."""
+        """What the table says besides the entries."""
         return super()._facts | {"Largest pole": f"{np.abs(np.linalg.eigvals(self.A)).max():.4g}"}
 
     # The system.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # Curvature of more than this share of a standard deviation is sampled.
 _CURVED: Final = 0.2
 _SAMPLES: Final = 2000
-# An axis of an ellipse as thin as this, beside the size of its center, has no width.
+# An axis of an ellipse as thin as this, relative to its center, has no width.
 _THIN: Final = 1e-7
 
 
@@ -325,7 +325,7 @@ class ContinuousModel:
     A, B, C, D : ndarray, shape (n, n), (n, m), (p, n), (p, m)
         The matrices, in units of s.
     dead_time : ndarray, shape (m,)
-        Of each input, in s, beside the delay of one sample that sampling itself makes.
+        Of each input, in s, besides the delay of one sample that sampling itself makes.
     poles : Regions
         In 1/s, with regions.
     dt : float
@@ -392,7 +392,7 @@ def bands(
     lower, upper = -z * std, z * std
     # Where a step has left the stable models, or is infinite, curvature is no number.
     stable = all(is_inside(row) for row in (*(theta + steps), *(theta - steps)))
-    # What is known for sure has no more than rounding.
+    # What has no variance has no more than rounding.
     rounding = 1e-12 * np.abs(center) + 1e-9 * std.max(initial=0.0)
     curved = ~(curvature <= _CURVED * std + rounding) if stable else np.ones(center.shape, dtype=bool)
     if curved.any():

@@ -46,7 +46,7 @@ _SHARPEST: Final = 1e13
 _REACH: Final = 2.0
 # The first samples count as if there had been none before, so that R may be wrong by many powers of ten.
 _FIRST: Final = 5.0
-#: Up to so many samples P grows with R: what was learned with an R far too small is known less well by as much.
+#: Up to so many samples P grows with R: what was learned with an R far too small is less certain by as much.
 EARLY: Final = 20.0
 # min(e^2, 4) moves with R two thirds as much as e^2 does.
 _PACE: Final = 1.5
@@ -62,7 +62,7 @@ class NoiseScale(NamedTuple):
     memory: float
     """Number of samples that R is to remember; 0: R stays as it is."""
     rounding: float
-    """Steps of the sensor, or what arithmetic loses, in the unit of y; 0: not known. R is what they make at least."""
+    """Steps of the sensor, or what arithmetic loses, in the unit of y; 0: unknown. R is what they make at least."""
 
 
 class Recursion:
@@ -113,7 +113,7 @@ class Recursion:
             S = variance(G, kf.P, r)
             outlying = abs(y - predicted) > CLEANED_FROM * math.sqrt(S)
             weight = _corrected(kf, G, y, predicted, R, r, self.filtered)
-            # What vanishes beside R brings no information, as while input and output rest, and teaches no noise either.
+            # What vanishes next to R brings no information, as while input and output rest, and says nothing of noise.
             if R is None and self.scale.memory and S + (y - predicted) * (y - predicted) != r:
                 self.scale = _followed(kf, self.scale, r, y - predicted, S)
         if self.enabled and layout.stable:
@@ -177,7 +177,7 @@ def note(readings: Array, y: float, nu: float) -> None:
     """Note in place a reading that was not left out and what was not foreseen of it."""
     row = readings[: repeats.WIDTH]
     if readings[repeats.WIDTH]:
-        # While a sensor was stuck it has told nothing of its habits.
+        # While a sensor was stuck it has shown nothing of its habits.
         row[-1], readings[repeats.WIDTH] = abs(row[-1]), 0.0
     repeats.note_reading(row, y)
     repeats.note_change(row, nu)

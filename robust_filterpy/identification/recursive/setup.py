@@ -47,7 +47,7 @@ def structure_of(given: Any) -> Structure:
 
 
 def has_offset(offset: Any, structure: Structure, model: Model | None, starts: bool) -> bool:
-    """Return whether there is a constant beside theta, or raise."""
+    """Return whether there is a constant besides theta, or raise."""
     if offset is not None and not isinstance(offset, (bool, np.bool_)):
         raise TypeError(f"offset: expected True or False, got {offset!r}")
     if model is not None and offset is not None and offset != model.has_offset:
@@ -63,7 +63,7 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> RobustKalmanFilt
         raise ValueError(f"{', '.join(chosen)}: expected only without filter=; set them on the filter that you pass")
     is_class = isinstance(given, type)
     makes = issubclass(given, KalmanFilter) if is_class else callable(given) and not isinstance(given, KalmanFilter)
-    # R is followed, so that S is right: there is no custom of wrong ones to learn.
+    # R is followed, so that S is right: no typical innovation of a wrong one has to be learned.
     options: dict[str, Any] = {"scaling": "innovation", **chosen}
     kf = RobustKalmanFilter(n, 1, **options) if given is None else given(dim_x=n, dim_z=1) if makes else given
     if type(kf) is KalmanFilter:

@@ -22,7 +22,7 @@ __all__ = ["READINGS", "WINDUP", "ColdStart", "Form", "State", "Unjudged", "at_r
 
 #: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
 WINDUP = 1e8
-#: What is known of the readings, and for how many samples the sensor has been stuck.
+#: What was learned of the readings, and for how many samples the sensor has been stuck.
 READINGS = repeats.WIDTH + 1
 #: What decides about another start: whether and of how many samples, samples seen, what is usual, what is rounding, and
 #: the scores of the gain.
@@ -37,7 +37,7 @@ class Form(NamedTuple):
     structure: Structure
     layout: Layout
     own: np.ndarray
-    """Where theta stands in what is estimated: beside it there may be a constant."""
+    """Where theta stands in what is estimated: besides it there may be a constant."""
     has_offset: bool
     cleans: bool
     """Whether the regressor holds cleaned outputs."""
@@ -154,7 +154,7 @@ class State(NamedTuple):
     scale: Array
     """R and the fields of `NoiseScale`, (n, 5)."""
     readings: Array
-    """What is known of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
+    """What was learned of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
     (n, 7)."""
     centre: Array
     """What is taken off the outputs, so that the constant is small, (n,)."""

@@ -257,7 +257,7 @@ def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
 
 
 def _begun(form: Form, using: Settings, now: State) -> Unjudged:
-    """Return what is to be known before the first of some samples to look at them together."""
+    """Return what is needed before the first of some samples to look at them together."""
     mask = now.restarts & using.enabled & bool(form.structure.n_inputs)
     mask[list(now.starts)] = False
     watched = np.flatnonzero(mask)

@@ -125,7 +125,7 @@ class Standing(track.Following, PolynomialSystem):
 
     @property
     def _noise_samples(self) -> float:
-        """How many samples R stands on; one that is told is known."""
+        """How many samples R stands on; one that is given counts as certain."""
         return float(self._now.scale[0, 3]) or np.inf
 
     @property
@@ -145,7 +145,7 @@ class Standing(track.Following, PolynomialSystem):
 
     @property
     def _facts(self) -> dict[str, str]:
-        """What the table says beside the parameters."""
+        """What the table says besides the parameters."""
         return {"R": f"{self.R:.4g}", "Level": f"{self.level:.4g}", "Forgetting": f"{self.forgetting:.4g}"}
 
     @property
@@ -284,7 +284,7 @@ class ParameterTracker(Standing):
         half and all of them by `identify`, and goes on from there. Default: 400, or 0 if theta, P or a filter object is
         given. 0: the recursion begins at once, as in the paper.
     offset : bool, optional
-        Whether there is a constant beside theta, for outputs that are not measured from their rest. Default: with a
+        Whether there is a constant besides theta, for outputs that are not measured from their rest. Default: with a
         start yes, except for a LinearRegression, whose columns are the caller's.
     regressor : {"measured", "cleaned"}
         Which outputs an ARX, ARMAX, AR, ARMA or BoxJenkins has in its regressor: those measured, or the prediction in
@@ -295,7 +295,7 @@ class ParameterTracker(Standing):
     R_memory : int, default 150
         Number of samples that an R which is followed remembers.
     forgetting : float, optional
-        Forgetting factor in (0, 1] as in recursive least squares, instead of Q or beside it: P is divided by it at
+        Forgetting factor in (0, 1] as in recursive least squares, instead of Q or with it: P is divided by it at
         each sample (filterpy's alpha is its -1/2 power).
     gradient : {"filtered", "pseudolinear"}
         What the gain of an OutputError (ARMAX) model is computed from: phi filtered by 1/A_hat (1/C_hat), the
@@ -322,7 +322,7 @@ class ParameterTracker(Standing):
     offset : float
         Constant of the equation, as in `Model`; `level` is what it means for y.
     dt : float or None
-        Sampling period in s, as the index of the first recording that has one told it; may be set.
+        Sampling period in s, as the index of the first recording that has one says; may be set.
 
     Raises
     ------
@@ -351,7 +351,7 @@ class ParameterTracker(Standing):
 
     Gradient. The pseudo-linear form converges only where 1/A (ARMAX: 1/C) is strictly positive real. Median over 400
     runs of the mean \\|theta_hat - theta\\| over samples 500-1000, a = [-1.5, .7], b = [1, .5], u = +-1 white, nominal
-    noise .5, outliers 10 times that, from theta = 0, P = I, Q = 1e-6 I; "Kalman" is told the variance of the mixture,
+    noise .5, outliers 10 times that, from theta = 0, P = I, Q = 1e-6 I; "Kalman" has the variance of the mixture,
     "labels" which samples are outliers, "student" is ``influence=StudentT(4)``:
 
     ============= ======= ======= ======= ======= ======= ======= ======= =======
@@ -366,13 +366,13 @@ class ParameterTracker(Standing):
     ============= ======= ======= ======= ======= ======= ======= ======= =======
 
     Student's t has its price after a jump of theta: over the next 200 samples its error is some 5 to 10 % above that
-    of Huber's function, the default, and up to a third above it where R is told ten times too small.
+    of Huber's function, the default, and up to a third above it where R is given ten times too small.
 
     On the plant of section 4, of which 1000 samples tell little (the Cramer-Rao bound of \\|theta_hat - theta\\| is .74
     with the 1/f input), the filtered gradient has .52 of relative error in the noise-free output at contamination .1,
     the pseudo-linear form .90.
 
-    Guard. The same error, contamination .1, the plant drifting by W and the tracker told so, 400 runs:
+    Guard. The same error, contamination .1, the plant drifting by W, which is the tracker's Q, 400 runs:
 
     ============= ===== ====== ====== ===== ====== ======
     .             filtered            pseudolinear
@@ -477,7 +477,7 @@ class ParameterTracker(Standing):
             setup.configure(kf, structure, own, {"theta": theta, "P": P})
             self._now, self.dt = self._pulled(), model.dt
         self._initial = self.state()
-        # The last time that a recording told, and how many samples came after it.
+        # The last time that a recording had, and how many samples came after it.
         self._time: tuple[Any, int] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -746,7 +746,7 @@ class ParameterTracker(Standing):
 
     @property
     def is_one_of_many(self) -> bool:
-        """Whether the kernel takes its samples, beside those of others, and its filter keeps nothing of its own."""
+        """Whether the kernel takes its samples, with those of others, and its filter keeps nothing of its own."""
         return self._using().rules is not None and not kept_beside(self._filter)
 
     def together(self, states: Mapping[str, Any], y: Array, u: Array) -> tuple[Columns, dict[str, np.ndarray]]:
@@ -851,7 +851,7 @@ class ParameterTracker(Standing):
         Returns
         -------
         dict of str to ndarray
-            readings: what is known of the steps of y, (7,);
+            readings: what was learned of the steps of y, (7,);
             theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
             (nc,), gradients, measured (na,); enabled; recursion: center of y, limit of tr P, samples, mean and memory
             of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);

@@ -32,7 +32,7 @@ _WINDOW: Final = 200
 _LEAST_WEIGHT: Final = 0.5
 # More steps than this share that leave the stable models come from a wrong structure or step.
 _MOST_GUARDED: Final = 0.25
-# A level beside which the scatter of the residuals is small is an offset.
+# A level next to which the scatter of the residuals is small is an offset.
 _OFFSET: Final = 2.0
 # Residuals are held against the past inputs in windows of so many samples, this many apart: a plant that changes is
 # in the whole of one after their sum.

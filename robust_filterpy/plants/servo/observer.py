@@ -43,7 +43,7 @@ class MotionEstimate(NamedTuple):
 class ServoObserver:
     """Estimate the motion of the piston from a position sensor and two pressure sensors, by an extended Kalman filter.
 
-    The equations of `pneumatic_servo`, linearized at each estimate, with two random walks beside their four states:
+    The equations of `pneumatic_servo`, linearized at each estimate, with two random walks next to their four states:
     the force that the equations do not know, and beta, the flow through the valve::
 
         x = [position, velocity, P_a, P_b, force, beta / (alpha C_d)],    z = [position, P_a, P_b]

@@ -31,7 +31,7 @@ Signal: TypeAlias = "Coefficient | ArrayLike"
 
 
 class ServoInputs:
-    """What drives the plant beside its valve, checked and sampled."""
+    """What drives the plant besides its valve, checked and sampled."""
 
     def __init__(  # the quantities that both simulations take
         self,

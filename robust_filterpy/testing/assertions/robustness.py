@@ -98,7 +98,7 @@ def assert_recovers_from_jump(
     within : int, default 100
         After so many samples the filter is back.
     deviations : float, default 6
-        Back is: this close to the truth, in standard deviations of the filter that was told of the jump. A normal error
+        Back is: this close to the truth, in standard deviations of the filter that knows of the jump. A normal error
         is further away with probability 2e-9.
     rng : numpy.random.Generator or int, optional
         Draws the recording.

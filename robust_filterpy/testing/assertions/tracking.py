@@ -81,7 +81,7 @@ def assert_tracks(
     at_least : float, default .5
         The reference's mean squared error over the tracker's, in (0, 1].
     relative_to : list of TrackerRun, optional
-        The reference. Default: the tracker that is told every label and every jump.
+        The reference. Default: the tracker that knows every label and every jump.
     skip : int, default 0
         Samples at the start that do not count.
     false_alarm : float, default 1e-6

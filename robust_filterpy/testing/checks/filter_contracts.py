@@ -1,4 +1,4 @@
-"""Promises of a filter beside its equations: shapes, arrays, what it depends on, errors over many recordings."""
+"""Promises of a filter besides its equations: shapes, arrays, what it depends on, errors over many recordings."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ class FilterSubject:
         return Corrected(after - x, P @ model.H.T @ np.linalg.solve(S, y), P, P_after)
 
     def assert_efficient(self, contamination: Kinds) -> None:
-        """Compare with the filter that is told every label, over many recordings."""
+        """Compare with the filter that knows every label, over many recordings."""
         clean = contamination == "none"
         scenarios, tested = self.many(contamination, _RUNS if clean else 2 * _RUNS)
         at_least = (0.9999 if self.is_exact else 0.6) if clean else 0.5

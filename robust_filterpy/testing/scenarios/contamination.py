@@ -31,7 +31,7 @@ from robust_filterpy._checks import Array
 
 
 class Spoilt(NamedTuple):
-    """Hold measurements together with what no filter is told about them.
+    """Hold measurements together with what no filter is given about them.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Problems with everything known: the model, the recording, the truth, the labels, and what a filter told them gets.
+"""Problems with everything known: model, recording, truth, labels, and what a filter that has them gets.
 
 `draw` draws them all: state estimation (`robust_filterpy.testing.scenarios.models` lists the systems), identification
 (`robust_filterpy.testing.scenarios.plants`), spoiled in the ways of `robust_filterpy.testing.scenarios.contamination`.
@@ -35,7 +35,7 @@ class Scenario:
     Attributes
     ----------
     model : StateModel
-        What a filter is told.
+        What a filter is given.
     u : ndarray, shape (N, dim_u), or None
         Inputs.
     z : ndarray, shape (N, m)
@@ -45,7 +45,7 @@ class Scenario:
     is_outlier, is_missing : ndarray of bool, shape (N, m)
         Labels of the samples.
     is_jump : ndarray of bool, shape (N,)
-        Steps at which the state does what the filter is not told.
+        Steps at which the state does what the filter does not know.
     noise_ratio : ndarray, shape (N, m)
         Deviation of each sample's noise over the ordinary one; infinite where z tells nothing.
     Qs : ndarray, shape (N, n, n)
@@ -83,7 +83,7 @@ class Scenario:
 
     @cached_property
     def reference(self) -> FilterRun:
-        """The Kalman filter (extended, for a nonlinear sensor) that is told every label and every jump."""
+        """The Kalman filter (extended, for a nonlinear sensor) that knows every label and every jump."""
         return runs.run_filter(_LabelKnowing(self), self)
 
 
@@ -181,7 +181,7 @@ def _normal(rng: np.random.Generator, size: int, covariance: Array) -> Array:
 
 
 class _LabelKnowing:
-    """The Kalman filter, by filterpy's functions, that is told each sample's own R and each step's own Q."""
+    """The Kalman filter, by filterpy's functions, that is given each sample's own R and each step's own Q."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Begin where the scenario does."""

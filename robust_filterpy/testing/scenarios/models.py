@@ -33,7 +33,7 @@ __all__ = ["StateModel"]
 
 @dataclass(frozen=True, eq=False)
 class StateModel:
-    """Hold what a filter is told about a system, and how the system departs from that.
+    """Hold what a filter is given about a system, and how the system departs from that.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class StateModel:
     periods : tuple of int, optional
         Samples from one measurement of a sensor to its next, one for each sensor. Default: 1.
     jump_probability : float
-        With this probability the process noise of a step is multiplied by `jump_ratio`; no filter is told so.
+        With this probability the process noise of a step is multiplied by `jump_ratio`; no filter is given that.
     jump_ratio : float
         See there.
 

@@ -74,7 +74,7 @@ class Plant:
 
     @property
     def Q(self) -> Array:
-        """Covariance of a step of theta that a tracker is told, shape (n_theta, n_theta)."""
+        """Covariance of a step of theta that a tracker is given, shape (n_theta, n_theta)."""
         moving = np.ones(self.structure.n_theta)
         moving[self.structure.n_theta - self.structure.nc :] = 0.0
         return np.diag((self.drift + self.jump_probability * self.jump_size**2) * moving)
@@ -97,7 +97,7 @@ class PlantScenario:
     R : float
         Variance of the ordinary noise.
     Q : ndarray, shape (n_theta, n_theta)
-        Covariance of a step of theta that a tracker is told.
+        Covariance of a step of theta that a tracker is given.
     is_outlier, is_missing, is_jump : ndarray of bool, shape (N,)
         Labels.
     noise_ratio : ndarray, shape (N,)
@@ -137,7 +137,7 @@ class PlantScenario:
 
     @cached_property
     def reference(self) -> TrackerRun:
-        """The Kalman tracker that starts at the truth, with P = I, and is told every label and every jump."""
+        """The Kalman tracker that starts at the truth, with P = I, and knows every label and every jump."""
         start = 0.0 if self.theta is None else self.theta[0]
         tracker = self.load(ParameterTracker(self.structure, influence=Linear(), theta=start, P=1.0))
         measured = np.isfinite(self.noise_ratio)

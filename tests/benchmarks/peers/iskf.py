@@ -19,27 +19,35 @@ GRID_TWO = [
 ]
 
 
-def one_step(of_z: float) -> Correction:
+def one_step(of_z: Any) -> Correction:
     """Return the correction after one step, in which only the innovation saturates."""
     return partial(_correct, 1, np.inf, of_z)
 
 
-def two_steps(of_x: float, of_z: float) -> Correction:
-    """Return the correction after two steps; in the second the move of the state saturates too."""
+def two_steps(of_x: Any, of_z: Any) -> Correction:
+    """Return the correction after two steps; in the second the move of the state saturates too.
+
+    P does not depend on the thresholds: for columns of them the states are rows.
+    """
     return partial(_correct, 2, of_x, of_z)
 
 
 def _correct(
-    steps: int, of_x: float, of_z: float, x: np.ndarray, P: np.ndarray, z: np.ndarray, case: Any, memory: dict
+    steps: int, of_x: Any, of_z: Any, x: np.ndarray, P: np.ndarray, z: np.ndarray, case: Any, memory: dict
 ) -> Any:
-    C, R_inverse = P @ case.H.T, np.linalg.inv(case.R)
-    K = np.linalg.solve(case.H @ C + case.R, C.T).T
+    H, C, R_inverse = case.H, P @ case.H.T, np.linalg.inv(case.R)
+    K = np.linalg.solve(H @ C + case.R, C.T).T
     at = x
     for step in range(steps):
-        move, y = at - x, z - case.H @ at
+        move, y, from_x = at - x, z - at @ H.T, 0.0
         # The first step begins where nothing has moved.
-        size = np.sqrt(max(move @ np.linalg.pinv(P, hermitian=True) @ move, 0.0)) if step and of_x < np.inf else 0.0
-        from_x = move * min(1.0, of_x / max(size, 1e-300))
-        from_z = y * min(1.0, of_z / max(np.sqrt(y @ R_inverse @ y), 1e-300))
-        at = at + K @ from_z - (from_x - K @ (case.H @ from_x))
+        if step:
+            from_x = move * np.minimum(1.0, of_x / _length(move, np.linalg.pinv(P, hermitian=True)))
+        from_z = y * np.minimum(1.0, of_z / _length(y, R_inverse))
+        at = at + from_z @ K.T - (from_x - from_x @ (K @ H).T if step else 0.0)
     return at, P - K @ C.T
+
+
+def _length(v: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """Return the length of vectors, at least a number that may divide."""
+    return np.sqrt(np.maximum(((v @ inverse) * v).sum(axis=-1, keepdims=True), 1e-300))

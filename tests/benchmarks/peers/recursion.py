@@ -12,15 +12,19 @@ Correction = Callable[[np.ndarray, np.ndarray, np.ndarray, Any, dict], tuple[np.
 
 
 def filtered(case: Any, correct: Correction, q_scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corrected states of a recording and their covariances, shapes (N, n) and (N, n, n)."""
+    """Return the corrected states of a recording and their covariances, shapes (N, n) and (N, n, n).
+
+    States are (N, G, n) where a correction has G choices of which P does not depend.
+    """
     x, P, memory = case.x0, case.P0, {}
-    path, covariances = np.empty((len(case.zs), len(x))), np.empty((len(case.zs), len(x), len(x)))
-    for k, z in enumerate(case.zs):
-        x, P = case.F @ x, case.F @ P @ case.F.T + q_scale * case.Q
+    path, covariances = [], []
+    for z in case.zs:
+        x, P = x @ case.F.T, case.F @ P @ case.F.T + q_scale * case.Q
         x, P = correct(x, P, z, case, memory)
         P = 0.5 * (P + P.T)
-        path[k], covariances[k] = x, P
-    return path, covariances
+        path.append(x)
+        covariances.append(P)
+    return np.array(path), np.array(covariances)
 
 
 def kalman(x: np.ndarray, P: np.ndarray, y: np.ndarray, H: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
