@@ -35,6 +35,8 @@ _LOG_2PI = math.log(2.0 * math.pi)
 # Standard deviations of the widest class up to which an innovation counts as what it is. Beyond, no part of the noise
 # model says anything, and the score of a normal distribution would grow without bound.
 _REACH = 8.0
+# And where all are weighed together.
+_TOGETHER = 1e8
 # A state that is so much less certain than a sensor's noise, in variance, is not known at all.
 _WIDEST = 1e12
 # What a sample is worth for a jump at most, 100 to 1: so many have to agree, however wild they are.
@@ -193,11 +195,10 @@ def _corrected(
     if alike and len(part) > 1:
         q = len(process.scales)
         shares = now.probabilities[:q] / now.probabilities[:q].sum(axis=0)
-        with np.errstate(over="ignore", invalid="ignore"):
-            innovation = side_by_side.collapse(shares, now.y[:q], now.S[:q], now.parts)
-        # So far off that variances are no numbers all together tell nothing.
-        if np.isfinite(innovation[1]).all():
-            shared = _shared(*innovation, N, memory[part], noise, inv)
+        # Between copies that far innovations all but equal there would be rounding.
+        reach = _TOGETHER * np.sqrt(np.diagonal(now.S, axis1=1, axis2=2).max(axis=0))
+        innovation = side_by_side.collapse(shares, np.clip(now.y[:q], -reach, reach), now.S[:q], now.parts)
+        shared = _shared(*innovation, N, memory[part], noise, inv)
     while groups:
         group = groups.pop(_most_plausible(now, groups))
         own = rows[group[:1]] if joint else rows[group]

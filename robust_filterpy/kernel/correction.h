@@ -63,7 +63,7 @@ SIZED void correction_begin(const int n, const int m, const int shown, correctio
 
 /* -log p(z) but for normalizers, gathered so that a logarithm is seldom needed. */
 SIZED void correction_gather(correction *const c, const real loss, const real variance) {
-    c->loss += loss;
+    c->loss += real_min(loss, REAL_LARGE);
     if (variance > REAL_PRODUCT || variance < 1 / REAL_PRODUCT) {
         c->loss += REAL(0.5) * real_log(variance);
     } else {
@@ -76,7 +76,7 @@ SIZED void correction_gather(correction *const c, const real loss, const real va
 }
 
 /* Write y = z - H x, C = H P + M' and S = H P H' + H M + M' H' + R; z is NaN where missing, M (n, m) or NULL.
-   Return whether y is ordinary. */
+   Return whether y is finite. */
 SIZED int innovate(const int n, const int m, const real *RESTRICT z, const real *RESTRICT x, const real *RESTRICT P,
                     const real *RESTRICT H, const real *RESTRICT R, const real *M, correction *const c) {
     real *RESTRICT C = c->C, *RESTRICT S = c->S, *RESTRICT y = c->y, *RESTRICT left = c->left;
@@ -89,7 +89,7 @@ SIZED int innovate(const int n, const int m, const real *RESTRICT z, const real 
         y[i] = seen ? z[i] - predicted : 0;
         left[i] = seen ? REAL(1.0) : REAL(0.0);
         c->observed += seen;
-        check += real_abs(y[i]);
+        check += y[i] - y[i];
         for (int k = 0; k < n; k++) C[i * n + k] = 0;
         for (int j = 0; j < n; j++)
             for (int k = 0; k < n; k++) C[i * n + k] += H[i * n + j] * P[j * n + k];
@@ -104,7 +104,7 @@ SIZED int innovate(const int n, const int m, const real *RESTRICT z, const real 
                 for (int k = 0; k < n; k++) total += H[i * n + k] * M[k * m + j];
             S[i * m + j] = S[j * m + i] = total;
         }
-    return check < REAL_ORDINARY;
+    return check == 0;
 }
 
 /* T_i of one sensor. */
@@ -174,15 +174,16 @@ SIZED int correct(const int n, const int m, const correction_rule *const rule, c
             c->order[i] = 0;
             for (int j = 0; j < m; j++) c->W[i * m + j] = i == j ? REAL(1.0) : REAL(0.0);
         }
-        if (c->left[i] != 0 && !(S[i * m + i] > 0 && S[i * m + i] < REAL_ORDINARY)) return 0;
+        if (c->left[i] != 0 && !(S[i * m + i] > 0 && real_is_finite(S[i * m + i]))) return 0;
     }
     for (int step = 0; step < c->observed; step++) {
         const int i = correction_next(m, rule->scaling, spread, c), more = step + 1 < c->observed;
         if (i < 0) return 0;
-        const real variance = S[i * m + i], t = c->t[i], e = t * y[i], s = spread ? spread[i] : 1;
+        const real variance = S[i * m + i], t = c->t[i], s = spread ? spread[i] : 1;
+        const real e = real_within(t * y[i], REAL_MAX);
         real slope, d, *RESTRICT g = C + i * n, *RESTRICT q = S + i * m;
         const real moved = correction_bound(&rule->psi, e, s, &slope);
-        if (!(real_abs(e) < REAL_ORDINARY)) return 0;
+        if (e != e) return 0;
         c->left[i] = 0;
         c->e[i] = e;
         c->slopes[i] = slope;

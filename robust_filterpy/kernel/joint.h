@@ -11,20 +11,22 @@
 
 /* Whether sensor i tells something of a state. */
 INLINE int joint_sees(const int n, const int i, const real *RESTRICT P, const correction *const c) {
+    const real unseen = JOINT_UNSEEN * real_sqrt(c->first[i]);
     for (int k = 0; k < n; k++)
-        if (real_abs(c->C[i * n + k]) > JOINT_UNSEEN * real_sqrt(real_max(P[k * n + k], 0) * c->first[i])) return 1;
+        if (real_abs(c->C[i * n + k]) > unseen * real_sqrt(real_max(P[k * n + k], 0))) return 1;
     return 0;
 }
 
 /* Judge a sensor that tells nothing of the state: on its own, since it would only lengthen the others' innovation. Return
    whether it tells nothing of the others either. */
 INLINE int joint_leave(const int m, const int i, const correction_rule *const rule, const real s, correction *const c) {
+    const real unseen = JOINT_UNSEEN * real_sqrt(c->first[i]);
     real slope;
     for (int j = 0; j < m; j++)
         if (j != i && c->left[j] != 0 &&
-            real_abs(c->S[i * m + j]) > JOINT_UNSEEN * real_sqrt(c->first[i] * c->S[j * m + j])) return 0;
+            real_abs(c->S[i * m + j]) > unseen * real_sqrt(c->S[j * m + j])) return 0;
     const real e = c->y[i] / real_sqrt(c->first[i]), moved = correction_bound(&rule->psi, e, s, &slope);
-    if (!(real_abs(e) < REAL_ORDINARY)) return 0;
+    if (!real_is_finite(e)) return 0;
     c->left[i] = 0;
     c->e[i] = e;
     c->slopes[i] = slope;
@@ -55,7 +57,7 @@ INLINE int joint_whiten(const int n, const int m, correction *const c) {
         const real t = 1 / real_sqrt(variance);
         correction_gather(c, 0, variance);
         c->e[i] = t * c->y[i];
-        if (!(real_abs(c->e[i]) < REAL_ORDINARY)) return 0;
+        if (!real_is_finite(c->e[i])) return 0;
         for (int k = 0; k < n; k++) C[i * n + k] *= t;
         for (int k = 0; k < m; k++) S[i * m + k] *= t;
         for (int k = 0; W && k < m; k++) W[i * m + k] *= t;
@@ -87,7 +89,7 @@ INLINE int correct_joint(const int n, const int m, const correction_rule *const 
             for (int j = 0; j < m; j++) c->W[i * m + j] = i == j ? REAL(1.0) : REAL(0.0);
         }
         if (c->left[i] == 0) continue;
-        if (!(c->first[i] > 0 && c->first[i] < REAL_ORDINARY)) return 0;
+        if (!(c->first[i] > 0 && real_is_finite(c->first[i]))) return 0;
         if (!joint_sees(n, i, P, c)) {
             if (!joint_leave(m, i, rule, spread ? spread[i] : 1, c)) return 0;
             if (c->order) c->order[alone] = (real)i;
@@ -102,7 +104,9 @@ INLINE int correct_joint(const int n, const int m, const correction_rule *const 
     for (int i = 0; i < m; i++) e[i] = c->left[i] != 0 ? c->e[i] : 0;
     for (int i = m - 1, below = -1; i >= 0; below = c->left[i] != 0 ? i : below, i--) {
         if (c->left[i] == 0 || below < 0 || e[below] == 0) continue;
-        const real length = real_hypot(e[i], e[below]), cosine = e[i] / length, sine = e[below] / length;
+        const real length = real_hypot(e[i], e[below]);
+        if (!real_is_finite(length)) return 0;
+        const real cosine = e[i] / length, sine = e[below] / length;
         joint_turn(n, cosine, sine, c->C + i * n, c->C + below * n);
         if (c->W) joint_turn(m, cosine, sine, c->W + i * m, c->W + below * m);
         e[i] = length;

@@ -10,6 +10,7 @@
 #include "repeats.h"
 #include "update.h"
 
+#define LEARNT_TOGETHER REAL(1e8)     /* standard deviations that one counts for where all are weighed together */
 #define LEARNT_REACH REAL(8.0)        /* standard deviations of the widest class that an innovation counts for */
 #define LEARNT_LOG_2PI REAL(1.8378770664093454836)
 #define LEARNT_PARITY 4               /* numbers that tell of parity: last, lag-one covariance, variance, how many */
@@ -584,7 +585,8 @@ INLINE real learnt_innovations(const int n, const int m, const int copy, const l
             for (int j = 0; j < n; j++) C[i * n + j] += h * P[k * n + j];
         }
         y[i] = w->left[i] > 0 ? z[i] - sum : 0;
-        check += real_abs(y[i]);
+        check += y[i] - y[i];
+        y[i] = real_within(y[i], REAL_LARGE);
     }
     for (int i = 0; i < m; i++)
         for (int j = 0; j <= i; j++) {
@@ -792,7 +794,7 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
     const int copies = learnt_copies(rule);
     real check = 0;
     for (int c = 0; c < copies; c++) check += learnt_innovations(n, m, c, s, H, z, w);
-    if (!(check < REAL_ORDINARY)) return 0;
+    if (check != 0) return 0;
     if (rule->jump > 0) learnt_widen(n, m, rule, s, H, R, z, w);
     for (int c = 0; c < copies; c++)
         for (int i = 0; i < m; i++) {
@@ -831,6 +833,7 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
         const real *const p = s->p + (int)w->head[i];
         real slow = 0;
         if (!(w->left[i] > 0)) continue;
+        u[i] = LEARNT_TOGETHER * real_sqrt(w->start[i]);
         for (int c = 0; c < rule->q; c++) slow += p[c * n];
         count += 1;
         noisy |= R[i * m + i] > 0;
@@ -838,12 +841,13 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
         learnt_predicted(K, s->memory + i * width, w->before);
         for (int k = 0; k < K; k++) w->shared[k] += w->before[k];
         y[i] = 0;
-        for (int c = 0; c < rule->q; c++) y[i] += p[c * n] / slow * w->y[c * m + i];
+        for (int c = 0; c < rule->q; c++) y[i] += p[c * n] / slow * real_within(w->y[c * m + i], u[i]);
         for (int j = 0; j <= i; j++) {
             S[i * m + j] = 0;
             for (int c = 0; w->left[j] > 0 && w->head[i] == w->head[j] && c < rule->q; c++)
                 S[i * m + j] += p[c * n] / slow * (w->S[(c * m + i) * m + j]
-                                                   + (w->y[c * m + i] - y[i]) * (w->y[c * m + j] - y[j]));
+                                                   + (real_within(w->y[c * m + i], u[i]) - y[i])
+                                                         * (real_within(w->y[c * m + j], u[j]) - y[j]));
         }
     }
     w->together /= count;
@@ -882,17 +886,18 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
     return real_is_finite(*log_density);
 }
 
-/* The square of a sensor's innovation in standard deviations, over all copies. */
+/* A sensor's innovation in standard deviations, over all copies. */
 INLINE real learnt_far(const int n, const int m, const int copies, const learnt_state *const s,
                        const learnt_parts *const w, const int i) {
     const real *const p = s->p + (int)w->head[i];
-    real mean = 0, variance = 0;
-    for (int c = 0; c < copies; c++) mean += p[c * n] * w->y[c * m + i];
+    real mean = 0, variance = 0, unit = 1;
+    for (int c = 0; c < copies; c++) unit = real_max(unit, real_abs(w->y[c * m + i]));
+    for (int c = 0; c < copies; c++) mean += p[c * n] * (w->y[c * m + i] / unit);
     for (int c = 0; c < copies; c++) {
-        const real apart = w->y[c * m + i] - mean;
-        variance += p[c * n] * (w->S[c * m * m + i * m + i] + apart * apart);
+        const real apart = w->y[c * m + i] / unit - mean;
+        variance += p[c * n] * (w->S[c * m * m + i * m + i] / unit / unit + apart * apart);
     }
-    return mean * mean / variance;
+    return real_abs(mean) / real_sqrt(variance);
 }
 
 /* The sensor that is taken next, the least far; of those that fail together the farthest counts. */
@@ -979,7 +984,10 @@ CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const
     for (int c = 0; c < copies; c++) {
         const real *const before = c < rule->q ? w->before : w->usual, *const y = w->y + c * m;
         real *RESTRICT given = w->given + c * K, *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
-        real least = REAL_MAX, shorter, peak = -REAL_MAX, total = 0;
+        real least = REAL_MAX, shorter, peak = -REAL_MAX, total = 0, unit = 1;
+        for (int t = 0; t < g; t++) unit = real_max(unit, real_abs(y[(int)w->members[t]]));
+        /* Squares are numbers. */
+        if (unit < REAL_PRODUCT) unit = 1;
         if (!(w->S[(c * m + (int)w->members[0]) * m + (int)w->members[0]] > REAL_PIVOT * w->start[(int)w->members[0]]))
             return 0;
         for (int k = 0; k < K; k++) {
@@ -1013,15 +1021,16 @@ CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const
                     real sum = 0;
                     for (int o = t > u ? t : u; o < g; o++) sum += L[o * g + t] * L[o * g + u];
                     inverse[t * g + u] = sum;
-                    pull[t] += sum * y[(int)w->members[u]];
+                    pull[t] += sum * (y[(int)w->members[u]] / unit);
                 }
-                length += pull[t] * y[(int)w->members[t]];
+                length += pull[t] * (y[(int)w->members[t]] / unit);
             }
             least = real_min(least, length);
             w->weights[k] = length, w->after[k] = log_det;
         }
         /* A sensor without noise is right however far off. */
-        shorter = noisy && least > LEARNT_REACH * LEARNT_REACH ? LEARNT_REACH / real_sqrt(least) : 1;
+        shorter = noisy && least > LEARNT_REACH / unit * (LEARNT_REACH / unit) ? LEARNT_REACH / real_sqrt(least) : 1;
+        if (shorter == 1 && unit != 1) return 0;
         for (int k = 0; k < K; k++) {
             given[k] = real_log(before[k]) - REAL(0.5) * (w->weights[k] * shorter * shorter + w->after[k]);
             peak = real_max(peak, given[k]);

@@ -24,9 +24,9 @@ INLINE int update_moments(const int n, const int m, const correction_rule *const
         shown[i] = c->y[i] = seen ? y[i] : 0;
         c->left[i] = seen ? REAL(1.0) : REAL(0.0);
         c->observed += seen;
-        check += real_abs(c->y[i]);
+        check += c->y[i] - c->y[i];
     }
-    if (c->observed == 0 || !(check < REAL_ORDINARY)) return 0;
+    if (c->observed == 0 || check != 0) return 0;
     if (H) (void)innovate(n, m, y, x, P, H, R, NULL, c);
     real_copy(m * m, c->S, S);
     real_copy(m * n, c->C, S + m * m);

@@ -22,6 +22,7 @@
 typedef float real;
 #define REAL_EPSILON FLT_EPSILON
 #define REAL_MAX FLT_MAX
+#define REAL_LARGE 1e30F    /* beyond this nothing is larger */
 #define REAL_ORDINARY 1e15F /* beyond this a square overflows */
 #define REAL_PRODUCT 1e12F  /* what a product of variances is kept below */
 #define REAL_PIVOT 1e-5F    /* a variance that shrank to this part of itself is rounding */
@@ -36,6 +37,7 @@ typedef float real;
 typedef double real;
 #define REAL_EPSILON DBL_EPSILON
 #define REAL_MAX DBL_MAX
+#define REAL_LARGE 1e300
 #define REAL_ORDINARY 1e150
 #define REAL_PRODUCT 1e100
 #define REAL_PIVOT 1e-13
@@ -77,6 +79,9 @@ typedef double real;
 
 INLINE real real_min(const real a, const real b) { return a < b ? a : b; }
 INLINE real real_max(const real a, const real b) { return a > b ? a : b; }
+
+/* A number no larger than most in size; NaN stays. */
+INLINE real real_within(const real a, const real most) { return a > most ? most : a < -most ? -most : a; }
 
 /* Whether a number is neither NaN nor infinite. */
 INLINE int real_is_finite(const real a) { return real_abs(a) <= REAL_MAX; }

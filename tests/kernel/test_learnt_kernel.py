@@ -145,7 +145,7 @@ def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
     problem, zs = recording(3, (3, 2))
     zs, noise, process = np.nan_to_num(zs, nan=1.0), NoiseClasses(), Scales()
     for spoilt in (
-        {"zs": np.full_like(zs, 1e200)}, {"R": np.zeros((2, 2)), "H": np.ones((2, 3))}, {"P": 1e20 * np.eye(3)},
+        {"R": np.zeros((2, 2)), "H": np.ones((2, 3))}, {"P": 1e20 * np.eye(3)},
         {"F": np.full((3, 3), np.nan)}, {"zs": np.full_like(zs, np.inf)},
     ):  # fmt: skip
         copies = side_by_side.start(problem.x[:, 0], spoilt.get("P", problem.P), process)

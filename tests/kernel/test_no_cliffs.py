@@ -54,6 +54,32 @@ def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, b
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-11)
 
 
+FAR = {**OPTIONS, "innovation": {"scaling": "innovation"}, "Tukey": {"influence": TukeyBiweight()}}
+
+
+@pytest.mark.parametrize("options", FAR.values(), ids=FAR)
+@pytest.mark.parametrize("rows", [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.3]]], ids=["apart", "alike"])
+def test_a_reading_beyond_all_measure_is_the_kernels_and_the_definitions(rows, options, by_kernel_alone, monkeypatch):
+    found = []
+    for kernel in (True, False):
+        if not kernel:
+            monkeypatch.undo()
+            support.without_kernel(monkeypatch)
+        kf, shown = RobustKalmanFilter(2, 2, **options), []
+        kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array(rows), 0.01 * np.eye(2)
+        for k, z in enumerate(np.random.default_rng(3).normal(size=(60, 2))):
+            far = k > 15 and k % 4 == 0
+            z[0] = (-1.0) ** (k // 4) * 1e151 * 10.0 ** (2.5 * k) if far else z[0]
+            z[1] = z[0] / 7.0 if far and k % 12 == 0 else z[1]
+            kf.predict()
+            kf.update(z)
+            shown.append([*np.ravel(kf.x), *np.ravel(kf.P), *np.ravel(kf.weights), kf.log_likelihood])
+        found.append((np.array(shown), kf._memory))
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-10)
+    assert np.abs(found[0][0][:, :2]).max() < 10.0
+
+
 class Biweight:
     """Tukey's biweight as somebody else's class has it."""
 

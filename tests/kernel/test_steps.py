@@ -251,7 +251,7 @@ def test_what_is_out_of_the_ordinary_is_declined_and_nothing_changes(noise, name
 
 MEASUREMENTS = (
     None, "x", [1.0], [1.0, None], [1.0, "2"], [np.inf, 1.0], [np.nan, np.nan], np.ones(3), np.ones((2, 2)), object(),
-    10**400, [10**400, 1.0], [1e200, 1.0], np.ma.masked_array([1.0, 2.0]), np.ones(2, dtype="m8[s]"),
+    10**400, [10**400, 1.0], np.ma.masked_array([1.0, 2.0]), np.ones(2, dtype="m8[s]"),
     [np.timedelta64(1), 1.0], np.ones(2, dtype=bool), np.ones(2, dtype=complex), (1.0,),
 )  # fmt: skip
 
