@@ -101,7 +101,7 @@ def test_c_equals_the_kernel_to_the_last_bit(tmp_path, monkeypatch, draws):
     some = [filter_case(f"filter{seed}", seed, extremes=False) for seed in range(50, 50 + draws)]
     some += [filter_case(f"joint{seed}", seed, extremes=False, joint=True) for seed in range(62, 62 + draws // 2)]
     assert any(case.model.scaling == "learnt" and case.model.dim_z > 1 for case in some)
-    for found, case in zip(compiled(some, tmp_path), some, strict=True):
+    for found, case in zip(compiled(some, tmp_path, watched=()), some, strict=True):
         assert np.array_equal(found, case.expected, equal_nan=True), case.model
 
 
@@ -117,7 +117,7 @@ def test_the_c_of_a_tracker_equals_the_kernel_to_the_last_bit(tmp_path, monkeypa
         one.samples[5, -1], one.samples[9, : one.inputs] = 0.5, 0.1
     some = [one for one in some if one.model.enabled]
     assert len(some) > 0.7 * draws
-    for found, case in zip(compiled(some, tmp_path), some, strict=True):
+    for found, case in zip(compiled(some, tmp_path, watched=()), some, strict=True):
         y, u = case.samples[:, -1], case.samples[:, : case.inputs]
         theta = case.model.run(y, u).theta
         # The last sample that is measured is the definition's, which shows more of it.

@@ -126,18 +126,18 @@ def recording(seed, steps=200):
     return z, 0.1 * rng.normal(size=steps)
 
 
+UNDEFINED = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
+
+
 class InC:
     """An extended filter as C, compiled with the functions above, and its state."""
 
-    def __init__(self, kf, folder, precision="double"):
-        export_c(kf, folder / "one.c", precision=precision)
+    def __init__(self, kf, folder, watched=()):
+        export_c(kf, folder / "one.c")
         (folder / "functions.c").write_text(FUNCTIONS)
-        sanitized = [
-            "-ffp-contract=off", "-fsanitize=undefined", "-fno-sanitize-recover=all", "-fPIC", "-std=c99", "-O0",
-        ]  # fmt: skip
         for command in (
-            ["cc", *sanitized, *c_programs.WARNINGS, "-c", "one.c"],
-            ["cc", *sanitized, "-shared", "functions.c", "one.o", "-lm", "-o", "one.so"],
+            ["cc", *c_programs.PLAIN, *watched, "-fPIC", "-c", "one.c"],
+            ["cc", "-ffp-contract=off", *watched, "-fPIC", "-shared", "functions.c", "one.o", "-lm", "-o", "one.so"],
         ):
             built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
             assert built.returncode == 0, built.stderr[:3000]
@@ -236,7 +236,7 @@ def test_noise_that_is_learnt_or_told_is_weighed_as_python_does(cls, noise, tmp_
 
 def test_a_sensor_that_sees_nothing_of_the_state_changes_nothing(tmp_path):
     kf = made(noise=Learnt())
-    in_c = InC(kf, tmp_path)
+    in_c = InC(kf, tmp_path, UNDEFINED)
     before = list(in_c.state)
     assert in_c.update([np.nan, np.nan]) == in_c.update([3.0, 4.0], "blind") == c_programs.OK
     assert list(in_c.state) == before and np.isnan(list(in_c.shown)[4:]).all()
@@ -253,7 +253,7 @@ def test_a_jump_that_makes_p_grow_is_among_the_recordings():
 
 
 def test_refusals_change_nothing(tmp_path):
-    in_c = InC(made(), tmp_path)
+    in_c = InC(made(), tmp_path, UNDEFINED)
     before = list(in_c.state)
     assert in_c.update([1.0, 1.0], None) == in_c.update([1.0, 1.0], "half") == c_programs.BAD_ARGUMENT
     assert in_c.update([np.inf, 1.0]) == in_c.update([1.0, 1e200]) == c_programs.BAD_ARGUMENT

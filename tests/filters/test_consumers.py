@@ -1,12 +1,11 @@
 """What filterpy and the trackers built on it do with a filter: banks, Saver, copies, kinematic_kf, slices."""
 
-import inspect
 import pickle
 
 import numpy as np
 import pytest
 import support
-from filterpy.common import Q_discrete_white_noise, Saver, kinematic_kf
+from filterpy.common import Q_discrete_white_noise, Saver
 from filterpy.kalman import IMMEstimator, KalmanFilter, MMAEFilterBank
 
 from robust_filterpy import RobustKalmanFilter, StudentT, TukeyBiweight
@@ -141,73 +140,6 @@ def test_mmae(ndim):
             mmae.update(np.reshape(z, (1, 1) if ndim == 2 else (1,)), R=np.array([[1.5]]))
         for name in ("x", "P", "p"):
             support.assert_close(getattr(banks[0], name), getattr(banks[1], name), 1e-9, name)
-
-
-@pytest.mark.skipif(
-    "kf" not in inspect.signature(kinematic_kf).parameters, reason="filterpy 1.4.5 builds the filter itself"
-)
-@pytest.mark.parametrize("order_by_dim", [True, False])
-def test_kinematic_kf_fills_the_filter_in_place(order_by_dim):
-    kf = RobustKalmanFilter(dim_x=6, dim_z=1)
-    assert kinematic_kf(3, 1, dt=0.1, order_by_dim=order_by_dim, kf=kf) is kf
-    plain = kinematic_kf(3, 1, dt=0.1, order_by_dim=order_by_dim)
-    np.testing.assert_array_equal(kf.F, plain.F)
-    np.testing.assert_array_equal(kf.H, plain.H)
-    for z in (0.1, 0.2, 1e6, 0.4):
-        kf.predict()
-        kf.update(z)
-    assert np.abs(kf.x).max() < 10
-
-
-def box_tracker(cls):
-    """A SORT-like tracker of boxes: 7 states, 4 measured, everything written into slices."""
-    kf = cls(dim_x=7, dim_z=4)
-    kf.F = np.eye(7)
-    kf.F[:3, 4:] = np.eye(3)
-    kf.H = np.eye(4, 7)
-    kf.R[2:, 2:] *= 10.0
-    kf.P[4:, 4:] *= 1000.0
-    kf.P *= 10.0
-    kf.Q[-1, -1] *= 0.01
-    kf.Q[4:, 4:] *= 0.01
-    kf.x[:4] = np.array([[10.0], [20.0], [400.0], [1.5]])
-    return kf
-
-
-def test_a_tracker_that_writes_into_slices():
-    ours, theirs = box_tracker(RobustKalmanFilter), box_tracker(KalmanFilter)
-    ours.influence = Linear()
-    rng = np.random.default_rng(2)
-    for k in range(30):
-        z = np.array([[10.0 + k], [20.0], [400.0 + 2 * k], [1.5]]) + rng.normal(size=(4, 1))
-        for kf in (ours, theirs):
-            if kf.x[6] + kf.x[2] <= 0:
-                kf.x[6] *= 0.0
-            kf.predict()
-            kf.update(None if k == 12 else z)
-            kf.x[5] = 0.0
-        support.assert_same_state(ours, theirs, ("x", "P", "x_prior", "P_prior", "K"))
-
-
-def test_a_tracker_with_points_that_come_and_go():
-    """As in norfair: H with zero rows for unseen points and R made anew for every call."""
-    points, n = 3, 6
-    filters = []
-    for cls, choices in ((RobustKalmanFilter, {"influence": Linear()}), (KalmanFilter, {})):
-        kf = cls(dim_x=2 * n, dim_z=n, **choices)
-        kf.F[:n, n:] = np.eye(n)
-        kf.H = np.eye(n, 2 * n)
-        kf.R *= 4.0
-        kf.Q *= 0.1
-        filters.append(kf)
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        seen = np.repeat(rng.random(points) < 0.6, 2)
-        z = rng.normal(size=(n, 1))
-        for kf in filters:
-            kf.predict()
-            kf.update(z, None, np.diag(seen.astype(float)) @ kf.H)
-        support.assert_same_state(*filters, ("x", "P", "K", "S"))
 
 
 def test_a_program_that_changes_the_class_only():

@@ -48,20 +48,6 @@ def test_default_m_is_no_correlation(ndim):
     support.assert_same_state(robust, plain)
 
 
-@pytest.mark.parametrize("method", ["update", "update_correlated", "update_steadystate"])
-@pytest.mark.parametrize("ndim", NDIMS)
-def test_update_with_none(method, ndim):
-    robust, plain = pair(support.random_problem(9, 3, 2), ndim)
-    for kf in (robust, plain):
-        kf.predict()
-        kf.update([1.0, 2.0])
-        kf.predict()
-        getattr(kf, method)(None)
-    support.assert_same_state(robust, plain, (*support.STATE, "K", "S", "SI"))
-    np.testing.assert_array_equal(np.ravel(robust.y), [0.0, 0.0])
-    assert np.ravel(robust.z).tolist() == [None, None]
-
-
 @pytest.mark.pairwise
 @pytest.mark.parametrize(
     "z",

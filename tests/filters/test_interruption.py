@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
 from interruption import half_steps
+from support import by_night
 
 from robust_filterpy import (
     Contaminated,
@@ -114,7 +115,8 @@ BY_DAY = [
 @pytest.mark.parametrize(
     "name, call", [pytest.param(*case, marks=[] if case in BY_DAY else pytest.mark.nightly) for case in CASES]
 )
-def test_an_interrupt_leaves_no_half_step(name, call):
+@pytest.mark.parametrize("every", by_night([1, 3], 3))
+def test_an_interrupt_leaves_no_half_step(name, call, every):
     kf = FILTERS[name]()
     for z in (0.1, 0.2, 5.0, 0.1):
         kf.predict()
@@ -125,5 +127,5 @@ def test_an_interrupt_leaves_no_half_step(name, call):
     if call == "restore":
         later = linear_state(kf)
         make = lambda one: one.restore(later)  # noqa: E731
-    half, lines = half_steps(kf, make, seen)
+    half, lines = half_steps(kf, make, seen, every=every)
     assert half == [] and lines > 1

@@ -133,19 +133,6 @@ def test_filterpy_s_own_loop_is_not_the_line_of_the_user():
     assert [one.filename for one in caught] == [__file__]
 
 
-def test_it_can_be_switched_off_and_made_an_error_that_changes_nothing():
-    problem, zs = recordings((2, 1), 1e-4)
-    kf = support.make(RobustKalmanFilter, problem)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", OutlierShareWarning)
-        with pytest.raises(OutlierShareWarning):
-            for z in zs:
-                kf.predict()
-                before = support.snapshot(kf)
-                kf.update(z)
-    support.assert_unchanged(before, kf)
-
-
 def test_the_count_survives_copies():
     problem, zs = recordings((2, 1), 1e-4)
     kf = support.make(RobustKalmanFilter, problem)

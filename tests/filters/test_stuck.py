@@ -1,6 +1,5 @@
 """That a sensor is stuck is said once, at the user's line, and of no sensor that is not."""
 
-import copy
 import warnings
 
 import numpy as np
@@ -105,21 +104,6 @@ def test_a_stuck_sensor_of_a_nonlinear_filter_is_named_and_says_nothing(build):
     assert "sensor 0 is stuck" in str(one.message)
     assert (np.flatnonzero(np.array(weights) == 0.0) == np.arange(141, 160)).all()
     assert abs(kf.x[0] - 1.0) < 0.05
-
-
-@pytest.mark.filterwarnings("error::robust_filterpy.filters.StuckSensorWarning")
-def test_where_the_word_is_an_error_the_call_is_refused_and_may_be_made_again():
-    zs, kf = recording(np.random.default_rng(1), 2), level(2)
-    for z in zs[:141]:
-        kf.predict()
-        kf.update(z)
-    kf.predict()
-    before = copy.deepcopy(kf)
-    for _ in range(2):
-        with pytest.raises(StuckSensorWarning):
-            kf.update(zs[141])
-        assert kf.x.tobytes() == before.x.tobytes() and kf.P.tobytes() == before.P.tobytes()
-        assert kf.learnt.tobytes() == before.learnt.tobytes()
 
 
 @pytest.mark.filterwarnings("error::robust_filterpy.filters.StuckSensorWarning")

@@ -21,10 +21,12 @@ def readings_of(seed, far=30.0):
 
 
 def told(fusion, readings):
-    """Return (t, estimate, what is not healthy) after each reading."""
+    """Return (t, estimate, what is not healthy) after every fourth reading and the last."""
     found = []
-    for one in readings:
+    for k, one in enumerate(readings, 1):
         fusion.observe(*one)
+        if k % 4 and k < len(readings):
+            continue
         found.append(
             (one[1], fusion.estimate(), {n: v.fault for n, v in fusion.verdicts().items() if v.fault != "healthy"})
         )
@@ -46,7 +48,7 @@ def test_one_is_biased_and_another_false_for_a_while(both):
     assert all(said["b"] == "biased" and said["c"] in ("undecided", "false") for said in amid)
     assert any(said["c"] == "false" for said in amid)
     assert [said for t, _, said in found if t > 46.0][-1] == {"b": "biased"}
-    error = np.array([one.x[0] for _, one, _ in found]) - places
+    error = np.array([one.x[0] for _, one, _ in found]) - np.append(places[3:-1:4], places[-1])
     assert np.abs(error[[t > 33.0 for t, *_ in found]]).max() < 2.5
 
 

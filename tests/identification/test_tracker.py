@@ -254,15 +254,6 @@ def test_reset_goes_back_to_the_start():
     same(first, tracker.run(y, u))
 
 
-def test_state_of_another_structure_is_refused():
-    tracker = support.told_tracker(ARX(2, 2))
-    before = tracker.state()
-    for state in (support.told_tracker(ARX(1, 3)).state(), {"theta": np.zeros(4)}):
-        with pytest.raises(ValueError, match="state: expected"):
-            tracker.restore(state)
-        same(before.values(), tracker.state().values())
-
-
 # Bad input
 
 

@@ -73,17 +73,6 @@ def test_without_drift_and_bounds_it_is_regularised_least_squares(structure):
     np.testing.assert_allclose(tracker.P, np.linalg.inv(information), rtol=1e-9, atol=1e-14)
 
 
-def test_missing_samples_are_left_out_of_least_squares():
-    rng = np.random.default_rng(3)
-    phi, y = rng.normal(size=(80, 3)), rng.normal(size=80)
-    y[10:40] = np.nan
-    tracker = support.told_tracker(LinearRegression(3), P=4.0, influence=Linear())
-    tracker.run(y, phi)
-    kept = phi[~np.isnan(y)]
-    expected = np.linalg.solve(kept.T @ kept + np.eye(3) / 4.0, kept.T @ y[~np.isnan(y)])
-    np.testing.assert_allclose(tracker.theta, expected, rtol=1e-10)
-
-
 # The paper's equations
 
 
@@ -102,14 +91,6 @@ def test_equations_9_and_10_parameters_follow_c():
     np.testing.assert_allclose(following[50:], path[50:], atol=1e-6)
     still = support.told_tracker(LinearRegression(2), R=1e-4).run(y, phi).theta
     assert np.abs(still - path)[50:].max() > 1e-3
-
-
-def test_equations_11_to_14_the_plant_is_linear_in_theta():
-    u, v = white(50), 0.1 * np.random.default_rng(1).normal(size=50)
-    data = simulate_output_error(PLANT, u, noise=v, na=2, nb=2)
-    phi_0 = OutputError(2, 2).regressors(u, data.y_clean)
-    np.testing.assert_allclose(phi_0 @ PLANT, data.y_clean, atol=1e-12)
-    np.testing.assert_allclose(phi_0 @ PLANT + v, data.y, atol=1e-12)
 
 
 def test_equations_15_to_17_outliers_cost_little():
