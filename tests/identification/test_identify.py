@@ -32,7 +32,7 @@ def outlying(rng, length, share=0.1, sigma=0.3, size=10.0):
     return sigma * np.where(rng.random(length) < share, size, 1.0) * rng.normal(size=length)
 
 
-def output_error_data(seed=0, length=1500, share=0.1):
+def output_error_data(seed=0, length=500, share=0.1):
     rng = np.random.default_rng(seed)
     u = binary(rng, length)
     return lfilter(B, A, u) + outlying(rng, length, share), u
@@ -52,8 +52,8 @@ def test_the_cold_start_reaches_the_optimum_that_the_truth_leads_to(order, draws
     for seed in range(draws):
         rng = np.random.default_rng([order, seed])
         a, b = random_plant(rng, order)
-        u = binary(rng, 1000)
-        y = lfilter(b, a, u) + outlying(rng, 1000)
+        u = binary(rng, 600)
+        y = lfilter(b, a, u) + outlying(rng, 600)
         model = PolynomialModel(OutputError(order, order), y, u[:, None], True)
         truth, rows = np.concatenate((a[1:], b[1:], np.zeros(1 + order))), model.conditioned
         best = prediction_error.minimised(model, truth, Noise(Huber(), 0.09), rows, rows)
@@ -113,7 +113,7 @@ def test_a_robust_regression_is_statsmodels():
 
 def test_redescending_influence_functions_serve_too():
     y, u = output_error_data(share=0.2)
-    np.testing.assert_allclose(identify(y, u, OutputError(2, 2), influence=TukeyBiweight()).theta, THETA, atol=0.05)
+    np.testing.assert_allclose(identify(y, u, OutputError(2, 2), influence=TukeyBiweight()).theta, THETA, atol=0.08)
 
 
 @pytest.mark.parametrize(("structure", "c", "near"), [(ARX(2, 0), [1.0], 0.1), (ARMAX(2, 0, 1), [1.0, 0.5], 0.4)])
@@ -146,10 +146,10 @@ def test_no_sample_moves_the_estimate_by_more_than_a_bounded_amount():
 
 
 def test_the_noise_learnt_is_that_of_the_recording():
-    y, u = output_error_data(length=4000)
+    y, u = output_error_data(length=2000)
     model = identify(y, u, OutputError(2, 2))
-    assert model.R == pytest.approx(0.09, rel=5 * np.sqrt(2 / 3600) + 0.02)
-    assert model.noise.influence.contamination == pytest.approx(0.1, abs=5 * np.sqrt(0.09 / 4000) + 0.01)
+    assert model.R == pytest.approx(0.09, rel=5 * np.sqrt(2 / 1800) + 0.02)
+    assert model.noise.influence.contamination == pytest.approx(0.1, abs=5 * np.sqrt(0.09 / 2000) + 0.01)
     assert model.noise.influence.scale_ratio == pytest.approx(10.0, rel=0.25)
     # .05 of 10 standard deviations is within the ordinary.
     assert 0.05 < (model.weights < 0.5).mean() < 0.11
