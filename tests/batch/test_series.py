@@ -1,18 +1,24 @@
-"""Many series are a loop over filters, whatever runs them."""
+"""Many series are a loop over filters, whatever runs them and whatever is known of the noise."""
 
 import numpy as np
 import pytest
 import support
 
-from robust_filterpy import RobustKalmanFilter, StudentT
-from robust_filterpy.correction import NotPositiveDefiniteError
-from robust_filterpy.filters.series import filter_series
+from robust_filterpy import Contaminated, Huber, Learnt, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+from robust_filterpy.correction import NotPositiveDefiniteError, Scales, SingularInnovationError
+from robust_filterpy.correction.learning import NoiseClasses
+
+SERIES, N = 3, 25
+LEARNING = {"noise": "learnt", "process": "scales"}
+EITHER = pytest.mark.parametrize("options", [{}, LEARNING], ids=["psi", "learnt noise"])
 
 
-def problem_and_series(dims=(3, 2, 0), series=4, steps=30):
+def problem_and_series(dims=(3, 2, 0)):
     problem = support.random_problem(8, *dims)
-    zs = np.array([support.simulate(problem, steps, seed, contamination=0.1)[0] for seed in range(series)])
+    problem = support.with_(problem, R=np.diag(problem.R.diagonal()))
+    zs = np.array([support.simulate(problem, N, seed, contamination=0.15)[0] for seed in range(SERIES)])
     zs[np.random.default_rng(0).random(zs.shape) < 0.1] = np.nan
+    zs[1, 4:6] = np.nan
     return problem, zs
 
 
@@ -20,69 +26,231 @@ def arguments(problem):
     return problem.F, problem.H, problem.Q, problem.R, problem.x[:, 0], problem.P
 
 
-@pytest.mark.parametrize("choices", [
-    {"scaling": "learnt"},
-    {"scaling": "innovation"},
-    {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
-])  # fmt: skip
-def test_series_are_a_loop_over_filters(form, choices):
-    problem, zs = problem_and_series()
-    result = filter_series(zs, *arguments(problem), **choices)
+def by_filters(problem, zs, learnt=None, model=lambda s, k: {}, **options):
+    """A loop over filters: what each shows at each step, by name."""
+    names = ["x", "P", "weights", "log_likelihood"]
+    names += ["outlier_probability", "process_scale"] if options.get("noise") is not None else []
+    rows, known = {name: [] for name in names}, []
     for s, z in enumerate(zs):
-        kf, total = support.make(RobustKalmanFilter, problem, 1, **choices), 0.0
+        kf = support.load(RobustKalmanFilter(*problem.dims, **options), problem, 1)
+        if learnt is not None:
+            kf.learnt = learnt[s]
         for k, z_k in enumerate(z):
-            kf.predict()
-            kf.update(z_k)
-            total += kf.log_likelihood
-            for ours, theirs in [(result.x, kf.x), (result.P, kf.P), (result.weights, kf.weights)]:
-                np.testing.assert_allclose(ours[s, k], theirs, rtol=1e-10, atol=1e-11)
-        assert result.log_likelihood[s] == pytest.approx(total, rel=1e-10)
+            given = model(s, k)
+            kf.predict(F=given.get("F"), Q=given.get("Q"))
+            kf.update(z_k, H=given.get("H"), R=given.get("R"))
+            for name, column in rows.items():
+                column.append(np.copy(getattr(kf, name)))
+        known.append(kf.state())
+    shown = {name: np.array(column).reshape(len(zs), zs.shape[1], *column[0].shape) for name, column in rows.items()}
+    shown["log_likelihood"] = shown["log_likelihood"].sum(axis=1)
+    return {**shown, "state": known}
 
 
-def test_each_series_may_have_its_own_matrices_at_each_step(form):
+def assert_same(found, expected, rtol=1e-8):
+    for name in set(expected) - {"state"}:
+        np.testing.assert_allclose(getattr(found, name), expected[name], rtol=rtol, atol=1e-10, err_msg=name)
+    for name, values in found.state.items():
+        states = [state[name] for state in expected["state"]]
+        np.testing.assert_allclose(values, states, rtol=rtol, atol=1e-10, err_msg=name)
+
+
+OPTIONS = {
+    "default": {}, "innovation": {"scaling": "innovation"},
+    "joint": {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
+    "learnt noise": LEARNING, "learnt noise, joint": {**LEARNING, "grouping": "joint"},
+    "learnt noise, groups": {**LEARNING, "grouping": ((0, 1),)},
+    "other classes": {"noise": Learnt((1.0, 30.0), 50.0, 10.0), "process": Scales((1.0, 0.1), dwell=20.0)},
+    "a process as told": {"noise": "learnt"},
+    "a noise that is given": {"noise": Contaminated(0.1, 10.0), "process": Scales((1.0, 10.0), jump=1e-6)},
+    "both told": {"noise": Contaminated(0.1, 10.0), "process": Contaminated(0.05, 20.0)},
+    "told, and a process as told": {"noise": Contaminated(0.1, 10.0)},
+    "nothing contaminated": {"noise": Contaminated(0.0)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+def test_series_are_a_loop_over_filters(options, form):
+    problem, zs = problem_and_series()
+    assert_same(filter_series(zs, *arguments(problem), **options), by_filters(problem, zs, **options))
+
+
+@EITHER
+def test_so_are_sensors_whose_noises_are_correlated(options, form):
+    problem, zs = problem_and_series()
+    problem = support.with_(problem, R=problem.R + 0.1)
+    assert_same(filter_series(zs, *arguments(problem), **options), by_filters(problem, zs, **options))
+
+
+@EITHER
+def test_each_series_may_have_its_own_matrices_at_each_step(options, form):
     problem, zs = problem_and_series()
     rng = np.random.default_rng(1)
-    F = np.array([[support.stable(rng, 3) for _ in range(30)] for _ in range(4)])
-    R = np.array([[support.spd(rng, 2)] for _ in range(4)])
-    x0, P0 = rng.normal(size=(4, 3)), np.array([support.spd(rng, 3) for _ in range(4)])
-    result = filter_series(zs, F, problem.H, problem.Q, R, x0, P0)
-    for s in range(4):
-        one = filter_series(zs[s : s + 1], F[s], problem.H, problem.Q, R[s, 0], x0[s], P0[s])
-        np.testing.assert_allclose(result.x[s], one.x[0], rtol=1e-11, atol=1e-12)
-        kf = RobustKalmanFilter(3, 2)
-        kf.x, kf.P, kf.H, kf.Q, kf.R = x0[s], P0[s], problem.H, problem.Q, R[s, 0]
-        np.testing.assert_allclose(result.x[s], kf.batch_filter(list(zs[s]), Fs=list(F[s]))[0], rtol=1e-10, atol=1e-11)
+    F = np.array([[support.stable(rng, 3) for _ in range(N)] for _ in range(SERIES)])
+    Q = np.array([support.spd(rng, 3) for _ in range(N)])
+    H = rng.normal(size=(SERIES, 1, 2, 3))
+    H[1, 0, 0] = 0.0
+    R = np.array([[np.diag(rng.uniform(0.5, 2.0, 2)) for _ in range(N)] for _ in range(SERIES)])
+    x0, P0 = rng.normal(size=(SERIES, 3)), np.array([support.spd(rng, 3) for _ in range(SERIES)])
+    found = filter_series(zs, F, H, Q, R, x0, P0, **options)
+    for s in range(SERIES):
+        own = support.with_(problem, x=x0[s][:, None], P=P0[s])
+        matrices = lambda _, k, s=s: {"F": F[s, k], "Q": Q[k], "H": H[s, 0], "R": R[s, k]}  # noqa: E731
+        expected = by_filters(own, zs[s : s + 1], model=matrices, **options)
+        for name in set(expected) - {"state"}:
+            np.testing.assert_allclose(getattr(found, name)[s], expected[name][0], rtol=1e-8, atol=1e-10, err_msg=name)
 
 
-def test_keeping_less_changes_nothing_else(form):
+def test_what_was_learnt_is_passed_on():
     problem, zs = problem_and_series()
-    whole = filter_series(zs, *arguments(problem))
-    last = filter_series(zs, *arguments(problem), keep="last", covariance="diagonal")
-    some = filter_series(zs, *arguments(problem), keep=7, covariance="none", n_threads=1)
+    first = filter_series(zs, *arguments(problem), **LEARNING)
+    again = filter_series(zs, *arguments(problem), learnt=first.state["learnt"], **LEARNING)
+    assert_same(again, by_filters(problem, zs, learnt=first.state["learnt"], **LEARNING))
+    shared = filter_series(zs, *arguments(problem), learnt=first.state["learnt"][1], **LEARNING)
+    assert_same(shared, by_filters(problem, zs, learnt=[first.state["learnt"][1]] * SERIES, **LEARNING))
+    assert np.abs(again.x - first.x).max() > 1e-3
+
+
+def test_a_state_is_not_written_into_and_a_refused_series_stays_refused():
+    problem, zs = problem_and_series()
+    state = filter_series(zs, *arguments(problem), **LEARNING).state
+    before = {name: array.copy() for name, array in state.items()}
+    spoilt = {**state, "x": state["x"].copy()}
+    spoilt["x"][1] = np.nan
+    spoilt["means"][1] = np.nan
+    found = filter_series(zs, *arguments(problem)[:4], state=spoilt, refused="nan", **LEARNING)
+    assert np.isnan(found.x[1]).all() and np.isnan(found.state["x"][1]).all() and np.isfinite(found.x[[0, 2]]).all()
+    state["means"][1] = before["means"][1]
+    for name, kept in before.items():
+        np.testing.assert_array_equal(state[name], kept)
+
+
+def test_a_state_that_does_not_fit_is_refused():
+    problem, zs = problem_and_series()
+    state, model = filter_series(zs, *arguments(problem), **LEARNING).state, arguments(problem)[:4]
+    for change, error, words in (
+        ({"x0": np.zeros(3), "P0": np.eye(3)}, ValueError, r"none of x0, P0, `?learnt`?"),
+        ({"state": state["learnt"]}, TypeError, "state: expected what filter_series"),
+        ({"process": Scales((1.0,))}, ValueError, r"state\['means'\]: expected shape"),
+        ({"process": None}, ValueError, "state: expected x, P, learnt in it, got x, P, means"),
+        ({"noise": None, "process": None}, ValueError, "state: expected x, P, spread in it"),
+        ({"state": {**state, "belief": 2.0 * state["belief"]}}, ValueError, r"state\['belief'\]: .* sum to 1"),
+        ({"state": {**state, "learnt": -state["learnt"]}}, ValueError, "learnt: expected"),
+        ({"state": None}, ValueError, "x0"),
+    ):
+        with pytest.raises(error, match=words):
+            filter_series(zs, *model, **{"state": state, **LEARNING, **change})
+
+
+@EITHER
+def test_threads_and_what_is_kept_change_nothing(options, form):
+    problem, zs = problem_and_series()
+    whole = filter_series(zs, *arguments(problem), **options)
+    last = filter_series(zs, *arguments(problem), keep="last", covariance="diagonal", n_threads=1, **options)
+    some = filter_series(zs, *arguments(problem), keep=7, covariance="none", n_threads=3, **options)
     np.testing.assert_array_equal(last.x, whole.x[:, -1:])
     np.testing.assert_array_equal(last.P, np.diagonal(whole.P[:, -1:], axis1=2, axis2=3))
-    np.testing.assert_array_equal(some.x, whole.x[:, 6::7])
     assert some.P is None
+    for name in ("x", "weights", *(("outlier_probability", "process_scale") if options else ())):
+        np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[:, 6::7])
     np.testing.assert_array_equal(some.log_likelihood, whole.log_likelihood)
+    for name, values in whole.state.items():
+        np.testing.assert_array_equal(some.state[name], values)
+
+
+def test_arguments_are_left_alone():
+    problem, zs = problem_and_series()
+    given = [zs, *arguments(problem), filter_series(zs, *arguments(problem), **LEARNING).state["learnt"]]
+    copies = [a.copy() for a in given]
+    filter_series(*given[:-1], learnt=given[-1], **LEARNING)
+    for one, other in zip(given, copies, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@EITHER
+def test_a_series_that_is_refused_is_nan_from_there_on_and_leaves_the_others_alone(options, form):
+    problem, zs = problem_and_series((2, 1, 0))
+    zs, F = np.where(np.isnan(zs), 0.5, zs), np.tile(problem.F, (SERIES, N, 1, 1))
+    F[1, 20] *= 1e200
+    model = (problem.H, problem.Q, problem.R, problem.x[:, 0], problem.P)
+    with np.errstate(over="ignore", invalid="ignore"):
+        with pytest.raises(ValueError, match=r"series 1, step 20: predict"):
+            filter_series(zs, F, *model, **options)
+        for keep, row in ((1, 20), (4, 5), (7, 2), ("last", 0)):
+            found = filter_series(zs, F, *model, refused="nan", keep=keep, **options)
+            columns = (found.x, found.P, found.weights)
+            for column in (*columns, found.outlier_probability, found.process_scale) if options else columns:
+                assert np.isnan(column[1, row:]).all() and not np.isnan(column[1, :row]).any()
+                assert not np.isnan(column[[0, 2]]).any()
+            np.testing.assert_array_equal(np.isnan(found.log_likelihood), [False, True, False])
+            for name in ("means", "covariances", "x", "P") if options else ("x", "P"):
+                ends = found.state[name].reshape(SERIES, -1)
+                np.testing.assert_array_equal(np.isnan(ends).all(axis=1), [False, True, False])
+    alone = filter_series(zs[[0, 2]], F[[0, 2]], *model, keep="last", **options)
+    for name in [name for name in alone._fields[:-1] if getattr(alone, name) is not None]:
+        np.testing.assert_allclose(getattr(found, name)[[0, 2]], getattr(alone, name), rtol=1e-10)
+    # What it had learnt until then is what it keeps.
+    before = filter_series(zs[1:2, :20], F[1:2, :20], *model, **options)
+    name = "learnt" if options else "spread"
+    np.testing.assert_allclose(found.state[name][1], before.state[name][0], rtol=1e-10)
+
+
+def test_a_series_whose_covariance_would_be_indefinite_is_named():
+    P0 = np.tile(0.1 * np.eye(2), (3, 1, 1))
+    P0[2] *= 1e4
+    model = (np.zeros((3, 5, 1)), np.eye(2), np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), np.zeros(2), P0)
+    with pytest.raises(NotPositiveDefiniteError, match=r"series 2, step 0: scaling"):
+        filter_series(*model, scaling="unit")
+    found = filter_series(*model, scaling="unit", refused="nan")
+    np.testing.assert_array_equal(np.isnan(found.x).all(axis=(1, 2)), [False, False, True])
+    with pytest.raises(SingularInnovationError, match="series 0, step 0: "):
+        nothing = np.zeros((1, 1))
+        filter_series(np.ones((1, 3, 1)), np.eye(1), np.eye(1), nothing, nothing, [0.0], nothing, **LEARNING)
+
+
+@EITHER
+@pytest.mark.parametrize("spoil", ["x0", "P0"])
+def test_a_start_that_is_not_finite_is_refused(spoil, options, form):
+    problem, zs = problem_and_series()
+    start = {"x0": np.tile(problem.x[:, 0], (SERIES, 1)), "P0": np.tile(problem.P, (SERIES, 1, 1))}
+    start[spoil][2] = np.nan
+    with pytest.raises(ValueError, match="step 0: "):
+        filter_series(zs, *arguments(problem)[:4], **start, **options)
+    found = filter_series(zs, *arguments(problem)[:4], **start, refused="nan", **options)
+    assert np.isnan(found.x[2]).all() and not np.isnan(found.x[:2]).any()
 
 
 @pytest.mark.parametrize("change, match", [
     ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
     ({"zs": np.zeros((2, 3, 0))}, "zs: expected dim_z >= 1"),
+    ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
     ({"x0": np.zeros((3, 1))}, r"x0: expected shape .* got \(3, 1\); use x0.ravel"),
     ({"x0": 0.0}, "x0: expected shape"),
     ({"x0": np.zeros(0), "P0": np.zeros((0, 0))}, "x0: expected dim_x >= 1"),
     ({"Q": np.eye(3) + 0.1 * np.eye(3, k=1)}, "Q: expected a symmetric"),
     ({"P0": np.eye(3) + 0.1 * np.eye(3, k=1)}, "P0: expected a symmetric"),
-    ({"zs": np.full((1, 2, 2), np.inf)}, "zs: expected finite"),
+    ({"P0": np.eye(2)}, "P0: expected shape"),
     ({"R": 5.0}, "R: expected shape"),
     ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
+    ({"R": np.tile(np.eye(2), (3, N, 1, 1)) * np.where(np.arange(3 * N) == 57, -0.1, 1.0).reshape(3, N, 1, 1)},
+     r"R\[2, 7\]: expected a positive semidefinite matrix"),
     ({"Q": np.diag([1.0, 1.0, -1e-3])}, "^Q: expected variances >= 0"),
-    ({"P0": np.eye(2)}, "P0: expected shape"),
     ({"keep": 0}, "keep"),
     ({"keep": "some"}, "keep"),
     ({"covariance": "half"}, "covariance"),
     ({"F": 1e200 * np.eye(3)}, "step 0: predict"),
+    ({"Q": np.array([np.diag([1.0, 1.0, k - 23.5]) for k in range(N)][::-1]), **LEARNING},
+     "^Q\\[0, 1\\]: expected variances >= 0"),
+    ({**LEARNING, "R": -np.eye(2)}, "R: expected a positive semidefinite"),
+    ({**LEARNING, "grouping": "together"}, "grouping"),
+    ({"noise": "learnt", "process": "scale"}, "process"),
+    ({**LEARNING, "influence": Huber(2.0)}, "influence: expected none with noise="),
+    ({"process": "scales"}, "process: expected None without noise="),
+    ({"learnt": np.ones((2, 30))}, "learnt: expected none"),
+    ({"noise": Contaminated(), "learnt": np.ones((2, 30))}, "learnt: expected none"),
+    ({**LEARNING, "n_threads": 0}, "n_threads"),
+    ({**LEARNING, "learnt": np.ones((2, 3))}, "learnt: expected shape"),
+    ({**LEARNING, "learnt": np.ones((5, 2, 30))}, "learnt: expected an entry for each of the 3 series, got 5"),
 ])  # fmt: skip
 def test_refusals_say_what_was_expected(form, change, match):
     problem, zs = problem_and_series()
@@ -91,95 +259,66 @@ def test_refusals_say_what_was_expected(form, change, match):
         filter_series(**{**call, **change})
 
 
+@EITHER
+@pytest.mark.parametrize("shape", [(0, 7, 2), (4, 0, 2), (0, 0, 2)])
+def test_of_nothing_comes_nothing(form, shape, options):
+    problem, _ = problem_and_series()
+    found = filter_series(np.zeros(shape), *arguments(problem), **options)
+    assert found.x.shape == (*shape[:2], 3) and found.P.shape == (*shape[:2], 3, 3)
+    np.testing.assert_array_equal(found.log_likelihood, np.zeros(shape[0]))
+    assert not options or found.state["learnt"].shape == (shape[0], *NoiseClasses().start(2).shape)
+
+
+@pytest.mark.parametrize("options", [{}, LEARNING, {"noise": Contaminated()}])
+def test_a_live_filter_goes_on_where_a_series_has_ended(options):
+    problem, zs = problem_and_series()
+    half = filter_series(zs[:, : N // 2], *arguments(problem), **options)
+    whole = filter_series(zs, *arguments(problem), **options)
+    for s in range(SERIES):
+        kf = support.load(RobustKalmanFilter(*problem.dims, **options), problem, 1)
+        kf.restore({name: values[s] for name, values in half.state.items()})
+        kf.batch_filter(zs[s, N // 2 :])
+        np.testing.assert_allclose(kf.x, whole.x[s, -1], rtol=1e-8, atol=1e-10)
+
+
+STEPWISE = {
+    "default": {}, "bounded": {"scaling": "bounded"},
+    "innovation": {"scaling": "innovation", "information": "expected"},
+    "joint": {"grouping": "joint", "influence": TukeyBiweight()}, "learnt noise": LEARNING,
+    "learnt noise, joint": {**LEARNING, "grouping": "joint"},
+    "by the definition": {"influence": Huber(1.5), "grouping": ((0, 1),)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STEPWISE)
+def test_a_step_at_a_time_gives_the_bits_of_one_call(name):
+    rng = np.random.default_rng(7)
+    F, H, Q = support.stable(rng, 3), 0.3 * rng.normal(size=(2, 3)), 0.01 * np.eye(3)
+    R, P0 = np.array([support.spd(rng, 2) for _ in range(4)])[:, None], 0.1 * np.eye(3)
+    zs = rng.normal(size=(4, 30, 2)) + 50.0 * (rng.random((4, 30, 2)) < 0.1)
+    zs[rng.random(zs.shape) < 0.2] = np.nan
+    options = STEPWISE[name]
+    whole = filter_series(zs, F, H, Q, R, np.zeros(3), P0, **options)
+    start = {"x0": np.zeros(3), "P0": P0}
+    for k in range(zs.shape[1]):
+        result = filter_series(zs[:, k : k + 1], F, H, Q, R, **start, **options)
+        for column in result._fields[:-1]:
+            if column != "log_likelihood" and getattr(whole, column) is not None:
+                np.testing.assert_array_equal(getattr(result, column)[:, 0], getattr(whole, column)[:, k])
+        start = {"state": result.state}
+    for part, array in whole.state.items():
+        np.testing.assert_array_equal(result.state[part], array)
+
+
 @pytest.mark.slow
 def test_blocks_on_a_dask_cluster_are_the_whole():
     pytest.importorskip("distributed")
     import dask.array
     from dask.distributed import Client, LocalCluster
 
-    problem, zs = problem_and_series(series=8)
-    model = arguments(problem)
+    problem, zs = problem_and_series()
+    zs, model = np.concatenate((zs, zs[:1])), arguments(problem)
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster):
         blocks = dask.array.from_array(zs, chunks=(2, -1, -1))
-        x = blocks.map_blocks(lambda z: filter_series(z, *model).x, dtype=float, chunks=((2,) * 4, (30,), (3,)))
+        x = blocks.map_blocks(lambda z: filter_series(z, *model).x, dtype=float, chunks=((2, 2), (N,), (3,)))
         np.testing.assert_array_equal(x.compute(), filter_series(zs, *model).x)
-
-
-def test_a_series_that_is_refused_leaves_the_others_alone(form):
-    zs = np.random.default_rng(3).normal(size=(5, 30, 1))
-    P0 = np.tile(0.1 * np.eye(2), (5, 1, 1))
-    P0[3] *= 1e4
-    model = (np.eye(2), np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), np.zeros(2))
-    with pytest.raises(NotPositiveDefiniteError, match=r"step 0: .*scaling"):
-        filter_series(zs, *model, P0, scaling="unit")
-    result = filter_series(zs, *model, P0, scaling="unit", refused="nan")
-    others = [0, 1, 2, 4]
-    alone = filter_series(zs[others], *model, P0[others], scaling="unit")
-    for found, expected in zip(result[:4], alone[:4], strict=True):
-        np.testing.assert_allclose(found[others], expected, rtol=1e-12)
-        assert np.isnan(found[3]).all()
-
-
-def test_a_series_is_nan_from_the_refused_step_on(form):
-    zs = np.zeros((2, 30, 1))
-    H = np.tile(np.eye(1, 2), (2, 30, 1, 1))
-    H[1, 20] *= 100.0
-    model = (np.eye(2), H, 1e-3 * np.eye(2), np.eye(1), np.zeros(2), 0.1 * np.eye(2))
-    for keep, row in ((1, 20), (4, 5), (7, 2), ("last", 0)):
-        result = filter_series(zs, *model, scaling="unit", refused="nan", keep=keep)
-        for column in (result.x, result.P, result.weights):
-            assert np.isnan(column[1, row:]).all() and not np.isnan(column[1, :row]).any()
-            assert not np.isnan(column[0]).any()
-        np.testing.assert_array_equal(np.isnan(result.log_likelihood), [False, True])
-    with pytest.raises(NotPositiveDefiniteError, match=r"step 20: .*scaling"):
-        filter_series(zs, *model, scaling="unit")
-
-
-def test_a_bad_R_among_many_is_found():
-    problem, zs = problem_and_series((3, 1, 0))
-    R = np.ones((4, 30, 1, 1))
-    R[2, 7] = -0.1
-    F, H, Q, _, x0, P0 = arguments(problem)
-    with pytest.raises(ValueError, match=r"R\[2, 7\]: expected a positive semidefinite matrix"):
-        filter_series(zs, F, H, Q, R, x0, P0)
-
-
-@pytest.mark.parametrize("shape", [(0, 7, 2), (4, 0, 2), (0, 0, 2)])
-def test_of_nothing_comes_nothing(form, shape):
-    problem, _ = problem_and_series()
-    result = filter_series(np.zeros(shape), *arguments(problem))
-    assert result.x.shape == (*shape[:2], 3) and result.P.shape == (*shape[:2], 3, 3)
-    np.testing.assert_array_equal(result.log_likelihood, np.zeros(shape[0]))
-
-
-@pytest.mark.parametrize("spoil", ["x0", "P0", "F"])
-def test_a_series_of_numbers_that_are_not_finite_leaves_the_others_alone(form, spoil):
-    zs = np.random.default_rng(4).normal(size=(3, 30, 1))
-    x0, P0 = np.zeros((3, 2)), np.tile(np.eye(2), (3, 1, 1))
-    F = np.tile(np.eye(2), (3, 1, 1, 1))
-    if spoil == "F":
-        F[1] *= 1e200
-    else:
-        {"x0": x0, "P0": P0}[spoil][1] = np.nan
-
-    def run(rows, **options):
-        return filter_series(
-            zs[rows], F[rows], np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), x0[rows], P0[rows], **options
-        )
-
-    with pytest.raises(ValueError, match="step 0: "):
-        run([0, 1, 2])
-    result = run([0, 1, 2], refused="nan")
-    for found, expected in zip(result[:4], run([0, 2])[:4], strict=True):
-        np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-12)
-        assert np.isnan(found[1]).all()
-
-
-def test_an_error_names_the_series_alone():
-    support.needs_kernel()
-    P0 = np.tile(0.1 * np.eye(2), (3, 1, 1))
-    P0[2] *= 1e4
-    with pytest.raises(NotPositiveDefiniteError, match=r"^series 2, step 0: scaling"):
-        filter_series(
-            np.zeros((3, 5, 1)), np.eye(2), np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), np.zeros(2), P0, scaling="unit"
-        )

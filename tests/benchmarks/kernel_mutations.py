@@ -34,7 +34,7 @@ TESTS = {
     "learnt.h": ("tests/kernel/test_learnt_kernel.py", "tests/kernel/test_steps.py", "tests/batch"),
     "smoother.h": ("tests/smoothing/test_linear_pass.py", "tests/smoothing/test_smoother.py"),
     "moments.h": ("tests/kernel/test_moments.py",),
-    "series.h": ("tests/batch/test_series.py", "tests/batch/test_learning_series.py", "tests/kernel"),
+    "series.h": ("tests/batch/test_series.py", "tests/kernel"),
 }
 EVERY = ("tests/kernel/test_steps.py", "tests/kernel/test_moments.py", "tests/batch", "tests/kernel")
 SWAPPED = {
