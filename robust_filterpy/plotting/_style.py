@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -91,24 +90,15 @@ def ring(ax: Any, x: Any, y: Any) -> None:
     ax.plot(x, y, "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen")
 
 
-def with_band(ax: Any, t: Any, mean: Any, half: Any, name: str, place: int, sigmas: float) -> None:
-    """Draw a line and its band."""
-    look = line_of(place)
-    if half is not None:
-        band = f"±{sigmas:g} sigma" if place == 0 else "_nolegend_"
-        ax.fill_between(t, mean - half, mean + half, color=look["color"], alpha=0.2, linewidth=0, label=band)
-    ax.plot(t, mean, linewidth=1.4, label=name, **look)
+def with_band(ax: Any, x: Any, lines: Any, name: str, place: int, band: str, steps: bool = False) -> None:
+    """Draw the line of a place, and from the second to the third line its band, which the first place explains."""
+    (line, *edges), look = lines, line_of(place)
+    if edges:
+        label, step = band if place == 0 else "_nolegend_", "post" if steps else None
+        ax.fill_between(x, *edges, step=step, color=look["color"], alpha=0.2, linewidth=0, label=label)
+    ax.plot(x, line, linewidth=1.4, label=name, drawstyle="steps-post" if steps else "default", **look)
 
 
 def true_line(ax: Any, t: Any, values: Any, label: str) -> None:
     """Draw what is true."""
     ax.plot(t, values, color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=label)
-
-
-def all_names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:
-    """Return a name for each column."""
-    if names is None:
-        return [f"{stem}[{i}]" for i in range(n)]
-    if isinstance(names, str) or len(names) != n:
-        raise ValueError(f"names: expected {n} names, got {names!r}")
-    return list(names)

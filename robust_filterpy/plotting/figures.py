@@ -15,37 +15,18 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy.diagnostics.recording import is_saver
 from robust_filterpy.identification.models.noise import fit_percent
+from robust_filterpy.plotting import _style as style
 from robust_filterpy.plotting import sources
-from robust_filterpy.plotting._style import (
-    COLOURS,
-    MARK,
-    MARKERS,
-    all_names,
-    finish,
-    one_axes,
-    true_line,
-    with_band,
-    zero_band,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def plot_states(  # an argument for each choice of the picture, by name
-    source: Any,
-    covariances: ArrayLike | None = None,
-    *,
-    states: int | Sequence[int] | None = None,
-    truth: ArrayLike | None = None,
-    zs: ArrayLike | None = None,
-    sigmas: float = 2.0,
-    t: ArrayLike | None = None,
-    names: Sequence[str] | None = None,
-    unit: str = "",
-    time_unit: str = "",
-    ax: Axes | None = None,
-) -> Axes:
+def plot_states(
+    source: Any, covariances: ArrayLike | None = None, *, states: int | Sequence[int] | None = None,
+    truth: ArrayLike | None = None, zs: ArrayLike | None = None, sigmas: float = 2.0, t: ArrayLike | None = None,
+    names: Sequence[str] | None = None, unit: str = "", time_unit: str = "", ax: Axes | None = None,
+) -> Axes:  # fmt: skip
     """Draw states over time, with bands of their standard deviation.
 
     Parameters
@@ -84,39 +65,31 @@ def plot_states(  # an argument for each choice of the picture, by name
     -----
     The axis shows what the states and the truth do; an outlier among zs beyond it is left outside.
     """
-    mean, deviation = sources.mean_and_deviation(source, covariances)
-    N, n = mean.shape
-    time = sources.time(t, N, source)
-    which = sources.chosen("states", states, n)
-    names = all_names(names, n, "x")
-    width = _checks.positive("sigmas", sigmas)
-    real = _truth(truth, N, n, which)
-    seen = None if zs is None else _column("zs", zs, N)
-    ax = one_axes(ax)
-    for place, i in enumerate(which):
-        with_band(ax, time, mean[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
-        if real is not None and i in real:
-            true_line(ax, time, real[i], f"{names[i]}, true")
+    paths = sources.paths(source, covariances, ("states", states), ("x", names), sigmas, t)
+    real: Any = {} if truth is None else sources.rows("truth", truth)
+    N, n = paths.mean.shape
+    if truth is not None:
+        if len(real) != N or real.shape[1] not in (1, n):
+            raise ValueError(f"truth: expected shape {(N,)} or {(N, n)}, got {np.shape(truth)}")
+        real = dict(enumerate(real.T)) if real.shape[1] == n else {paths.which[0]: real[:, 0]}
+    seen = None if zs is None else sources.column("zs", zs, N)
+    ax = style.one_axes(ax)
+    for place, i in enumerate(paths.which):
+        paths.draw(ax, place)
+        if i in real:
+            style.true_line(ax, paths.time, real[i], f"{paths.names[i]}, true")
     if seen is not None:
-        limits = ax.get_ylim()
-        margin = 0.25 * (limits[1] - limits[0])
-        ax.plot(time, seen, ".", color="0.6", markersize=3, zorder=1, label="measured")
-        ax.set_ylim(limits[0] - margin, limits[1] + margin)
-    return finish(ax, "state" if len(which) > 1 else names[which[0]], unit, time_unit)
+        low, high = ax.get_ylim()
+        margin = 0.25 * (high - low)
+        ax.plot(paths.time, seen, ".", color="0.6", markersize=3, zorder=1, label="measured")
+        ax.set_ylim(low - margin, high + margin)
+    return style.finish(ax, paths.label("state"), unit, time_unit)
 
 
-def plot_innovations(  # an argument for each choice of the picture, by name
-    source: Any,
-    covariances: ArrayLike | None = None,
-    *,
-    clipped: ArrayLike | None = None,
-    component: int = 0,
-    sigmas: float = 2.0,
-    t: ArrayLike | None = None,
-    unit: str = "",
-    time_unit: str = "",
-    ax: Axes | None = None,
-) -> Axes:
+def plot_innovations(
+    source: Any, covariances: ArrayLike | None = None, *, clipped: ArrayLike | None = None, component: int = 0,
+    sigmas: float = 2.0, t: ArrayLike | None = None, unit: str = "", time_unit: str = "", ax: Axes | None = None,
+) -> Axes:  # fmt: skip
     """Draw the innovations of one sensor, with the clipped ones marked.
 
     Parameters
@@ -148,46 +121,38 @@ def plot_innovations(  # an argument for each choice of the picture, by name
     Of a tracker's run the samples with a weight below 1 are marked; it has not kept S, so there is no band.
     """
     width = _checks.positive("sigmas", sigmas)
-    deviation = None
+    label = "clipped"
     if sources.is_run(source):
-        y, marked = np.asarray(source.residual)[:, None], np.asarray(source.weights)[:, None] < 1.0
+        y, covariances, clipped = np.asarray(source.residual)[:, None], None, np.asarray(source.weights) < 1.0
         label = "weight below 1"
+    elif is_saver(source):
+        y, there = sources.kept(source, "y"), source.__dict__
+        clipped = sources.kept(source, "clipped") if "clipped" in there else None
+        if "weights" in there:
+            y = np.where(np.isnan(sources.kept(source, "weights")), np.nan, y)
+        covariances = sources.kept(source, "S").reshape(len(y), y.shape[1], -1)
     else:
-        label = "clipped"
-        if is_saver(source):
-            y = sources.kept(source, "y")
-            marked = sources.kept(source, "clipped") > 0 if "clipped" in source.__dict__ else np.zeros(y.shape, bool)
-            if "weights" in source.__dict__:
-                y = np.where(np.isnan(sources.kept(source, "weights")), np.nan, y)
-            covariances = sources.kept(source, "S").reshape(len(y), y.shape[1], -1)
-        else:
-            y = sources.rows("source", source)
-            marked = np.zeros(y.shape, bool) if clipped is None else sources.rows("clipped", clipped) > 0
-            if marked.shape != y.shape:
-                raise ValueError(f"clipped: expected shape {y.shape}, that of the innovations, got {marked.shape}")
-        if covariances is not None:
-            deviation = sources.deviation("covariances", covariances, y.shape[1], len(y))
+        y = sources.rows("source", source)
+    marked = np.zeros(y.shape, bool) if clipped is None else sources.rows("clipped", clipped) > 0
+    if marked.shape != y.shape:
+        raise ValueError(f"clipped: expected shape {y.shape}, that of the innovations, got {marked.shape}")
+    deviation = None if covariances is None else sources.deviation("covariances", covariances, y.shape[1], len(y))
     (i,) = sources.chosen("component", component, y.shape[1])
     time = sources.time(t, len(y), source)
-    ax = one_axes(ax)
+    ax = style.one_axes(ax)
     hit = marked[:, i]
     if deviation is not None:
-        zero_band(ax, time, width * deviation[:, i], f"±{width:g} sigma")
-    ax.plot(time[~hit], y[~hit, i], ".", color=COLOURS[0], markersize=4, label="innovation")
-    ax.plot(time[hit], y[hit, i], "x", color=MARK, markersize=5, label=label)
+        style.zero_band(ax, time, width * deviation[:, i], f"±{width:g} sigma")
+    ax.plot(time[~hit], y[~hit, i], ".", color=style.COLOURS[0], markersize=4, label="innovation")
+    ax.plot(time[hit], y[hit, i], "x", color=style.MARK, markersize=5, label=label)
     ax.axhline(0.0, color="black", linewidth=0.6)
-    return finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
+    return style.finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
 
 
 def plot_weights(
-    source: Any,
-    *,
-    components: int | Sequence[int] | None = None,
-    t: ArrayLike | None = None,
-    names: Sequence[str] | None = None,
-    time_unit: str = "",
-    ax: Axes | None = None,
-) -> Axes:
+    source: Any, *, components: int | Sequence[int] | None = None, t: ArrayLike | None = None,
+    names: Sequence[str] | None = None, time_unit: str = "", ax: Axes | None = None,
+) -> Axes:  # fmt: skip
     """Draw how much of each measurement was believed: psi(e)/e over time.
 
     Parameters
@@ -217,29 +182,21 @@ def plot_weights(
     else:
         weights = sources.rows("source", source)
     time = sources.time(t, len(weights), source)
-    names = all_names(names, weights.shape[1], "z")
+    names = sources.all_names(names, weights.shape[1], "z")
     which = sources.chosen("components", components, weights.shape[1])
-    ax = one_axes(ax)
+    ax = style.one_axes(ax)
     for place, i in enumerate(which):
-        marker, colour = MARKERS[place % 6], COLOURS[place % 6]
+        marker, colour = style.MARKERS[place % 6], style.COLOURS[place % 6]
         ax.plot(time, weights[:, i], marker, color=colour, markersize=3.5, fillstyle="none", label=names[i])
     ax.set_ylim(-0.05, 1.05)
-    return finish(ax, "weight", "", time_unit)
+    return style.finish(ax, "weight", "", time_unit)
 
 
-def plot_parameters(  # an argument for each choice of the picture, by name
-    source: Any,
-    covariances: ArrayLike | None = None,
-    *,
-    truth: ArrayLike | None = None,
-    parameters: int | Sequence[int] | None = None,
-    sigmas: float = 2.0,
-    t: ArrayLike | None = None,
-    names: Sequence[str] | None = None,
-    unit: str = "",
-    time_unit: str = "",
-    ax: Axes | None = None,
-) -> Axes:
+def plot_parameters(
+    source: Any, covariances: ArrayLike | None = None, *, truth: ArrayLike | None = None,
+    parameters: int | Sequence[int] | None = None, sigmas: float = 2.0, t: ArrayLike | None = None,
+    names: Sequence[str] | None = None, unit: str = "", time_unit: str = "", ax: Axes | None = None,
+) -> Axes:  # fmt: skip
     """Draw the paths of parameters with their bands, against the truth.
 
     Parameters
@@ -270,39 +227,29 @@ def plot_parameters(  # an argument for each choice of the picture, by name
     -----
     Axes that were empty show the paths; the band of the first samples, where P is large, may reach beyond.
     """
-    theta, deviation = sources.mean_and_deviation(source, covariances)
-    N, n = theta.shape
-    time = sources.time(t, N, source)
-    which = sources.chosen("parameters", parameters, n)
-    names = all_names(names if names is not None else getattr(source, "names", ()) or None, n, "theta")
-    width = _checks.positive("sigmas", sigmas)
-    real = None
-    if truth is not None:
-        real = _checks.numbers("truth", truth)
-        if real.shape not in ((n,), (N, n)):
-            raise ValueError(f"truth: expected shape {(n,)} or {(N, n)}, got {real.shape}")
-        real = np.broadcast_to(real, (N, n))
-    ax = one_axes(ax)
+    named = names if names is not None else getattr(source, "names", ()) or None
+    paths = sources.paths(source, covariances, ("parameters", parameters), ("theta", named), sigmas, t)
+    N, n = paths.mean.shape
+    real = None if truth is None else _checks.numbers("truth", truth)
+    if real is not None and real.shape not in ((n,), (N, n)):
+        raise ValueError(f"truth: expected shape {(n,)} or {(N, n)}, got {real.shape}")
+    ax = style.one_axes(ax)
     own = not ax.has_data()
-    for place, i in enumerate(which):
-        with_band(ax, time, theta[:, i], None if deviation is None else width * deviation[:, i], names[i], place, width)
+    for place in range(len(paths.which)):
+        paths.draw(ax, place)
     if real is not None:
-        for place, i in enumerate(which):
-            true_line(ax, time, real[:, i], "true" if place == 0 else "_nolegend_")
-    if deviation is not None and own:
-        _look_at_the_paths(ax, width * deviation[:, which])
-    return finish(ax, "parameter" if len(which) > 1 else names[which[0]], unit, time_unit)
+        for place, i in enumerate(paths.which):
+            values = np.broadcast_to(real, (N, n))[:, i]
+            style.true_line(ax, paths.time, values, "true" if place == 0 else "_nolegend_")
+    if paths.half is not None and own:
+        _look_at_the_paths(ax, paths.half[:, paths.which])
+    return style.finish(ax, paths.label("parameter"), unit, time_unit)
 
 
 def plot_fit(
-    measured: ArrayLike,
-    simulated: ArrayLike,
-    *,
-    t: ArrayLike | None = None,
-    unit: str = "",
-    time_unit: str = "",
+    measured: ArrayLike, simulated: ArrayLike, *, t: ArrayLike | None = None, unit: str = "", time_unit: str = "",
     ax: Axes | None = None,
-) -> Axes:
+) -> Axes:  # fmt: skip
     """Draw a measured output against a simulated one, with the percentage of fit in the legend.
 
     Parameters
@@ -331,17 +278,17 @@ def plot_fit(
     if sources.is_run(simulated):
         simulated = simulated.prediction  # type: ignore[union-attr]
     y = _checks.numbers("measured", measured).ravel()
-    model = _column("simulated", simulated, len(y))
+    model = sources.column("simulated", simulated, len(y))
     time = sources.time(t, len(y), source)
     seen = ~np.isnan(y) & ~np.isnan(model)
     label = "simulated"
     # The fit of a constant output is undefined.
     if len(set(y[seen])) > 1:
         label += f" (fit {fit_percent(y[seen], model[seen]):.1f} %)"
-    ax = one_axes(ax)
+    ax = style.one_axes(ax)
     ax.plot(time, y, color="0.6", linewidth=2.2, label="measured")
-    ax.plot(time, model, color=COLOURS[0], linewidth=1.0, linestyle="--", label=label)
-    return finish(ax, "output", unit, time_unit)
+    ax.plot(time, model, color=style.COLOURS[0], linewidth=1.0, linestyle="--", label=label)
+    return style.finish(ax, "output", unit, time_unit)
 
 
 def _look_at_the_paths(ax: Any, half: Any) -> None:
@@ -352,23 +299,3 @@ def _look_at_the_paths(ax: Any, half: Any) -> None:
         margin = 3.0 * float(np.median(half)) + 0.05 * float(np.ptp(drawn))
         if margin > 0:
             ax.set_ylim(drawn.min() - margin, drawn.max() + margin)
-
-
-def _column(name: str, values: Any, length: int) -> Any:
-    """Return values as one column of that length."""
-    column = sources.rows(name, values)
-    if column.shape != (length, 1):
-        raise ValueError(f"{name}: expected {length} numbers, got shape {column.shape}")
-    return column[:, 0]
-
-
-def _truth(truth: Any, N: int, n: int, which: list[int]) -> dict[int, Any] | None:
-    """Return the true values of the states that have some."""
-    if truth is None:
-        return None
-    values = sources.rows("truth", truth)
-    if len(values) != N or values.shape[1] not in (1, n):
-        raise ValueError(f"truth: expected shape {(N,)} or {(N, n)}, got {np.shape(truth)}")
-    if values.shape[1] == n:
-        return dict(enumerate(values.T))
-    return {which[0]: values[:, 0]}

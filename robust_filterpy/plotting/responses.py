@@ -15,7 +15,7 @@ from robust_filterpy import _checks
 from robust_filterpy.identification import Model, ParameterTracker
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.identification.models.uncertainty import FrequencyResponse, NoiseSpectrum, StepResponse
-from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, line_of, one_axes, several_axes
+from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, one_axes, several_axes, with_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,12 +67,10 @@ def plot_bode(
     rows = {name: _of_input(name, response, which) for name, response in responses.items()}
     axes = several_axes(axes, 2, 1, (7.5, 5.0), sharex=True)
     for place, (name, (magnitude, phase)) in enumerate(rows.items()):
-        w, look, label = responses[name].omega, line_of(place), _band_label(responses[name].level, place)
         with np.errstate(divide="ignore"):
             decibels = 20.0 * np.log10(magnitude)
-        for ax, (line, low, high) in ((axes[0], decibels), (axes[1], np.degrees(phase))):
-            ax.fill_between(w, low, high, color=look["color"], alpha=0.2, linewidth=0, label=label)
-            ax.plot(w, line, linewidth=1.4, label=name, **look)
+        for ax, lines in ((axes[0], decibels), (axes[1], np.degrees(phase))):
+            with_band(ax, responses[name].omega, lines, name, place, _band_label(responses[name].level))
     axes[0].set_ylabel("magnitude [dB]")
     axes[1].set_ylabel("phase [degrees]")
     unit = "sample" if None in periods.values() else "s"
@@ -167,11 +165,9 @@ def plot_step(response: StepResponse, *, ax: Axes | None = None) -> Axes:
     """
     ax = one_axes(ax)
     rows = [np.atleast_2d(values) for values in (response.response, response.lower, response.upper)]
-    for place, (line, low, high) in enumerate(zip(*rows, strict=True)):
-        look, label = line_of(place), _band_label(response.level, place)
-        ax.fill_between(response.time, low, high, step="post", color=look["color"], alpha=0.2, linewidth=0, label=label)
+    for place, lines in enumerate(zip(*rows, strict=True)):
         name = "response" if len(rows[0]) == 1 else f"input {place}"
-        ax.step(response.time, line, where="post", linewidth=1.4, label=name, **look)
+        with_band(ax, response.time, lines, name, place, _band_label(response.level), steps=True)
     ax.axhline(0.0, color="0.8", linewidth=0.6, zorder=0)
     ax.set(xlabel="time [s]", ylabel="output after a unit step")
     legend_outside(ax)
@@ -192,19 +188,17 @@ def plot_noise_spectrum(spectrum: NoiseSpectrum, *, ax: Axes | None = None) -> A
     -------
     matplotlib.axes.Axes
     """
-    ax, look = one_axes(ax), line_of(0)
-    band = {"color": look["color"], "alpha": 0.2, "linewidth": 0, "label": _band_label(spectrum.level, 0)}
-    ax.fill_between(spectrum.omega, spectrum.lower, spectrum.upper, **band)
-    ax.plot(spectrum.omega, spectrum.density, linewidth=1.4, label="density", **look)
+    ax, lines = one_axes(ax), (spectrum.density, spectrum.lower, spectrum.upper)
+    with_band(ax, spectrum.omega, lines, "density", 0, _band_label(spectrum.level))
     ax.set(xscale="log", yscale="log", xlabel="frequency [rad/s]", ylabel="noise of the output [y² per Hz]")
     ax.grid(True, which="both", color="0.9", linewidth=0.5)
     legend_outside(ax)
     return ax
 
 
-def _band_label(level: float, place: int) -> str:
-    """Return what the legend says of a band, once."""
-    return f"{100 * level:.4g} % band" if place == 0 else "_nolegend_"
+def _band_label(level: float) -> str:
+    """Return what the legend says of a band."""
+    return f"{100 * level:.4g} % band"
 
 
 def _to(model: Any, output: int) -> dict[str, int]:

@@ -3,12 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy._checks import Array, count, numbers
+from robust_filterpy._checks import Array, count, numbers, positive
 from robust_filterpy.diagnostics.recording import is_saver
+from robust_filterpy.plotting._style import with_band
+
+
+class Paths(NamedTuple):
+    """States or parameters over time, and which of them to draw."""
+
+    mean: Array  # (N, n)
+    half: Array | None  # (N, n), half widths of the bands
+    time: Any
+    which: list[int]
+    names: list[str]
+    band: str
+
+    def draw(self, ax: Any, place: int) -> None:
+        """Draw the path at a place, with its band."""
+        i = self.which[place]
+        mean, half = self.mean[:, i], None if self.half is None else self.half[:, i]
+        lines = (mean,) if half is None else (mean, mean - half, mean + half)
+        with_band(ax, self.time, lines, self.names[i], place, self.band)
+
+    def label(self, several: str) -> str:
+        """Return what the axis shows."""
+        return several if len(self.which) > 1 else self.names[self.which[0]]
+
+
+def paths(
+    source: Any, covariances: Any, which: tuple[str, Any], names: tuple[str, Sequence[str] | None], sigmas: Any, t: Any
+) -> Paths:
+    """Return what is to be drawn of a source; which: name of the argument and its value; names: stem and names."""
+    mean, deviation = mean_and_deviation(source, covariances)
+    N, n = mean.shape
+    times, columns = time(t, N, source), chosen(*which, n)
+    named, width = all_names(names[1], n, names[0]), positive("sigmas", sigmas)
+    half = None if deviation is None else width * deviation
+    return Paths(mean, half, times, columns, named, f"±{width:g} sigma")
 
 
 def is_run(source: Any) -> bool:
@@ -97,3 +132,20 @@ def chosen(name: str, which: Any, n: int) -> list[int]:
         if count(name, i) >= n:
             raise ValueError(f"{name}: expected numbers below {n}, got {i}")
     return each
+
+
+def column(name: str, values: Any, length: int) -> Array:
+    """Return values as one column of that length."""
+    one = rows(name, values)
+    if one.shape != (length, 1):
+        raise ValueError(f"{name}: expected {length} numbers, got shape {one.shape}")
+    return one[:, 0]
+
+
+def all_names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:
+    """Return a name for each column."""
+    if names is None:
+        return [f"{stem}[{i}]" for i in range(n)]
+    if isinstance(names, str) or len(names) != n:
+        raise ValueError(f"names: expected {n} names, got {names!r}")
+    return list(names)

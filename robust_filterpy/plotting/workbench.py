@@ -15,20 +15,8 @@ from robust_filterpy.identification.judging.compare import Comparison
 from robust_filterpy.identification.judging.select import Selection
 from robust_filterpy.identification.judging.validate import Validation, Validations
 from robust_filterpy.identification.recursive.tuned import TunedTracker
+from robust_filterpy.plotting import _style as style
 from robust_filterpy.plotting import sources
-from robust_filterpy.plotting._style import (
-    COLOURS,
-    MARK,
-    MARKERS,
-    finish,
-    legend_outside,
-    line_of,
-    one_axes,
-    ring,
-    several_axes,
-    stems,
-    zero_band,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,18 +55,18 @@ def plot_validation(validation: Validation | Validations, *, axes: Any = None) -
     several = len(validation.cross_correlation) > 1
     for i, pair in enumerate(zip(validation.cross_correlation, validation.cross_bound, strict=True)):
         panels.append((f"input {i} and residuals" if several else "input and residuals", 0, *pair))
-    axes = several_axes(axes, len(panels), 1, (7.5, 0.8 + 2.1 * len(panels)), sharex=True)
+    axes = style.several_axes(axes, len(panels), 1, (7.5, 0.8 + 2.1 * len(panels)), sharex=True)
     for ax, (title, first, values, bound) in zip(axes, panels, strict=True):
         lags = np.arange(first, first + values.size)
         outside = np.abs(values) > bound
-        zero_band(ax, lags, bound, f"{100 * validation.level:.4g} % bound", step="mid")
+        style.zero_band(ax, lags, bound, f"{100 * validation.level:.4g} % bound", step="mid")
         ax.axhline(0.0, color="black", linewidth=0.6)
-        stems(ax, lags[~outside], values[~outside], COLOURS[0], "o", "within")
-        stems(ax, lags[outside], values[outside], MARK, "x", "outside")
+        style.stems(ax, lags[~outside], values[~outside], style.COLOURS[0], "o", "within")
+        style.stems(ax, lags[outside], values[outside], style.MARK, "x", "outside")
         ax.set(ylabel="correlation", title=title)
         ax.xaxis.get_major_locator().set_params(integer=True)
         ax.title.set_fontsize("medium")
-        legend_outside(ax)
+        style.legend_outside(ax)
     axes[-1].set_xlabel("lag [samples]")
     axes[0].figure.suptitle(textwrap.fill(validation.verdict, 80), fontsize="medium")
     return axes
@@ -108,20 +96,20 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
     Fits more than 30 points below the best one's are left below the picture.
     """
     responses, rows = selection.impulse_responses, selection.rows
-    axes = several_axes(axes, 2 + len(responses), 1, (7.5, 4.6 + 2.2 * len(responses)))
+    axes = style.several_axes(axes, 2 + len(responses), 1, (7.5, 4.6 + 2.2 * len(responses)))
     size = np.array([row.structure.n_theta for row in rows])
     fit, criterion = (np.array([getattr(row, name) for row in rows]) for name in ("fit", "criterion"))
     shows = np.array([row.shows_delay for row in rows])
     above = criterion - criterion[0]
     for ax, values, best_of in ((axes[0], fit, np.nanmax), (axes[1], above, np.nanmin)):
-        ax.plot(size[shows], values[shows], "o", color=COLOURS[2], markersize=5, label="tried")
+        ax.plot(size[shows], values[shows], "o", color=style.COLOURS[2], markersize=5, label="tried")
         if not shows.all():
-            ax.plot(size[~shows], values[~shows], "x", color=COLOURS[5], markersize=5, label="first b is 0")
+            ax.plot(size[~shows], values[~shows], "x", color=style.COLOURS[5], markersize=5, label="first b is 0")
         sizes = np.unique(size[shows]) if shows.any() else np.unique(size)
         counted = shows if shows.any() else ~shows
         front = [best_of(values[counted & (size == n)]) for n in sizes]
-        ax.plot(sizes, front, color=COLOURS[0], linewidth=1.2, label="best of its size")
-        ring(ax, size[:1], values[:1])
+        ax.plot(sizes, front, color=style.COLOURS[0], linewidth=1.2, label="best of its size")
+        style.ring(ax, size[:1], values[:1])
         ax.xaxis.get_major_locator().set_params(integer=True)
     best = float(np.nanmax(fit))
     worst = max(float(np.nanmin(fit)), best - _DEEP)
@@ -129,16 +117,16 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
     axes[0].set(ylabel="fit [%]", ylim=(worst - margin, best + margin), title=f"chosen: {rows[0].structure}")
     axes[1].set_yscale("symlog", linthresh=10.0)
     axes[1].set(ylabel=f"{selection.criterion} above the best", xlabel="parameters")
-    legend_outside(axes[0])
+    style.legend_outside(axes[0])
     for i, (ax, response) in enumerate(zip(axes[2:], responses, strict=True)):
-        zero_band(ax, response.lags, response.band, "95 % band of 0", step="mid")
-        stems(ax, response.lags, response.values, COLOURS[0], "o", "impulse response")
+        style.zero_band(ax, response.lags, response.band, "95 % band of 0", step="mid")
+        style.stems(ax, response.lags, response.values, style.COLOURS[0], "o", "impulse response")
         delay = selection.best.structure.inputs[i][1]
-        ax.axvline(delay, color=MARK, linestyle="--", linewidth=1.2, label=f"chosen delay, {delay}")
+        ax.axvline(delay, color=style.MARK, linestyle="--", linewidth=1.2, label=f"chosen delay, {delay}")
         ax.set(
             xlabel="lag [samples]", ylabel="response [y per u]" if len(responses) == 1 else f"response [y per u {i}]"
         )
-        legend_outside(ax)
+        style.legend_outside(ax)
     return axes
 
 
@@ -176,18 +164,18 @@ def plot_comparison(
         raise ValueError(f"output: expected 0 to {y.shape[1] - 1}, got {output}")
     y = y[:, output]
     time = sources.time(t, y.size, comparison)
-    ax = one_axes(ax, (8.5, 3.6))
+    ax = style.one_axes(ax, (8.5, 3.6))
     for place, row in enumerate(comparison.rows):
         label = f"{row.name}, fit {row.fit:.1f} %"
         shown = comparison.outputs[row.name]
-        ax.plot(time, shown[:, output] if shown.ndim > 1 else shown, linewidth=1.2, label=label, **line_of(place))
+        ax.plot(time, shown[:, output] if shown.ndim > 1 else shown, linewidth=1.2, label=label, **style.line_of(place))
     ordinary = np.quantile(y[~np.isnan(y)], [0.02, 0.98])
     low, high = ax.get_ylim()
     low, high = min(low, float(ordinary[0])), max(high, float(ordinary[1]))
     ax.plot(time, y, ".", color="0.6", markersize=3, zorder=1, label="measured")
     ax.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
-    finish(ax, "output", unit, time_unit)
-    legend_outside(ax)
+    style.finish(ax, "output", unit, time_unit)
+    style.legend_outside(ax)
     return ax
 
 
@@ -214,15 +202,15 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
     x = np.array([_place(row.values[names[0]]) for row in found.rows])
     value = np.array([row.log_likelihood for row in found.rows]) - found.best.log_likelihood
     groups = [_place(row.values[names[1]]) if len(names) > 1 else 0.0 for row in found.rows]
-    ax = one_axes(ax)
+    ax = style.one_axes(ax)
     for place, group in enumerate(dict.fromkeys(groups)):
         of = np.array([one == group for one in groups])
         order = np.argsort(x[of])
         label = f"{names[1]} = {group:.3g}" if len(names) > 1 else "tried"
-        look = {**line_of(place), "marker": MARKERS[place % 6], "markersize": 4}
+        look = {**style.line_of(place), "marker": style.MARKERS[place % 6], "markersize": 4}
         ax.plot(x[of][order], value[of][order], linewidth=1.2, label=label, **look)
     chosen = found.rows.index(found.best)
-    ring(ax, x[chosen], value[chosen])
+    style.ring(ax, x[chosen], value[chosen])
     ax.axhline(-2.0, color="0.5", linestyle=":", linewidth=1.0, label="as good: 2 below")
     least = float(x[x > 0.0].min(initial=np.inf))
     if x.max() > 100.0 * least:
@@ -233,7 +221,7 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
     ax.set_ylim(None, 2.0)
     what = "trace of Q" if any(np.ndim(row.values[names[0]]) for row in found.rows) else names[0]
     ax.set(xlabel=what, ylabel="log-likelihood less the best")
-    legend_outside(ax)
+    style.legend_outside(ax)
     return ax
 
 
