@@ -12,6 +12,7 @@
 * `repeats`: whether a sensor repeats its last reading though it seldom does and its noise is white.
 * `learning`: what is learned of a sensor's noise, a mixture of classes, while a filter runs.
 * `copies`: copies of a filter that differ in what they take the process for.
+* `hypotheses`: models of a state, advanced together: what failed, what moved, which repair explains a recording.
 * `factor`: one factor by which P, Q and R that are given are all too large or too small.
 * `learnt`: the correction of copies under such noise, learned or told.
 

@@ -159,18 +159,9 @@ class Diagnosis:
 
 
 def diagnose(  # what filterpy's `batch_filter` takes, and two words
-    source: Any,
-    zs: Any = None,
-    *,
-    us: Any = None,
-    Fs: Any = None,
-    Qs: Any = None,
-    Hs: Any = None,
-    Rs: Any = None,
-    Bs: Any = None,
-    contamination: float | None = None,
-    progress: bool | None = None,
-) -> Diagnosis:
+    source: Any, zs: Any = None, *, us: Any = None, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None,
+    Bs: Any = None, contamination: float | None = None, progress: bool | None = None,
+) -> Diagnosis:  # fmt: skip
     """Say whether a filter's model fits a recording, and if it does not, why.
 
     Parameters
@@ -233,19 +224,14 @@ def _recorded(source: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
             raise TypeError("zs: expected None with a Saver, which has kept the measurements")
         return of_saver(source)
     is_tracker = hasattr(source, "structure") and hasattr(source, "filter")
-    if not is_tracker and not hasattr(source, "batch_filter"):
+    if not is_tracker and not (hasattr(source, "batch_filter") and hasattr(source, "H")):
         raise TypeError(
-            f"source: expected a filter with batch_filter, a Saver or a ParameterTracker, got {type(source).__name__}; "
-            "for another filter, keep its run in a filterpy.common.Saver; for the result of a tracker's run, pass the "
-            "tracker as it was before, and the recording"
+            "source: expected a filter with batch_filter and a matrix H (a linear filter, a Saver or a tracker), got "
+            f"{type(source).__name__}; for another filter, keep its run in a filterpy.common.Saver, save() after each "
+            "update; for the result of a tracker's run, pass the tracker as it was before, and the recording"
         )
     if zs is None:
         raise TypeError("zs: expected the measurements, got None")
-    if not is_tracker and not hasattr(source, "H"):
-        raise TypeError(
-            f"source: expected a linear filter, a Saver or a tracker, got {type(source).__name__}; run it with a "
-            "filterpy.common.Saver, save() after each update, and pass that"
-        )
     if is_tracker:
         if any(values is not None for name, values in per_step.items() if name != "us"):
             raise TypeError("Fs, Qs, Hs, Rs, Bs: expected None with a tracker")
@@ -257,29 +243,16 @@ def _diagnosis(recording: FilterRecord) -> Diagnosis:
     """Return the figures and the causes."""
     e = statistics.normalized(recording)
     seen = ~np.isnan(e)
-    columns = [column[here] for column, here in zip(e.T, seen.T, strict=True)]
-    clipped = [column[here] for column, here in zip(recording.clipped.T, seen.T, strict=True)]
-    shares = np.array([c.mean() if len(c) else np.nan for c in clipped])
-    bulks = np.array([statistics.bulk(c) for c in columns])
-    white = np.array([statistics.whiteness(c) for c in columns])
-    low, high = statistics.expected_clipped(recording)
     figures: dict[str, Any] = {
         "samples": len(e),
         "observed": seen.sum(axis=0),
-        "clipped": shares,
-        "clipped_expected": np.column_stack([low, high]),
-        "longest_run": np.array([statistics.longest_run(c) for c in clipped]),
-        "longest_run_expected": np.array(
-            [statistics.expected_run(share, len(c)) for share, c in zip(np.nan_to_num(shares), clipped, strict=True)]
-        ),
-        "beyond_3_sigma": np.array([np.mean(np.abs(c) > 3) if len(c) else np.nan for c in columns]),
-        "scale": bulks[:, 0],
-        "outliers": bulks[:, 1],
-        "autocorrelation": white[:, 0],
-        "whiteness": white[:, 1],
+        "clipped_expected": np.column_stack(statistics.expected_clipped(recording)),
         "nis": statistics.unclipped_nis(recording),
-        "R_scale": _implied(recording, bulks[:, 0]),
     }
+    names = ("clipped", "longest_run", "longest_run_expected", "beyond_3_sigma", "scale", "outliers")
+    each = [statistics.of_sensor(e[here, i], recording.clipped[here, i]) for i, here in enumerate(seen.T)]
+    figures |= dict(zip((*names, "autocorrelation", "whiteness"), map(np.array, zip(*each, strict=True)), strict=True))
+    figures["R_scale"] = _implied(recording, figures["scale"])
     findings = tuple(_findings(recording, e, figures))
     unseen: tuple[str, ...] = ()
     if not findings and recording.model is not None and seen.any() and len(e) <= _SHORT:
@@ -291,11 +264,9 @@ def _implied(recording: FilterRecord, scale: Array) -> Array:
     """Return the factor of R that the scale implies if all that is wrong is R."""
     if recording.model is None:
         return np.full(len(scale), np.nan)
-    S, R = np.einsum("kii->ki", recording.S), np.einsum("kii->ki", recording.model.R)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.array(
-            [np.median((r / s)[s == s]) if (s == s).any() else np.nan for r, s in zip(R.T, S.T, strict=True)]
-        )
+        ratio = np.einsum("kii->ik", recording.model.R) / np.einsum("kii->ik", recording.S)
+        share = np.array([np.median(r[r == r]) if (r == r).any() else np.nan for r in ratio])
         return np.maximum((scale**2 - (1.0 - share)) / share, 0.0)
 
 
@@ -320,16 +291,13 @@ def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> lis
         # What a clipped or frozen signal does to the innovations afterwards says nothing about the model.
         return findings
     if recording.model is None or figures["observed"].max() < 20:
-        findings = _by_innovations(figures, recording)
-    else:
-        part = slice(0, _SEARCHED)
-        causes = search.find(recording.model, z[part], recording.clipped[part], e[part])
-        findings = [
-            _told(repair, gain, figures, recording.is_told)
-            for repair, gain in causes
-            if repair.cause != "more outliers" or _is_excessive(repair.value, recording.contamination)
-        ]
-    return findings
+        return _by_innovations(figures, recording)
+    causes = search.find(recording.model, z[:_SEARCHED], e[:_SEARCHED])
+    return [
+        _told(repair, gain, figures, recording.is_told)
+        for repair, gain in causes
+        if repair.cause != "more outliers" or _is_excessive(repair.value, recording.contamination)
+    ]
 
 
 def _by_innovations(figures: dict[str, Any], recording: FilterRecord) -> list[Finding]:
@@ -350,9 +318,8 @@ def _by_innovations(figures: dict[str, Any], recording: FilterRecord) -> list[Fi
             findings.append(Finding("not white", i, r, math.nan, text))
         share = float(figures["outliers"][i])
         if not findings and _is_excessive(share, recording.contamination):
-            findings.append(
-                Finding("more outliers", i, share, math.nan, _many_outliers(f"z[{i}]", share, recording.is_told))
-            )
+            text = _many_outliers(f"z[{i}]", share, recording.is_told)
+            findings.append(Finding("more outliers", i, share, math.nan, text))
     return findings
 
 
@@ -363,15 +330,10 @@ def _is_excessive(share: float, contamination: float) -> bool:
 
 def _many_outliers(z: str, share: float, is_told: bool) -> str:
     """Return the advice for many outliers."""
+    than, mend = "psi is made for", f"Huber.from_contamination({share:.2g}) is made for them."
     if is_told:
-        return (
-            f"{z} has more outliers than noise= tells: about {share:.0%} among ordinary samples; "
-            f"Contaminated({share:.2g}, ..) tells so many, Learnt() learns how many."
-        )
-    return (
-        f"{z} has more outliers than psi is made for: about {share:.0%} among ordinary samples; "
-        f"Huber.from_contamination({share:.2g}) is made for them."
-    )
+        than, mend = "noise= tells", f"Contaminated({share:.2g}, ..) tells so many, Learnt() learns how many."
+    return f"{z} has more outliers than {than}: about {share:.0%} among ordinary samples; {mend}"
 
 
 def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -> Finding:
@@ -380,9 +342,8 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -
     z = "z" if i is None else f"z[{i}]"
     beyond = float(np.nanmax(figures["beyond_3_sigma"]) if i is None else figures["beyond_3_sigma"][i])
     if repair.cause in ("R", "Q", "R and Q"):
-        size = "small" if value > 1 else "large"
-        factor = max(value, 1 / value)
-        which = "R" if repair.cause == "R" and i is None else f"R[{i}, {i}]" if repair.cause == "R" else repair.cause
+        size, factor = "small" if value > 1 else "large", max(value, 1 / value)
+        which = repair.cause if i is None else f"R[{i}, {i}]"
         power = 0.5 * math.log10(factor)
         if repair.cause == "R and Q" and power > 1.8 and abs(power - round(power)) < 0.15:
             times = f"{10 ** round(power):g} times {'larger' if value > 1 else 'smaller'}"
@@ -397,37 +358,20 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -
         else:
             text += "; with it outliers pass for good data."
         return Finding(f"{repair.cause} too {size}", i, value, gain, text)
+    row = ", ".join(f"{value:.3g}" for value in np.atleast_2d(repair.rows)[i or 0]) if repair.cause == "H" else ""
     texts = {
-        "units": ("lost units", f"{z} is about {value:.4g} times what H x says: lost units?"),
-        "H": ("wrong H", f"Row {i} of H does not fit {z}; {_row(repair)} does."),
-        "correlated noise": (
-            "correlated noise",
-            f"The noise of z is correlated in time, about {value:+.2g} from sample to sample: model it as a state.",
-        ),
-        "coupled noise": (
-            "coupled noise",
-            f"The noise of two sensors is correlated, by roughly {value:+.1g} more than R says.",
-        ),
-        "more outliers": ("more outliers", _many_outliers(z, value, is_told)),
-        "state jump": (
-            "level shift",
-            f"A level shift at sample {value:.0f}: {z} moves to another level and stays there.",
-        ),
-        "level shift": (
-            "level shift",
-            f"A level shift of one sensor at sample {value:.0f}: {z} moves and the other sensors do not follow.",
-        ),
-        "wrong start": (
-            "wrong start",
-            "The first state is further from the truth than its P says: x is wrong at the start, or P too small.",
-        ),
-        "bias": ("bias", f"{z} has a constant bias against the other sensors."),
+        "units": f"{z} is about {value:.4g} times what H x says: lost units?",
+        "H": f"Row {i} of H does not fit {z}; [{row}] does.",
+        "correlated noise": f"The noise of z is correlated in time, about {value:+.2g} from sample to sample: model it "
+        "as a state.",
+        "coupled noise": f"The noise of two sensors is correlated, by roughly {value:+.1g} more than R says.",
+        "more outliers": _many_outliers(z, value, is_told),
+        "state jump": f"A level shift at sample {value:.0f}: {z} moves to another level and stays there.",
+        "level shift": f"A level shift of one sensor at sample {value:.0f}: {z} moves and the other sensors do not "
+        "follow.",
+        "wrong start": "The first state is further from the truth than its P says: x is wrong at the start, or P too "
+        "small.",
+        "bias": f"{z} has a constant bias against the other sensors.",
     }
-    cause, text = texts[repair.cause]
-    return Finding(cause, i, value, gain, text)
-
-
-def _row(repair: Repair) -> str:
-    """Return the row that fits, in print."""
-    rows = np.atleast_2d(repair.rows)
-    return "[" + ", ".join(f"{value:.3g}" for value in rows[min(repair.sensor or 0, len(rows) - 1)]) + "]"
+    cause = {"units": "lost units", "H": "wrong H", "state jump": "level shift"}.get(repair.cause, repair.cause)
+    return Finding(cause, i, value, gain, texts[repair.cause])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.influence.functions import Huber
-from robust_filterpy.influence.huber_tuning import outlier_odds
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,7 @@ def of_saver(saver: Any) -> FilterRecord:
     if not len(epochs["y"]):
         raise ValueError("saver: expected at least one epoch, got an empty Saver; call save() after each update")
     # Lists, or what `to_array` has made of them; the Saver's other attributes are no columns.
-    columns = {
-        name: list(values)
-        for name, values in epochs.items()
-        if isinstance(values, list) or (isinstance(values, np.ndarray) and values.ndim)
-    }
+    columns = {name: list(values) for name, values in epochs.items() if isinstance(values, list) or np.ndim(values)}
     return _recording(columns, saver._kf)
 
 
@@ -81,24 +77,14 @@ def of_filter(kf: Any, zs: Any, per_step: dict[str, Any]) -> FilterRecord:
         raise ValueError("zs: expected at least one measurement, got none")
     kf = copy.deepcopy(kf)
     epochs: dict[str, list[Any]] = {}
-    given = {"F": "Fs", "Q": "Qs", "H": "Hs", "R": "Rs"}
-
-    class Recorder:
-        """Stand where filterpy puts its Saver."""
-
-        def save(self) -> None:
-            """Keep one epoch, with the matrices of its step."""
-            k = len(epochs.get("y", []))
-            stage(f"sample {k} of {len(zs)}")
-            _keep(epochs, kf)
-            for name in given.keys() & epochs.keys():
-                steps = per_step.get(given[name])
-                value = epochs[name][k] if steps is None or steps[k] is None else copy.copy(steps[k])
-                if name in ("Q", "R") and np.ndim(value) == 0:
-                    value = float(value) * np.eye(len(kf.x) if name == "Q" else kf.dim_z)
-                epochs[name][k] = value
-
-    kf.batch_filter(zs, saver=Recorder(), **per_step)
+    # Where filterpy puts its Saver.
+    recorder = SimpleNamespace(save=lambda: _keep(epochs, kf, len(zs)))
+    kf.batch_filter(zs, saver=recorder, **per_step)
+    for name in "FQHR":
+        given, size = per_step.get(f"{name}s"), len(kf.x) if name == "Q" else kf.dim_z
+        for k, value in enumerate(epochs[name]):
+            value = value if given is None or given[k] is None else copy.copy(given[k])
+            epochs[name][k] = float(value) * np.eye(size) if name in "QR" and np.ndim(value) == 0 else value
     return _recording(epochs, kf)
 
 
@@ -113,9 +99,8 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
     kf = tracker.filter
     epochs: dict[str, list[Any]] = {}
     for k, output in enumerate(y):
-        stage(f"sample {k} of {len(y)}")
         tracker.update(output, None if u is None else u[k])
-        _keep(epochs, kf)
+        _keep(epochs, kf, len(y))
         epochs["z"][-1] = output
         if np.isnan(output):
             epochs["y"][-1] = np.full((1, 1), np.nan)
@@ -125,8 +110,9 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
 _NAMES = ("z", "y", "S", "e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
 
 
-def _keep(epochs: dict[str, list[Any]], kf: Any) -> None:
+def _keep(epochs: dict[str, list[Any]], kf: Any, steps: int) -> None:
     """Keep what a filter shows now."""
+    stage(f"sample {len(epochs.get('y', []))} of {steps}")
     for name in _NAMES:
         if hasattr(kf, name):
             epochs.setdefault(name, []).append(copy.copy(getattr(kf, name)))
@@ -149,28 +135,17 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
     S = np.where(np.all(absent, axis=1)[:, None, None], np.nan, S)
     clipped = _stacked("clipped", epochs["clipped"], n).astype(bool) if "clipped" in epochs else np.zeros((n, m), bool)
     e = _stacked("e", epochs["e"], n) if "e" in epochs else np.full((n, m), np.nan)
-    influence = _psi(kf)
-    learns = influence is None and getattr(kf, "noise", None) is not None
-    return FilterRecord(
-        z=np.where(absent, np.nan, z),
-        y=y,
-        S=S,
-        e=np.where(absent, np.nan, e),
-        weights=weights,
-        clipped=clipped & ~absent,
-        influence=influence,
-        scaling=getattr(kf, "scaling", "innovation"),
-        grouping=getattr(kf, "grouping", "component"),
-        contamination=_made_for(influence, learns),
-        is_told=learns or isinstance(influence, Contaminated),
-        model=_model(epochs, y, z, m),
-    )
-
-
-def _psi(kf: Any) -> Any:
-    """Return the influence function, None of a filter without one, as of one that weighs by noise given or learned."""
+    # A filter that weighs by noise told or learned has no psi.
     influence = getattr(kf, "influence", None)
-    return influence if hasattr(influence, "psi_deriv") else None
+    influence = influence if hasattr(influence, "psi_deriv") else None
+    learns = influence is None and getattr(kf, "noise", None) is not None
+    # Any where noise is learned, none of a psi that is made for no share of outliers.
+    contamination = 1.0 if learns else getattr(influence, "contamination", 0.0)
+    return FilterRecord(
+        np.where(absent, np.nan, z), y, S, np.where(absent, np.nan, e), weights, clipped & ~absent, influence,
+        getattr(kf, "scaling", "innovation"), getattr(kf, "grouping", "component"), contamination,
+        learns or isinstance(influence, Contaminated), _model(epochs, y, z, m),
+    )  # fmt: skip
 
 
 def threshold(influence: Any) -> float:
@@ -182,17 +157,6 @@ def threshold(influence: Any) -> float:
     grid = np.linspace(0.0, 100.0, 100001)
     flat = np.asarray(influence.psi_deriv(grid)) <= 0
     return float(grid[flat.argmax()]) if flat.any() else math.inf
-
-
-def _made_for(influence: Any, learns: bool) -> float:
-    """Return the share of outliers that a psi or a given noise is for: any where it is learned, 0 of another psi."""
-    if learns:
-        return 1.0
-    if isinstance(influence, Contaminated):
-        return influence.contamination
-    k = threshold(influence) if hasattr(influence, "threshold") else math.inf
-    odds = outlier_odds(k) if math.isfinite(k) else 0.0
-    return odds / (1.0 + odds)
 
 
 def _stacked(name: str, values: list[Any], n: int) -> Array:
@@ -209,11 +173,10 @@ def _model(epochs: dict[str, list[Any]], y: Array, z: Array, m: int) -> LinearMo
     if x_post is None or any(name not in epochs for name in ("F", "Q", "H", "R", "x_prior", "P_prior")):
         return None
     N, n = len(y), np.size(epochs["x_prior"][0])
+    shapes = {"x_prior": (n,), "F": (n, n), "Q": (n, n), "H": (m, n), "R": (m, m), "P_prior": (n, n)}
     try:
-        prior, post = _stacked("x_prior", epochs["x_prior"], N), _stacked("x", x_post, N)
-        F, Q = (_stacked(name, epochs[name], N).reshape(N, n, n) for name in "FQ")
-        H, R = _stacked("H", epochs["H"], N).reshape(N, m, n), _stacked("R", epochs["R"], N).reshape(N, m, m)
-        P = _stacked("P_prior", epochs["P_prior"], N).reshape(N, n, n)
+        post = _stacked("x", x_post, N)
+        prior, F, Q, H, R, P = (_stacked(name, epochs[name], N).reshape(N, *s) for name, s in shapes.items())
     except (TypeError, ValueError):
         return None
     predicted = np.einsum("kij,kj->ki", H, prior)
@@ -223,4 +186,4 @@ def _model(epochs: dict[str, list[Any]], y: Array, z: Array, m: int) -> LinearMo
     offset = np.zeros((N, n))
     offset[1:] = prior[1:] - np.einsum("kij,kj->ki", F[1:], post[:-1])
     alpha = np.array([float(a) for a in epochs.get("alpha", np.ones(N))])
-    return LinearModel(F=F, Q=Q, H=H, R=R, fading=alpha**2, offset=offset, x=prior[0], P=P[0])
+    return LinearModel(F, Q, H, R, alpha**2, offset, prior[0], P[0])

@@ -26,6 +26,15 @@ class Band(NamedTuple):
     upper: float
 
 
+def of_sensor(e: Array, clipped: Array) -> tuple[float, ...]:
+    """Return share of clipped, longest run, that by chance, share beyond 3, scale, outliers, correlation, its p-value.
+    """
+    share = clipped.mean() if len(e) else np.nan
+    run, by_chance = longest_run(clipped), expected_run(np.nan_to_num(share), len(e))
+    beyond = np.mean(np.abs(e) > 3) if len(e) else np.nan
+    return float(share), run, by_chance, float(beyond), *bulk(e), *whiteness(e)
+
+
 def normalized(recording: FilterRecord) -> Array:
     """Return y_i / sqrt(S_ii), shape (N, m): the innovation of each sensor in its own standard deviations."""
     variance = np.einsum("kii->ki", recording.S)
@@ -105,16 +114,15 @@ def unclipped_nis(recording: FilterRecord) -> Band:
     k, m = threshold(recording.influence), recording.y.shape[1]
     if not math.isfinite(k) or recording.scaling != "innovation":
         k = 3.0
-    values = []
-    for y, S in zip(recording.y, recording.S, strict=True):
-        if not np.isnan(y).any():
-            eigenvalues, vectors = np.linalg.eigh(S)
-            if eigenvalues[0] > 0:
-                e = vectors @ ((vectors.T @ y) / np.sqrt(eigenvalues))
-                inside = e @ e <= k * k if recording.grouping == "joint" else bool(np.all(np.abs(e) <= k))
-                if inside:
-                    values.append(float(e @ e))
-    if recording.grouping == "joint":
+    whole, is_joint = ~np.isnan(recording.y).any(axis=1), recording.grouping == "joint"
+    eigenvalues, vectors = np.linalg.eigh(recording.S[whole])
+    with np.errstate(all="ignore"):
+        turned = np.einsum("kji,kj->ki", vectors, recording.y[whole]) / np.sqrt(eigenvalues)
+        e = np.einsum("kij,kj->ki", vectors, turned)
+        values = (e * e).sum(axis=1)
+        inside = values <= k * k if is_joint else (np.abs(e) <= k).all(axis=1)
+    values = values[inside & (eigenvalues > 0).all(axis=1)]
+    if is_joint:
         within = stats.chi2.cdf(k * k, m)
         first = m * stats.chi2.cdf(k * k, m + 2) / within
         second = m * (m + 2) * stats.chi2.cdf(k * k, m + 4) / within
@@ -124,10 +132,9 @@ def unclipped_nis(recording: FilterRecord) -> Band:
         one = 1 - 2 * k * density / within
         variance = m * (3 - 2 * (k**3 + 3 * k) * density / within - one**2)
         first = m * one
-    if not values:
-        return Band(math.nan, float(first), math.nan, math.nan)
-    half = stats.norm.ppf(0.995) * math.sqrt(variance / len(values))
-    return Band(float(np.mean(values)), float(first), float(first - half), float(first + half))
+    half = stats.norm.ppf(0.995) * math.sqrt(variance / len(values)) if len(values) else math.nan
+    mean = float(np.mean(values)) if len(values) else math.nan
+    return Band(mean, float(first), float(first - half), float(first + half))
 
 
 def saturated(z: Array) -> float | None:

@@ -12,7 +12,6 @@
 * `_delays`: how late each sensor's stamps are, from a recording.
 * `verdicts`: what is the matter with a sensor, since when, and what helps.
 * `_watch`: cheap tests of every reading, which raise an alarm.
-* `_hypotheses`: models side by side, advanced together, for the next two.
 * `_faults`: the recent past, judged anew under every fault of every sensor.
 * `reacquisition`: after a blackout or a jump, the sensor or the state being wrong, both carried until one is sure.
 * `_forecasting`: bands for what is to come.

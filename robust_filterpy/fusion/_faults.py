@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._hypotheses import corrected, moved
+from robust_filterpy.correction.hypotheses import corrected, moved
 
 __all__ = ["Found", "Stretch", "judged"]
 

@@ -37,7 +37,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._hypotheses import corrected, moved
+from robust_filterpy.correction.hypotheses import corrected, moved
 from robust_filterpy.fusion._policies import State
 from robust_filterpy.fusion._stepping import FAR, Moment, Setup, advanced, covariance
 from robust_filterpy.fusion._watch import begun_anew

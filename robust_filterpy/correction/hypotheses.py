@@ -1,7 +1,7 @@
 """Models of the state and of some constants side by side: moved, and corrected under noise that is a mixture.
 
-`_faults` has one for each fault from each onset, `reacquisition` one for each way in which readings and state can have
-come apart. All are advanced together, in place.
+`fusion._faults` has one for each fault from each onset, `fusion.reacquisition` one for each way in which readings and
+state can have come apart, `diagnostics` one for each repair of a model. All are advanced together, in place.
 """
 
 from __future__ import annotations
