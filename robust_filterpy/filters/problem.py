@@ -48,6 +48,9 @@ def read(
 ) -> Problem:
     """Return the model and the data of a filter with x, P, F, H, Q, R as arrays, or raise and name what does not fit.
     """
+    absent = [name for name in ("x", "P", "F", "H", "Q", "R") if not hasattr(kf, name)]
+    if absent:
+        raise TypeError(f"filter: expected a linear filter of filterpy's kind, got {type(kf).__name__}: no {absent[0]}")
     x, P = state_of(kf)
     n = len(x)
     m = stack("H", kf.H, Hs, None, (None, n)).shape[1]

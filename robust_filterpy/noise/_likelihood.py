@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.filters.problem import Problem, finite, read
 
@@ -27,14 +26,6 @@ _TAIL = 10.0
 
 def of_filter(kf: Any, zs: Any, us: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any) -> Problem:
     """Return the model and the data of a linear filter as arrays, checked."""
-    missing = [name for name in ("x", "P", "F", "H", "R", "Q", "dim_x") if not hasattr(kf, name)]
-    if missing or hasattr(kf, "hx") or hasattr(kf, "points_fn"):
-        raise TypeError(
-            f"filter: expected a linear filter, such as RobustKalmanFilter, or a tracker, got {type(kf).__name__}"
-        )
-    for name, values in {"us": us, "Fs": Fs, "Qs": Qs, "Hs": Hs, "Rs": Rs}.items():
-        if hasattr(zs, "__len__") and values is not None and len(values) != len(zs):
-            raise ValueError(f"{name}: expected {len(zs)} entries, one for each measurement, got {len(values)}")
     problem = finite(read(kf, zs, Fs, Qs, Hs, Rs, None, us))
     _checks.covariance("R", problem.R)
     _checks.covariance("Q", problem.Q, math.inf)
@@ -45,21 +36,14 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> Problem:
     """Return the linear model that the filter of a copy of a tracker sees in a recording."""
     y = _checks.numbers("zs", _checks.entries("zs", y)).ravel()
     u = np.asarray(u) if hasattr(u, "to_numpy") else u
-    tracker = copy.deepcopy(tracker)
-    kf = tracker.filter
-    before = copy.deepcopy(kf)
-    zs, rows = [], []
+    tracker, before = copy.deepcopy(tracker), copy.deepcopy(tracker.filter)
+    zs, Hs = np.empty(len(y)), []
     for k, output in enumerate(y):
         tracker.update(output, None if u is None else u[k])
         # The gain's gradient stands in H, and the measurement that belongs to it in z.
-        rows.append(np.array(kf.H, dtype=float))
-        zs.append(np.nan if np.isnan(output) else np.ravel(kf.z)[0])
-    x, P = state_of(before)
-    n, z = len(x), np.array(zs, dtype=float)[:, None]
-    F, Q, R = np.array(before.F, dtype=float), process_noise(before.Q, None, n), noise_covariance(before.R, None, 1)
-    H, none = np.array(rows).reshape(-1, 1, n), np.zeros((1, n))
-    alpha_sq = float(getattr(before, "_alpha_sq", 1.0))
-    return _checked(Problem(z, F[None], Q[None], H, R[None], none, x.ravel(), P, alpha_sq))
+        Hs.append(np.array(tracker.filter.H, dtype=float))
+        zs[k] = np.nan if np.isnan(output) else np.ravel(tracker.filter.z)[0]
+    return of_filter(before, zs, None, None, None, Hs, None)
 
 
 def _checked(data: Problem) -> Problem:
@@ -88,10 +72,8 @@ def _narrowed(data: Problem) -> Problem:
             rows[k], apart[k] = H[k] @ moved, np.abs(data.zs[k] - H[k] @ x)
         finite = np.isfinite(apart)
         # The median: one of them may be wild.
-        unit = np.array(
-            [np.median(a[there]) if there.any() else 0.0 for a, there in zip(apart.T, finite.T, strict=True)]
-        )
-        rows = (rows / np.where(unit > 0.0, unit, np.inf)[:, None])[finite]
+        unit = [np.median(a[there]) if there.any() else 0.0 for a, there in zip(apart.T, finite.T, strict=True)]
+        rows = (rows / np.where(np.greater(unit, 0.0), unit, np.inf)[:, None])[finite]
         values, axes = np.linalg.eigh(data.P)
         root = axes * np.sqrt(np.maximum(values, 0.0))
         seen = rows @ root
@@ -124,7 +106,7 @@ def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, r
     sizes, root = np.stack([np.ones(p), ratio**2]), np.exp(0.5 * logs_Q.T)
     factors = root[:, None] * root
     driven = data.Q[0][..., None] * factors
-    sensors: dict[bytes, _Sensors] = {}
+    sensors: dict[tuple[int, bytes], tuple[Array, ...]] = {}
     total = np.zeros(p)
     for k, (z, w) in enumerate(zip(data.zs, Bu, strict=True)):
         x = F[k] @ x + w[:, None]
@@ -133,12 +115,13 @@ def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, r
         seen = z == z
         if not seen.any():
             continue
-        if len(data.H) == len(data.R) == 1:
-            if (which := seen.tobytes()) not in sensors:
-                sensors[which] = _seen(data, 0, seen, logs_R)
-            part, H, own, axes, rows, log_size = sensors[which]
-        else:
-            part, H, own, axes, rows, log_size = _seen(data, k, seen, logs_R)
+        which = (0 if len(data.H) == len(data.R) == 1 else k), seen.tobytes()
+        if which not in sensors:
+            if which[0]:
+                # Those of one step alone take memory.
+                sensors.clear()
+            sensors[which] = _seen(data, k, seen, logs_R)
+        part, H, own, axes, rows, log_size = sensors[which]
         y = (axes * (z[part, None] - H @ x)).sum(axis=1)
         # The square of a sentinel value may overflow.
         unit = np.maximum(np.abs(y).max(axis=0), 1e100) / 1e100
@@ -161,31 +144,16 @@ def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, r
     return np.where(np.isfinite(total), total + data.log_narrowed, -np.inf)
 
 
-class _Sensors(NamedTuple):
-    """Sensors of one step, combined to rows whose noises are independent."""
-
-    part: np.ndarray
-    """Which of them are not missing."""
-    H: Array
-    """Shape (m, n)."""
-    own: Array
-    """Variances of the rows, whatever the factors are, shape (m,)."""
-    axes: Array
-    """The rows over the sensors, shape (m, m, p)."""
-    rows: Array
-    """The rows over the states, shape (m, n, p)."""
-    log_size: Array
-    """By how much the determinant is larger than that of `own`, shape (p,)."""
-
-
-def _seen(data: Problem, k: int, seen: np.ndarray, logs_R: Array) -> _Sensors:
-    """Return the sensors of a step, with their noises separated."""
+def _seen(data: Problem, k: int, seen: np.ndarray, logs_R: Array) -> tuple[Array, ...]:
+    """Return the sensors of a step, combined to rows whose noises are independent."""
+    # Which of them are not missing; H (m, n); variances of the rows, whatever the factors are (m,); the rows over the
+    # sensors (m, m, p) and over the states (m, n, p); by how much the determinant is larger than that of them (p,).
     part = np.flatnonzero(seen)
     H, R = data.H[min(k, len(data.H) - 1), part], data.R[min(k, len(data.R) - 1)]
     own, axes = np.linalg.eigh(R[np.ix_(part, part)])
     axes = axes.T[..., None] * np.exp(-0.5 * logs_R.T[part])
     rows, log_size = np.einsum("ijp,jn->inp", axes, H), logs_R.T[part].sum(axis=0)
-    return _Sensors(part, H, np.maximum(own, 0.0), axes, rows, log_size)
+    return part, H, np.maximum(own, 0.0), axes, rows, log_size
 
 
 def _conditioned(P: Array, y: Array, rows: Array, own: Array, sizes: Array) -> tuple[Array, Array, Array, Array]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
@@ -70,15 +71,10 @@ def descend(cost: Cost, starts: Array, lower: Array, upper: Array, name: str) ->
 
 def valleys(values: Array, most: int) -> list[tuple[int, ...]]:
     """Return the places on a grid that are lower than their neighbors, the lowest first."""
-    wide = np.pad(values, 1, constant_values=np.inf)
-    low = np.ones(values.shape, dtype=bool)
-    middle = tuple(slice(1, -1) for _ in values.shape)
-    for axis in range(values.ndim):
-        for shift in (-1, 1):
-            low &= values <= np.roll(wide, shift, axis=axis)[middle]
-    places = np.argwhere(low & np.isfinite(values))
-    order = np.argsort([values[tuple(place)] for place in places], kind="stable")[:most]
-    return [tuple(int(i) for i in places[k]) for k in order]
+    cross = ndimage.generate_binary_structure(values.ndim, 1)
+    low = values <= ndimage.minimum_filter(values, footprint=cross, mode="constant", cval=np.inf)
+    places = list(zip(*np.nonzero(low & np.isfinite(values)), strict=True))
+    return sorted((tuple(map(int, place)) for place in places), key=lambda place: values[place])[:most]
 
 
 def _derivatives(cost: Cost, points: Array) -> tuple[Array, Array]:
@@ -133,32 +129,26 @@ class NoiseFit:
     """Contamination and scale ratio, as far as they are given."""
 
     @property
-    def count_R(self) -> int:
-        """How many factors R has."""
-        return int(self.groups_R.max()) + 1
-
-    @property
-    def count_Q(self) -> int:
-        """How many factors Q has."""
-        return int(self.groups_Q.max()) + 1
+    def counts(self) -> tuple[int, int]:
+        """How many factors R and Q have."""
+        return int(self.groups_R.max()) + 1, int(self.groups_Q.max()) + 1
 
     @property
     def names(self) -> list[str]:
         """What the factors are called."""
-        return [f"R's factor {k}" for k in range(self.count_R)] + [f"Q's factor {k}" for k in range(self.count_Q)]
+        return [f"{name}'s factor {k}" for name, count in zip("RQ", self.counts, strict=True) for k in range(count)]
 
     @property
     def limits(self) -> tuple[Array, Array]:
         """Where the search may go."""
-        factors = [(-SCALE_LIMIT, SCALE_LIMIT)] * (self.count_R + self.count_Q)
-        low, high = np.transpose([*factors, LOGIT_LIMITS, RATIO_LIMITS])
+        low, high = np.transpose([*[(-SCALE_LIMIT, SCALE_LIMIT)] * sum(self.counts), LOGIT_LIMITS, RATIO_LIMITS])
         return low, high
 
     def unpacked(self, points: Array) -> tuple[Array, Array, Array, Array]:
         """Return log factors of each sensor and of each state, contamination and scale ratio of p points."""
-        none, at = np.zeros((len(points), 1)), self.count_R
-        logs_R = np.concatenate([points[:, :at], none], axis=1)[:, self.groups_R]
-        logs_Q = np.concatenate([points[:, at : at + self.count_Q], none], axis=1)[:, self.groups_Q]
+        # The place -1, that of what has no factor, holds a 0.
+        logs = np.column_stack([points[:, :-2], np.zeros(len(points))])
+        logs_R, logs_Q = logs[:, self.groups_R], logs[:, self.places_Q]
         share, ratio = self.given
         shares = 1 / (1 + np.exp(-points[:, -2])) if share is None else np.full(len(points), share)
         ratios = np.exp(points[:, -1]) if ratio is None else np.full(len(points), ratio)
@@ -181,29 +171,33 @@ class NoiseFit:
         return Ends(*(part[order] for part in ends))
 
     @property
+    def places_Q(self) -> Array:
+        """Where in a point the factor of each state stands, -1 where there is none."""
+        return np.where(self.groups_Q < 0, -1, self.groups_Q + self.counts[0])
+
+    @property
     def _looks(self) -> int:
         """How many looks `_starts` takes; the search is the next stage, what the recording determines the last."""
-        return 1 + (self.count_R + self.count_Q if max(self.count_R, self.count_Q) > 1 else 0)
+        return 1 + (sum(self.counts) if max(self.counts) > 1 else 0)
 
     def _starts(self) -> Array:
         """Return the lowest places of a grid over one factor for R and one for Q, then each factor on its own."""
         steps = min(_FIRST_LOOK, len(self.data.zs))
         stage(f"stage 1 of {self._looks + 2}, where to start")
-        log_R, log_Q = (_DECADES if count else np.zeros(1) for count in (self.count_R, self.count_Q))
+        of_R, of_Q = self.counts
+        log_R, log_Q = (_DECADES if count else np.zeros(1) for count in self.counts)
         places = []
         for share in _SHARES if self.given[0] is None else _SHARES[:1]:
-            grid = np.array(
-                [[*[r] * self.count_R, *[q] * self.count_Q, share, _PRIOR_LOG_RATIO] for r in log_R for q in log_Q]
-            )
+            grid = np.array([[*[r] * of_R, *[q] * of_Q, share, _PRIOR_LOG_RATIO] for r in log_R for q in log_Q])
             values = self.cost(grid, steps).reshape(len(log_R), len(log_Q))
             grid = grid.reshape(*values.shape, -1)
             places += [grid[at] for at in valleys(values, _STARTS)]
-            if self.count_R and self.count_Q:
+            if of_R and of_Q:
                 grid, values = self._along_ratios(grid, values, steps)
                 places += [grid[at] for at in valleys(values, _STARTS)]
         starts = np.array(places)
         if self._looks > 1:
-            for i in range(self.count_R + self.count_Q):
+            for i in range(of_R + of_Q):
                 stage(f"stage {2 + i} of {self._looks + 2}, where to start")
                 tried = np.repeat(starts[:, None, :], len(_DECADES), axis=1)
                 tried[:, :, i] = _DECADES
@@ -237,56 +231,51 @@ _FIRST, _LONGER, _FITS, _MOST_HALVINGS = 0.2, 2.0, 0.02, 30
 
 def held(problem: NoiseFit, points: Array, factors: np.ndarray, at: Array, name: str) -> Ends:
     """Return the lowest costs when in each point one factor stands at a value."""
-    rows, (low, high) = np.arange(len(points)), problem.limits
-    low, high = np.tile(low, (len(points), 1)), np.tile(high, (len(points), 1))
-    low[rows, factors] = high[rows, factors] = at
+    low, high = (np.tile(limit, (len(points), 1)) for limit in problem.limits)
+    for limit in (low, high):
+        limit[range(len(points)), factors] = at
     return descend(problem.cost, points, low, high, name)
 
 
 def bounds(problem: NoiseFit, ends: Ends, rise: float) -> Array:
     """Return the logs between which each factor costs less than a rise, infinite where none is reached, (count, 2)."""
     # ends: the best estimate first. Where another end is nearly as likely, the way out begins at the outermost of them.
-    count = problem.count_R + problem.count_Q
+    ways = 2 * sum(problem.counts)
     best, near = ends.costs[0], ends.points[ends.costs < ends.costs[0] + rise]
-    factors, signs = np.repeat(np.arange(count), 2), np.tile([-1.0, 1.0], count)
-    points = np.array([near[np.argmax(sign * near[:, i])] for i, sign in zip(factors, signs, strict=True)])
-    points = points.reshape(2 * count, ends.points.shape[1])
+    factors, signs, all_ways = np.arange(ways) // 2, np.tile([-1.0, 1.0], ways // 2), np.arange(ways)
+    points = near[np.argmax(signs * near[:, factors], axis=0)]
     # Along the way out the root of the cost is nearly a straight line.
-    inner = points[np.arange(2 * count), factors].copy()
-    outer, step = np.full(2 * count, np.nan), np.full(2 * count, _FIRST)
-    size, goal = np.zeros(2 * count), np.sqrt(rise)
-    beyond, done = np.full(2 * count, np.nan), np.abs(inner) >= SCALE_LIMIT
+    inner, outer, beyond = points[all_ways, factors], np.full(ways, np.nan), np.full(ways, np.nan)
+    step, size, goal = np.full(ways, _FIRST), np.zeros(ways), np.sqrt(rise)
+    done = np.abs(inner) >= SCALE_LIMIT
     for _ in range(_MOST_HALVINGS):
         left = np.flatnonzero(~done)
         if not left.size:
             break
-        bracketed = ~np.isnan(outer[left])
-        part = np.clip((goal - size[left]) / np.where(bracketed, beyond[left] - size[left], 1.0), 0.1, 0.9)
-        at = np.where(
-            bracketed, inner[left] + part * (outer[left] - inner[left]), inner[left] + signs[left] * step[left]
-        )
+        with np.errstate(invalid="ignore"):
+            part = np.clip((goal - size) / (beyond - size), 0.1, 0.9)
+        at = np.where(np.isnan(outer), inner + signs * step, inner + part * (outer - inner))
         at = np.clip(at, -SCALE_LIMIT, SCALE_LIMIT)
-        lowest = held(problem, points[left], factors[left], at, f"{2 * count - left.size} of {2 * count} ends found")
+        name = f"{ways - left.size} of {ways} ends found"
+        lowest = held(problem, points[left], factors[left], at[left], name)
         sizes = np.sqrt(np.maximum(lowest.costs - best, 0.0))
-        for k, a, s, point in zip(left, at, sizes, lowest.points, strict=True):
-            if s > goal:
-                outer[k], beyond[k] = a, s
-            else:
-                inner[k], size[k], points[k], step[k] = a, s, point, _LONGER * step[k]
-            near_enough = abs(s - goal) < _FITS * goal or abs(outer[k] - inner[k]) < _FITS
-            done[k] = near_enough or (np.isnan(outer[k]) and abs(a) >= SCALE_LIMIT)
-            if near_enough:
-                outer[k] = a
-    return np.where(np.isnan(outer), signs * np.inf, outer).reshape(count, 2)
+        far, short = left[sizes > goal], left[sizes <= goal]
+        outer[far], beyond[far] = at[far], sizes[sizes > goal]
+        inner[short], size[short], points[short] = at[short], sizes[sizes <= goal], lowest.points[sizes <= goal]
+        step[short] *= _LONGER
+        ended = (np.abs(sizes - goal) < _FITS * goal) | (np.abs(outer - inner)[left] < _FITS)
+        done[left] = ended | (np.isnan(outer[left]) & (np.abs(at[left]) >= SCALE_LIMIT))
+        outer[left[ended]] = at[left[ended]]
+    return np.where(np.isnan(outer), signs * np.inf, outer).reshape(-1, 2)
 
 
 def rises(problem: NoiseFit, point: Array, cost: float, away: float) -> Array:
     """Return what it costs at least to move each factor away by its log, in the cheaper direction, (count,)."""
-    count = problem.count_R + problem.count_Q
+    count = sum(problem.counts)
     factors = np.repeat(np.arange(count), 2)
     at = point[factors] + np.tile([-away, away], count)
     points = np.tile(point, (2 * count, 1))
-    points[np.arange(2 * count), factors] = at
+    points[range(2 * count), factors] = at
     # Where all else may stay as it is, nothing has to be searched for.
     costs = np.minimum(problem.cost(points), held(problem, points, factors, at, "last stage, what is determined").costs)
-    return np.minimum(*np.reshape(costs - cost, (count, 2)).T)
+    return np.reshape(costs - cost, (count, 2)).min(axis=1)

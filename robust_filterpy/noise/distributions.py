@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special, stats
 
 from robust_filterpy._checks import Array, fraction, positive
-from robust_filterpy.influence.huber_tuning import minimax_threshold
+from robust_filterpy.influence.functions import Huber
 
 __all__ = ["LeastFavorable", "fisher_information"]
 
@@ -46,7 +46,8 @@ class LeastFavorable(stats.rv_continuous):
         """Check the parameters and hand an unparametrised distribution to scipy."""
         self.contamination = fraction("contamination", contamination)
         self.scale = positive("scale", scale)
-        self.threshold = minimax_threshold(self.contamination)
+        self._psi = Huber.from_contamination(self.contamination)
+        self.threshold = self._psi.threshold
         super().__init__(name="least_favorable")
 
     def __repr__(self) -> str:
@@ -55,7 +56,7 @@ class LeastFavorable(stats.rv_continuous):
 
     def score(self, x: Any) -> Array:
         """Return -d log p/dx, the shape of x: Huber's psi of x/scale, over scale."""
-        return np.clip(np.asarray(x, dtype=float) / self.scale, -self.threshold, self.threshold) / self.scale
+        return self._psi.psi(np.asarray(x, dtype=float) / self.scale) / self.scale
 
     @property
     def _tail(self) -> float:
@@ -66,11 +67,8 @@ class LeastFavorable(stats.rv_continuous):
         return (1.0 - self.contamination) * math.exp(-0.5 * k * k) / (math.sqrt(2.0 * math.pi) * k)
 
     def _logpdf(self, x: Array) -> Array:
-        r = np.abs(x) / self.scale
-        inner = np.minimum(r, self.threshold)
-        with np.errstate(over="ignore"):
-            rho = 0.5 * inner * inner + inner * (r - inner)
-        return math.log1p(-self.contamination) - 0.5 * math.log(2 * math.pi) - math.log(self.scale) - rho
+        level = math.log1p(-self.contamination) - 0.5 * math.log(2 * math.pi) - math.log(self.scale)
+        return level - self._psi.rho(np.asarray(x) / self.scale)
 
     def _pdf(self, x: Array) -> Array:
         return np.exp(self._logpdf(x))
@@ -98,9 +96,6 @@ class LeastFavorable(stats.rv_continuous):
             inside = special.ndtri((low - tail) / (1.0 - self.contamination) + special.ndtr(-k))
         e = np.where(low < tail, outside, inside)
         return self.scale * np.where(q <= 0.5, e, -e)
-
-    def _rvs(self, size: Any = None, random_state: Any = None) -> Array:
-        return self._ppf(random_state.uniform(size=size))
 
     def _updated_ctor_param(self) -> dict[str, Any]:
         return dict(contamination=self.contamination, scale=self.scale)

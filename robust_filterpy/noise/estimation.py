@@ -117,8 +117,7 @@ class NoiseEstimate:
         with stages("intervals", None):
             factors = np.exp(bounds(problem, ends, float(gammaincinv(0.5, level))))
         factors = np.concatenate([factors, np.ones((1, 2))])
-        fixed, from_Q = len(factors) - 1, np.where(problem.groups_Q < 0, -1, problem.groups_Q + problem.count_R)
-        return NoiseIntervals(factors[np.where(problem.groups_R < 0, fixed, problem.groups_R)], factors[from_Q])
+        return NoiseIntervals(factors[problem.groups_R], factors[problem.places_Q])
 
     def apply(self, filter: Any) -> Any:
         """Give a filter this R and Q, and the contamination and ratio if it can use them.
@@ -142,19 +141,9 @@ class NoiseEstimate:
 
 
 def estimate_noise(
-    filter: Any,
-    zs: Any,
-    *,
-    us: Any = None,
-    Fs: Any = None,
-    Qs: Any = None,
-    Hs: Any = None,
-    Rs: Any = None,
-    R: Groups = True,
-    Q: Groups = True,
-    contamination: float | None = None,
-    scale_ratio: float | None = None,
-) -> NoiseEstimate:
+    filter: Any, zs: Any, *, us: Any = None, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None,
+    R: Groups = True, Q: Groups = True, contamination: float | None = None, scale_ratio: float | None = None,
+) -> NoiseEstimate:  # fmt: skip
     """Fit scale factors of R and Q to a recording with outliers.
 
     Maximises the likelihood of the innovations under a measurement noise (1 - eps) N(0, R) + eps N(0, ratio^2 R)
@@ -237,29 +226,26 @@ def estimate_noise(
         data = of_tracker(filter, zs, us)
     else:
         data = of_filter(filter, zs, us, *per_step)
-    groups_R, groups_Q = _groups("R", R, data.R[0]), _groups("Q", Q, data.Q[0])
-    problem = NoiseFit(data, groups_R, groups_Q, _known_outliers(contamination, scale_ratio))
+    share = None if contamination is None else _checks.fraction("contamination", contamination)
+    ratio = None if scale_ratio is None else _checks.positive("scale_ratio", scale_ratio)
+    if ratio is not None and ratio <= 1.0:
+        raise ValueError(f"scale_ratio: expected a number > 1, got {_checks.shown(scale_ratio)}")
+    problem = NoiseFit(data, _groups("R", R, data.R[0]), _groups("Q", Q, data.Q[0]), (share, ratio))
     with stages("estimate_noise", None):
         ends = problem.ends()
         loose, doubt = _doubt(problem, ends)
-    logs_R, logs_Q, share, ratio = (part[0] for part in problem.unpacked(ends.points[:1]))
+    best = problem.unpacked(ends.points[:1])
     if loose:
         warn(f"estimate_noise: {doubt}; see intervals() of the result")
-    likelihood = log_likelihoods(data, *(part[None] for part in (logs_R, logs_Q, share, ratio)))[0]
+    (likelihood,), (logs_R, logs_Q, share, ratio) = log_likelihoods(data, *best), (part[0] for part in best)
     base, converged = getattr(filter, "filter", filter), bool(ends.converged[0])
+    own_R = data.R[0] if Rs is None else noise_covariance(base.R, None, len(logs_R))
+    own_Q = data.Q[0] if Qs is None else process_noise(base.Q, None, len(logs_Q))
+    message = doubt or ("the likelihood is greatest here" if converged else "the search did not end")
     estimate = NoiseEstimate(
-        R=scaled(data.R[0] if Rs is None else noise_covariance(base.R, None, len(logs_R)), logs_R),
-        Q=scaled(
-            data.Q[0] if Qs is None else process_noise(base.Q, None, len(logs_Q)) * np.ones((len(logs_Q),) * 2), logs_Q
-        ),
-        R_scale=np.exp(logs_R),
-        Q_scale=np.exp(logs_Q),
-        contamination=float(share),
-        scale_ratio=float(ratio),
-        log_likelihood=float(likelihood),
-        converged=converged and not doubt,
-        message=doubt or ("the likelihood is greatest here" if converged else "the search did not end"),
-    )
+        scaled(own_R, logs_R), scaled(own_Q, logs_Q), np.exp(logs_R), np.exp(logs_Q), float(share), float(ratio),
+        float(likelihood), converged and not doubt, message,
+    )  # fmt: skip
     object.__setattr__(estimate, "_search", (problem, ends))
     return estimate
 
@@ -269,26 +255,14 @@ def _doubt(problem: NoiseFit, ends: Ends) -> tuple[list[str], str]:
     point = ends.points[0]
     if problem.names:
         free = rises(problem, point, float(ends.costs[0]), _AWAY) < _HALF_A_NAT
-        loose = [
-            name
-            for name, moves, log in zip(problem.names, free, point, strict=False)
-            if moves or abs(log) > SCALE_LIMIT - 1e-6
-        ]
+        free |= np.abs(point[:-2]) > SCALE_LIMIT - 1e-6
+        loose = [name for name, moves in zip(problem.names, free, strict=True) if moves]
         if loose:
             what = "not determined by the recording, which fits with 20 times less or more as well"
             return loose, f"{', '.join(loose)}: {what}"
     if problem.given[0] is None and point[-2] > LOGIT_LIMITS[1] - 1e-6:
         return [], "contamination: ended at its limit of 0.45; most samples are not alike"
     return [], ""
-
-
-def _known_outliers(contamination: float | None, scale_ratio: float | None) -> tuple[float | None, float | None]:
-    """Return what the user knows of the outliers, checked."""
-    share = None if contamination is None else _checks.fraction("contamination", contamination)
-    ratio = None if scale_ratio is None else _checks.positive("scale_ratio", scale_ratio)
-    if ratio is not None and ratio <= 1.0:
-        raise ValueError(f"scale_ratio: expected a number > 1, got {_checks.shown(scale_ratio)}")
-    return share, ratio
 
 
 def _groups(name: str, value: Groups, covariance: Array) -> np.ndarray:

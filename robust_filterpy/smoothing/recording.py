@@ -29,14 +29,12 @@ def linear_recording(
     kf: Any, zs: Any, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None, Bs: Any = None, us: Any = None
 ) -> Recording:
     """Return the problem of a linear filter and a recording."""
-    absent = [name for name in ("x", "P", "F", "H", "Q", "R") if not hasattr(kf, name)]
-    if absent:
-        raise TypeError(f"kf: expected a filter of filterpy's kind, got {type(kf).__name__} without {absent[0]}")
+    recording = finite(read(kf, zs, Fs, Qs, Hs, Rs, Bs, us))
     if getattr(kf, "alpha", 1.0) != 1.0:
         raise ValueError(
             f"alpha: expected 1, got {kf.alpha}; a fading memory is no model to smooth by, raise Q instead"
         )
-    z, F, Q, H, R, c, x, P = (part[None] for part in finite(read(kf, zs, Fs, Qs, Hs, Rs, Bs, us))[:8])
+    z, F, Q, H, R, c, x, P = (part[None] for part in recording[:8])
     return problem(F, Q, c, H, R, z, x, P)
 
 
