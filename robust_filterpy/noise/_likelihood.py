@@ -106,7 +106,7 @@ def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, r
     sizes, root = np.stack([np.ones(p), ratio**2]), np.exp(0.5 * logs_Q.T)
     factors = root[:, None] * root
     driven = data.Q[0][..., None] * factors
-    sensors: dict[tuple[int, bytes], tuple[Array, ...]] = {}
+    sensors: dict[tuple[int, bytes], tuple[Any, ...]] = {}
     total = np.zeros(p)
     for k, (z, w) in enumerate(zip(data.zs, Bu, strict=True)):
         x = F[k] @ x + w[:, None]
@@ -144,7 +144,7 @@ def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, r
     return np.where(np.isfinite(total), total + data.log_narrowed, -np.inf)
 
 
-def _seen(data: Problem, k: int, seen: np.ndarray, logs_R: Array) -> tuple[Array, ...]:
+def _seen(data: Problem, k: int, seen: np.ndarray, logs_R: Array) -> tuple[Any, ...]:
     """Return the sensors of a step, combined to rows whose noises are independent."""
     # Which of them are not missing; H (m, n); variances of the rows, whatever the factors are (m,); the rows over the
     # sensors (m, m, p) and over the states (m, n, p); by how much the determinant is larger than that of them (p,).

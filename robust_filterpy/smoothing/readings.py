@@ -33,7 +33,7 @@ from robust_filterpy.filters.series import filter_series
 from robust_filterpy.influence.functions import Linear
 from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting
 from robust_filterpy.smoothing.recording import Recording
-from robust_filterpy.smoothing.sweeps import MEDIAN_SQUARE, Fit
+from robust_filterpy.smoothing.sweeps import MEDIAN_SQUARE, Fit, by_others
 
 # What is said: variances wrong by more than this, and by so many standard deviations.
 _WRONG, _SURE = 2.5, 4.0
@@ -42,7 +42,7 @@ _OF_MEDIAN = 1.65
 _BELIEVED = 0.5
 # More outliers than this, by so many standard deviations of their number, are ordinary noise that R does not know.
 _MANY, _MORE = 1.0 / 3.0, 2.0
-_ROUNDING, _TINY = 1e-6, 1e-30
+_TINY = 1e-30
 
 
 def misfits(model: Model, fit: Fit, weights: Array) -> list[str]:
@@ -72,12 +72,8 @@ def misfits(model: Model, fit: Fit, weights: Array) -> list[str]:
 
 def _left(z: Array, smooth: Smooth, weighting: Weighting, believed: np.ndarray) -> tuple[Array, Array]:
     """Return how large what is left of each sensor is, and of how many degrees of freedom, both (series, m)."""
-    V = np.einsum("...ii->...i", smooth.spread)
-    rest = 1.0 - weighting.precision * V
-    informative = believed & (rest > _ROUNDING)
-    rest = np.where(informative, rest, 1.0)
-    variance = 1.0 / (1.0 + V / rest)
-    squares = ((z - smooth.fitted + V * weighting.offset) / rest) ** 2 * variance
+    squares, variance, informed = by_others(z, smooth, weighting)
+    informative = believed & informed
     ordered = np.sort(np.where(informative, squares, np.inf), axis=1)
     middle = np.maximum(informative.sum(axis=1) - 1, 0)[:, None] // 2
     median = np.take_along_axis(ordered, middle, axis=1)[:, 0]
@@ -189,10 +185,9 @@ def _labels(large: Array, there: Array, share: Array) -> float:
 
 def _rows(outliers: np.ndarray, by_chance: bool = False) -> np.ndarray:
     """Return where rows of outliers begin and end, (rows, 2); one good sample does not end a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], outliers.astype(int), [0]]))).reshape(-1, 2)
-    if len(edges):
-        apart = np.flatnonzero(edges[1:, 0] - edges[:-1, 1] > 1) + 1
-        edges = np.stack([edges[np.append(0, apart), 0], edges[np.append(apart, len(edges)) - 1, 1]], axis=1)
+    closed = np.pad(outliers.astype(int), 1)
+    closed[1:-1] |= closed[:-2] & closed[2:]
+    edges = np.flatnonzero(np.diff(closed)).reshape(-1, 2)
     # Of independent outliers, steps share^length rows begin anywhere; a row may have gaps of one.
     steps, share = len(outliers), 0.0 if by_chance else min(float(outliers.mean()), 0.5)
     share *= 2.0 - share
@@ -214,9 +209,9 @@ def _jumps(recording: Recording) -> np.ndarray:
 
 def _moved_by(c: Array, F: Array, H: Array, steps: int) -> Array:
     """Return what inputs alone add to the measurements, (1, steps, m)."""
-    x, added = np.zeros(F.shape[-1]), np.empty((1, steps, H.shape[-2]))
+    x, added = np.zeros(F.shape[-1]), []
     F, c, H = (np.broadcast_to(a[0], (steps, *a.shape[2:])) for a in (F, c, H))
-    for k in range(steps):
-        x = F[k] @ x + c[k]
-        added[0, k] = H[k] @ x
-    return added
+    for F_k, c_k, H_k in zip(F, c, H, strict=True):
+        x = F_k @ x + c_k
+        added.append(H_k @ x)
+    return np.array([added])

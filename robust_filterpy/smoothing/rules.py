@@ -17,6 +17,7 @@ deviations away is not believed at all.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from scipy.special import expit
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting
+from robust_filterpy.smoothing.linear_pass import Smooth, Weighting
 
 #: Where contamination and ratio may end: half of the samples, or outliers that hardly differ from the others, are no
 #: contaminated noise but a wrong R.
@@ -120,16 +121,14 @@ def judge_components(
 ) -> tuple[Verdict, Array, Array]:
     """Judge each component by itself: return the verdict and the next factor d, o."""
     # counted (series, steps, m): which components there are; temperature: what squares of residuals are divided by.
-    verdict = Verdict(np.empty(z.shape), np.empty(z.shape), np.empty(z.shape, dtype=bool))
-    factor = np.empty(z.shape), np.empty(z.shape)
+    parts = []
     for start in range(0, z.shape[1], _BLOCK):
         part = slice(start, start + _BLOCK)
         e, V = z[:, part] - smooth.fitted[:, part], np.einsum("...ii->...i", smooth.spread[:, part])
         d, o = weighting.precision[:, part], weighting.offset[:, part]
-        judged = _judged(e, np.ascontiguousarray(V), d, o, mixture, counted[:, part], temperature)
-        for whole, some in zip((*verdict, *factor), judged, strict=True):
-            whole[:, part] = some
-    return verdict, *factor
+        parts.append(_judged(e, np.ascontiguousarray(V), d, o, mixture, counted[:, part], temperature))
+    p, square, impossible, d, o = (np.concatenate(whole, axis=1) for whole in zip(*parts, strict=True))
+    return Verdict(p, square, impossible), d, o
 
 
 def _judged(
@@ -171,42 +170,46 @@ def judge_measurements(
     m = e.shape[-1]
     e = e * counted / np.sqrt(temperature)
     V = V * (counted[..., :, None] & counted[..., None, :])
-    w = d.max(axis=-1, keepdims=True)
+    w, size = d.max(axis=-1, keepdims=True), counted.sum(axis=-1, keepdims=True)
     apart = np.eye(m) - w[..., None] * V
     alone, _ = eliminated(apart, e[..., None])
-    size = counted.sum(axis=-1, keepdims=True)
-    logs, likely, squares = [], [], []
-    for s in (np.ones((len(e), 1, 1)), mixture.variance):
-        M = s[..., None] * np.eye(m) + (1.0 - s * w)[..., None] * V
-        solved, log_det = eliminated(M, np.concatenate([e[..., None], apart], axis=-1))
-        square = (alone[..., 0] * solved[..., 0]).sum(axis=-1, keepdims=True)
-        logs.append(-0.5 * (square + log_det - (m - size) * np.log(s)))
-        likely.append(square)
-        precision = np.diagonal(solved[..., 1:], axis1=-2, axis2=-1)
-        squares.append(np.maximum((s * solved[..., 0]) ** 2 + s - s * s * precision, 0.0) * counted)
-    size = np.maximum(size, 1)
-    p = expit(mixture.log_odds + logs[1] - logs[0])
-    impossible = likely[1] > _REACH * size
-    mean_square = np.minimum(squares[1].sum(axis=-1, keepdims=True) / size, _REACH * mixture.variance)
-    return Verdict(p, mean_square, impossible)
+    right, missing = np.concatenate([e[..., None], apart], axis=-1), m - size
+
+    def of_size(s: Array) -> tuple[Array, ...]:
+        return s[..., None] * np.eye(m) + (1.0 - s * w)[..., None] * V, np.ones_like(s), missing * np.log(s)
+
+    p, square, distance = _of_two_sizes(mixture, counted, right, alone[..., 0], of_size)
+    return Verdict(p, np.minimum(square, _REACH * mixture.variance), distance > _REACH * np.maximum(size, 1))
 
 
 def judge_steps(score: Array, information: Array, now: Array, mixture: Mixture, counted: Array) -> Verdict:
     """Judge process noises w ~ N(0, s I) with s = 1 or r^2, each from what everything else says of it."""
     # score (series, steps, k) and information (.., k, k): of that likelihood, with ``now`` (series, steps, 1) the
     # present s; counted (.., k): which parts of w there are.
-    k = score.shape[-1]
-    logs, squares = [], []
-    for s in (np.ones((len(now), 1, 1)), mixture.variance):
-        more = s - now
-        M = np.eye(k) + more[..., None] * information
-        solved, log_det = eliminated(M, np.concatenate([score[..., None], information], axis=-1))
-        logs.append(0.5 * (more * (score * solved[..., 0]).sum(axis=-1, keepdims=True) - log_det))
-        there = np.diagonal(solved[..., 1:], axis1=-2, axis2=-1)
-        squares.append(np.maximum((s * solved[..., 0]) ** 2 + s - s * s * there, 0.0) * counted)
+    right = np.concatenate([score[..., None], information], axis=-1)
+
+    def of_size(s: Array) -> tuple[Array, ...]:
+        return np.eye(score.shape[-1]) + (s - now)[..., None] * information, now - s, np.zeros(1)
+
+    p, square, _ = _of_two_sizes(mixture, counted, right, score, of_size)
+    return Verdict(p, square, np.zeros(p.shape, dtype=bool))
+
+
+def _of_two_sizes(
+    mixture: Mixture, counted: Array, right: Array, left: Array, of_size: Callable[[Array], tuple[Array, ...]]
+) -> tuple[Array, Array, Array]:
+    """Return whether noises of variance s I are of the larger size, their mean square then, and how far they are."""
+    # of_size: M of an s, what left'M^-1 right counts in the log density, and what is added to it.
+    logs = []
+    for s in (np.ones_like(mixture.variance), mixture.variance):
+        M, factor, more = of_size(s)
+        solved, log_det = eliminated(M, right)
+        distance = (left * solved[..., 0]).sum(axis=-1, keepdims=True)
+        logs.append(0.5 * (more - factor * distance - log_det))
+    there = np.diagonal(solved[..., 1:], axis1=-2, axis2=-1)
+    square = np.maximum((s * solved[..., 0]) ** 2 + s - s * s * there, 0.0) * counted
     size = np.maximum(counted.sum(axis=-1, keepdims=True), 1)
-    p = expit(mixture.log_odds + logs[1] - logs[0])
-    return Verdict(p, squares[1].sum(axis=-1, keepdims=True) / size, np.zeros(p.shape, dtype=bool))
+    return expit(mixture.log_odds + logs[1] - logs[0]), square.sum(axis=-1, keepdims=True) / size, distance
 
 
 def eliminated(M: Array, right: Array) -> tuple[Array, Array]:
@@ -232,6 +235,9 @@ def eliminated(M: Array, right: Array) -> tuple[Array, Array]:
 _LEAST = 1e-12
 
 
+Factors = tuple[Array, Array]
+
+
 class Ordinary:
     """Noise that is what the model says."""
 
@@ -242,9 +248,7 @@ class Ordinary:
         """Keep which components there are, (series, steps, kinds)."""
         self.weights = np.where(counted, 1.0, np.nan)
 
-    def measurement(
-        self, model: Model, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
-    ) -> tuple[Array, Array]:
+    def measurement(self, z: Array, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array) -> Factors:
         """Return d and o as they are."""
         return weighting.precision, weighting.offset
 
@@ -258,18 +262,16 @@ class Psi:
 
     mixture: Mixture | None = None
     #: Largest root-mean-square change of the estimate in a sweep, in its standard deviations: a stationary point.
-    tolerance = 1e-3
+    tolerance = 1e-7
 
     def __init__(self, influence: Any, joint: bool, counted: Array) -> None:
         """Keep psi, whether it looks at lengths, and which components there are."""
         self.influence, self.joint, self.counted = influence, joint, counted
         self.weights = np.where(counted, 1.0, np.nan)
 
-    def measurement(
-        self, model: Model, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
-    ) -> tuple[Array, Array]:
+    def measurement(self, z: Array, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array) -> Factors:
         """Return the weights and no offset."""
-        weights = self._of((model.z - smooth.fitted) / np.sqrt(temperature))
+        weights = self._of((z - smooth.fitted) / np.sqrt(temperature))
         return np.where(self.counted, weights, 0.0), np.zeros_like(weights)
 
     def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
@@ -297,16 +299,14 @@ class Learnt:
         self._verdict: Verdict | None = None
         self._each = (counted.any(axis=-1, keepdims=True) if joint else counted).astype(float)
 
-    def measurement(
-        self, model: Model, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array
-    ) -> tuple[Array, Array]:
+    def measurement(self, z: Array, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array) -> Factors:
         """Return the factors that fit, and learn."""
         if self.joint:
-            e, d = model.z - smooth.fitted, weighting.precision
+            e, d = z - smooth.fitted, weighting.precision
             verdict = judge_measurements(e, smooth.spread, d, self.mixture, self.counted, temperature)
             d, o = verdict.mean_precision(self.mixture) * self.counted, np.zeros_like(d)
         else:
-            verdict, d, o = judge_components(smooth, model.z, weighting, self.mixture, self.counted, temperature)
+            verdict, d, o = judge_components(smooth, z, weighting, self.mixture, self.counted, temperature)
         self._learn(verdict, frozen)
         return d, o
 

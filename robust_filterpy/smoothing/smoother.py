@@ -18,11 +18,11 @@ from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.filters.series import series_arguments
 from robust_filterpy.influence.functions import Influence, Linear
-from robust_filterpy.smoothing.nonlinear import Trajectory, is_nonlinear, nonlinear_trajectory
+from robust_filterpy.smoothing.nonlinear import is_nonlinear, nonlinear_trajectory
 from robust_filterpy.smoothing.readings import doubted_stretches, log_probability, misfits
 from robust_filterpy.smoothing.recording import Recording, linear_recording, problem
 from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
-from robust_filterpy.smoothing.sweeps import Rule, is_convex, minimised, reweighted
+from robust_filterpy.smoothing.sweeps import Rule, reweighted
 
 __all__ = ["Smoothed", "smooth", "smooth_series"]
 
@@ -86,26 +86,12 @@ class Smoothed:
 
 
 def smooth(
-    kf: Any,
-    zs: Any,
-    *,
-    influence: Influence | None = None,
-    process: Influence | None = Linear(),
-    grouping: Grouping | None = None,
-    Fs: Any = None,
-    Qs: Any = None,
-    Hs: Any = None,
-    Rs: Any = None,
-    Bs: Any = None,
-    us: Any = None,
-    dts: Any = None,
-    HJacobian: Callable[..., ArrayLike] | None = None,
-    Hx: Callable[..., ArrayLike] | None = None,
-    args: Any = (),
-    hx_args: Any = (),
-    residual: Callable[[Any, Any], Any] = np.subtract,
-    max_sweeps: int = 100,
-) -> Smoothed:
+    kf: Any, zs: Any, *, influence: Influence | None = None, process: Influence | None = Linear(),
+    grouping: Grouping | None = None, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None, Bs: Any = None,
+    us: Any = None, dts: Any = None, HJacobian: Callable[..., ArrayLike] | None = None,
+    Hx: Callable[..., ArrayLike] | None = None, args: Any = (), hx_args: Any = (),
+    residual: Callable[[Any, Any], Any] = np.subtract, max_sweeps: int | None = None,
+) -> Smoothed:  # fmt: skip
     """Estimate all states of a recording from all of its measurements, without believing outliers.
 
     The recording is smoothed, each measurement is weighed by how far it is from what all the others say, and so on
@@ -141,8 +127,8 @@ def smooth(
         Further arguments of HJacobian and Hx.
     residual : callable, default numpy.subtract
         ``residual(z, Hx(x))`` for an extended filter whose measurements do not subtract (angles).
-    max_sweeps : int, default 100
-        How often to smooth at most.
+    max_sweeps : int, optional
+        How often to smooth at most: by default 300 times by a psi, 100 where noise is learned.
 
     Returns
     -------
@@ -206,19 +192,10 @@ def smooth(
 
 
 def smooth_series(
-    zs: ArrayLike,
-    F: ArrayLike,
-    H: ArrayLike,
-    Q: ArrayLike,
-    R: ArrayLike,
-    x0: ArrayLike,
-    P0: ArrayLike,
-    *,
-    influence: Influence | None = None,
-    process: Influence | None = Linear(),
-    grouping: Grouping = "component",
-    max_sweeps: int = 100,
-) -> Smoothed:
+    zs: ArrayLike, F: ArrayLike, H: ArrayLike, Q: ArrayLike, R: ArrayLike, x0: ArrayLike, P0: ArrayLike, *,
+    influence: Influence | None = None, process: Influence | None = Linear(), grouping: Grouping = "component",
+    max_sweeps: int | None = None,
+) -> Smoothed:  # fmt: skip
     """Smooth S series of N measurements each: `smooth` for many recordings, with the arguments of `filter_series`.
 
     Parameters
@@ -270,16 +247,12 @@ def smooth_series(
 
 
 def _smoothed(
-    recording: Recording,
-    influence: Any,
-    process: Any,
-    grouping: Any,
-    max_sweeps: int,
-    trajectory: Trajectory | None = None,
+    recording: Recording, influence: Any, process: Any, grouping: Any, max_sweeps: Any, trajectory: Any = None
 ) -> Smoothed:
     """Smooth with the rules that the options ask for, and say what does not fit."""
     joint = _checks.option("grouping", grouping, GROUPINGS) == "joint"
-    options = influence, process, joint, _checks.count("max_sweeps", max_sweeps, 1)
+    usual = 100 if influence is None or process is None else 300
+    options = influence, process, joint, usual if max_sweeps is None else _checks.count("max_sweeps", max_sweeps, 1)
     smoothed, odd = _searched(recording, *options, trajectory)
     if influence is None and trajectory is None:
         for s in range(len(smoothed.x)):
@@ -349,23 +322,13 @@ def _probability(alone: Recording, smoothed: Smoothed, s: int) -> float:
 
 
 def _searched(
-    recording: Recording,
-    influence: Any,
-    process: Any,
-    joint: bool,
-    limit: int,
-    trajectory: Trajectory | None = None,
+    recording: Recording, influence: Any, process: Any, joint: bool, limit: int, trajectory: Any = None
 ) -> tuple[Smoothed, list[str]]:
     """Return what one search finds, and what of Q and R is odd."""
     measurement = measurement_rule(influence, joint, recording.observed)
     doubt = process_rule(process, recording.driven)
-    newton = trajectory is None and isinstance(doubt, Ordinary)
-    if newton and isinstance(measurement, Psi) and is_convex(influence):
-        fit = minimised(recording.model, recording.observed, influence, joint, limit)
-        weights = np.where(recording.observed, fit.weighting.precision, np.nan)
-    else:
-        fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
-        weights = measurement.weights
+    fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
+    weights = measurement.weights
     x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
     if not np.isfinite(x).all():
         raise ValueError("F: expected a model whose states stay finite, got overflow; check F and the length of zs")

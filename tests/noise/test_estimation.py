@@ -289,7 +289,7 @@ def test_matrices_of_each_step_and_inputs_are_those_of_batch_filter():
 @pytest.mark.parametrize("name", ["us", "Fs", "Qs", "Hs", "Rs"])
 def test_matrices_of_each_step_have_its_number(name):
     with pytest.raises(ValueError, match=f"{name}: expected an entry for each of the 50"):
-        estimate_noise(guess(), np.zeros(50), **{name: [np.eye(2)] * 49})
+        estimate_noise(guess(), np.zeros(50), **{name: [np.eye(1 if name == "Hs" else 2, 2)] * 49})
 
 
 def test_a_trackers_noise_is_estimated_with_its_regressors():
