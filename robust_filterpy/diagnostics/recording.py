@@ -135,7 +135,7 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
     S = np.where(np.all(absent, axis=1)[:, None, None], np.nan, S)
     clipped = _stacked("clipped", epochs["clipped"], n).astype(bool) if "clipped" in epochs else np.zeros((n, m), bool)
     e = _stacked("e", epochs["e"], n) if "e" in epochs else np.full((n, m), np.nan)
-    # A filter that weighs by noise told or learned has no psi.
+    # A filter that weighs by noise given or learned has no psi.
     influence = getattr(kf, "influence", None)
     influence = influence if hasattr(influence, "psi_deriv") else None
     learns = influence is None and getattr(kf, "noise", None) is not None

@@ -42,7 +42,7 @@ class Repair:
     jump: Array | float = 0.0  # (n + m,), variances of what jumps there
 
     def then(self, other: Repair) -> Repair:
-        """Return both repairs, told as the second."""
+        """Return both repairs, described as the second."""
         jumps, outliers = self if other.jump_at < 0 else other, other if other.cause == "more outliers" else self
         return replace(
             other, Q=self.Q * other.Q, R=self.R * np.asarray(other.R), gain=self.gain * np.asarray(other.gain),

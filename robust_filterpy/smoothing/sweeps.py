@@ -25,7 +25,7 @@ _ABSURD = 1e7
 # In so many sweeps at most are residuals divided by their size, and only while their squares are this much too large;
 # the first has all outliers in it, so it counts as one of them in any case.
 _GRADUATED, _COOL, _WARM = 3, 1.5, 1.01
-# What the others tell of a measurement that is told by itself alone is rounding.
+# What the others say of a measurement that stands by itself alone is rounding.
 _ROUNDING = 1e-6
 #: Median of the square of a standard normal number, and how many of them are enough for a median.
 MEDIAN_SQUARE, _ENOUGH = 0.4549364, 20_000
