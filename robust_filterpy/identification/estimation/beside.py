@@ -79,10 +79,13 @@ class Settled(NamedTuple):
         Steps and ramps of its level.
     input : Finding or None
         Says that outliers of its inputs are held back.
+    begin : ndarray or None
+        Free parameters of a model near by, from which alone the search begins.
     """
 
     trend: Trend
     input: Finding | None
+    begin: Array | None = None
 
     @classmethod
     def of(cls, model: Any, samples: int) -> Settled:
@@ -193,10 +196,11 @@ class Search(NamedTuple):
 
     def _beside_levels(self, trend: str | Settled) -> Beside:
         """Find the model beside levels that break."""
+        begin = trend.begin if isinstance(trend, Settled) else None
         if isinstance(trend, Settled) and trend.trend.breaks:
             breaks = {(0, 0): trend.trend}
-            return self._with_breaks(self.settled(self._fitted(breaks)), breaks, np.inf)
-        plain = self.settled(self.find(self.u, np.zeros(self.y.shape), [], None))
+            return self._with_breaks(self.settled(self._fitted(breaks, begin)), breaks, np.inf)
+        plain = self.settled(self.find(self.u, np.zeros(self.y.shape), [], begin))
         line = trend == "line"
         rounding = all(one.is_rounding for one in plain.noises)
         if trend not in ("line", "breaks") or not self.u.shape[1] or (rounding and not line):

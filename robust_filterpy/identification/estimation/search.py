@@ -65,6 +65,8 @@ class _Effort(NamedTuple):
 
 _ROUGH: Final = _Effort(4, 2, 1, _NEAR)
 _FULL: Final = _Effort(10, 10, 10)
+# So near to where it leads an end can be held against others; that of the best alone is found to the last digit.
+_CLOSELY: Final = _FULL._replace(near=0.1 * _NEAR)
 # From where the search in a part of the recording ended.
 _AGAIN: Final = _Effort(1, 10, 10)
 _ONCE: Final = _Effort(1, 2, 1)
@@ -126,17 +128,19 @@ def ends(
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
     results = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing, noise)]
     loss = START if influence is None else influence
-    same, worst = _SAME, np.inf
-    if not (model.na or model.structure.nc or model.structure.nd):
-        # No outlier is in a regressor: all that is left to find is within the precision of the search.
-        same, worst = max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5), _HOPELESS
-    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if excess < worst]
-    noises = [replace(end.noise, influence=loss) for end in rough]
-    results = [
-        _searched(model, end.p, noise, missing, end.starts, _FULL, limits)
-        for end, noise in zip(rough, noises, strict=True)
-    ]
-    return _best_first(model, missing, results, limits)
+
+    def followed(end: End, effort: _Effort) -> End:
+        noise = replace(end.noise, influence=loss)
+        return _searched(model, end.p, noise, missing, end.starts, effort, limits)
+
+    if model.na or model.structure.nc or model.structure.nd:
+        rough = [end for end, _ in _best_first(model, missing, results, limits)]
+        return _best_first(model, missing, [followed(end, _FULL) for end in rough], limits)
+    # No outlier is in a regressor: all that is left to find is within the precision of the search.
+    same = max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5)
+    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if excess < _HOPELESS]
+    best, *others = _best_first(model, missing, [followed(end, _CLOSELY) for end in rough], limits)
+    return [best._replace(end=followed(best.end, _FULL)), *others]
 
 
 def _ends_of_long(

@@ -417,9 +417,10 @@ def select_structure(
     -----
     A robust impulse response tells the delay first: its first sample outside its band, and the first far outside.
     All orders are tried with these delays, then the neighbors of the best (an order or the delay one more or one
-    less), until none is better. A first b too small for the band is found then, by the likelihood. A structure
-    whose first b is 0 within the noise comes after all others: it has a longer delay. Where the input does not
-    excite a long impulse response, all delays are tried with all orders.
+    less), until none is better; these are searched from the likeliest model whose poles they have too, the first from
+    nothing. A first b too small for the band is found then, by the likelihood. A structure whose first b is 0 within
+    the noise comes after all others: it has a longer delay. Where the input does not excite a long impulse response,
+    all delays are tried with all orders.
 
     The criterion takes the plant for linear and the noise for one that the structure can have. Where they are not, it
     buys parameters that other samples do not confirm; so the part held out has the last word. It is simulated from
@@ -466,12 +467,15 @@ def select_structure(
         inputs = signal[:compared] if largest.n_inputs else None
         settled = Settled.of(identify(measured[:compared], inputs, largest, sampled=False, progress=False), compared)
     comparison = _Comparison(grid, measured, signal, criterion, compared, bar, settled)
-    comparison.try_all(beginning)
+    confirmed = share > 0.0 and held_out is None
+    sizes = {grid.structure(orders).n_theta for orders in beginning} if confirmed else ()
+    comparison.try_all(beginning, len(set(grid.neighbours(beginning[0]))) + len(sizes))
+    comparison.near = True
     best = None
     while best != comparison.best:
         best = comparison.best
-        comparison.try_all(grid.neighbours(best))
-    late = comparison.tried_on_rest(fitted) if share and held_out is None else {}
+        comparison.try_all(grid.neighbours(best), len(sizes))
+    late = comparison.tried_on_rest(fitted) if confirmed else {}
     bar.close()
     rows = _ranked(comparison.rows(), late)
     structure = rows[0].structure
@@ -521,6 +525,7 @@ class _Comparison:
         self.rest = (y[fitted:], u[fitted:]) if fitted < y.size else None
         self.y, self.u = y, u = y[:fitted], u[:fitted]
         self.tried: dict[Orders, _Tried] = {}
+        self.near = False
         self.samples = int(np.isfinite(y[grid.first :]).sum())
         measured = y[~np.isnan(y)]
         # Without a limit where more than half of the samples are equal.
@@ -531,12 +536,21 @@ class _Comparison:
         """The orders that come first."""
         return min(self.tried, key=lambda orders: self.tried[orders].row.rank)
 
-    def try_all(self, many: Iterable[Orders]) -> None:
-        """Try out those that were not."""
+    def try_all(self, many: Iterable[Orders], later: int) -> None:
+        """Try out those that were not; some more come later."""
         new = [orders for orders in dict.fromkeys(many) if orders not in self.tried]
-        self.bar.total = (self.bar.total or 0) + len(new)
+        self.bar.total = len(self.tried) + len(new) + later
         for orders in new:
             self.try_out(orders)
+
+    def beginning(self, structure: Structure) -> Array | None:
+        """Return the likeliest of the models whose noise and poles this structure has too, None to search anew."""
+        if not self.near or not structure.nf + structure.nc + structure.nd:
+            return None
+        models = [one.model for one in self.tried.values() if not one.model.levels.size]
+        sizes = ("na", "nf", "nc", "nd")
+        within = [one for one in models if all(getattr(one.structure, n) <= getattr(structure, n) for n in sizes)]
+        return _as_begin(max(within, key=lambda one: one.log_likelihood), structure) if within else None
 
     def try_out(self, orders: Orders) -> None:
         """Identify a structure, and keep its criterion, log-likelihood, residuals and output."""
@@ -547,7 +561,7 @@ class _Comparison:
         with warnings.catch_warnings():
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
-            trend: Any = self.settled.after(first - before)
+            trend: Any = self.settled.after(first - before)._replace(begin=self.beginning(structure))
             model = identify(y, u, structure, trend=trend, sampled=False, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
@@ -589,7 +603,7 @@ class _Comparison:
         part = _Comparison(self.grid, y, self.u, self.criterion, fitted, self.bar, flat)
         ranked = sorted(self.tried, key=lambda orders: self.tried[orders].row.rank, reverse=True)
         best_of_size = {self.tried[orders].row.structure.n_theta: orders for orders in ranked}
-        self.bar.total = (self.bar.total or 0) + len(best_of_size)
+        self.bar.total = len(self.tried) + len(best_of_size)
         for orders in reversed(best_of_size.values()):
             # A part may tell too little of a structure that the whole tells of.
             with suppress(ValueError):
@@ -631,6 +645,22 @@ class _Comparison:
                 row = row._replace(held_out_fit=ordinary_fit(self.rest[0], held_out[1], late))
             rows.append(row)
         return tuple(sorted(rows, key=lambda row: row.rank))
+
+
+def _as_begin(model: Model, structure: Structure) -> Array:
+    """Return the free parameters of another structure that make it this model, or nearly."""
+    ours, theirs = model.structure.polynomials, structure.polynomials
+    p = np.zeros(structure.n_theta + 1 + structure.nf)
+    for own, place in ((ours.a, theirs.a), (ours.f, theirs.f), (ours.c, theirs.c), (ours.d, theirs.d)):
+        p[place.start : place.start + own.stop - own.start] = model.theta[own]
+    gain = 0.0
+    inputs = zip(ours.b, theirs.b, model.structure.inputs, structure.inputs, model.operating_point, strict=True)
+    for own, place, (nb, nk), (count, lag), rest in inputs:
+        for j in range(max(nk, lag), min(nk + nb, lag + count)):
+            p[place.start + j - lag] = model.theta[own.start + j - nk]
+        gain += rest * model.theta[own].sum()
+    p[structure.n_theta] = model.offset + gain / model.parts.f.sum()
+    return p
 
 
 def _signals(model: Model, y: Array, u: Array | None) -> tuple[Array, Array]:
