@@ -11,7 +11,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._documentation import SMALL, STOPPED, pointer
 from robust_filterpy._warning import RobustFilterWarning, warn, was_said
 from robust_filterpy.correction.spread import FILLED, HELD
-from robust_filterpy.filters.policies import ordinary_noise
+from robust_filterpy.filters.policies import lags
 
 __all__ = ["CorrelatedInnovationsWarning", "OutlierShareWarning", "StuckSensorWarning"]
 
@@ -50,8 +50,8 @@ class Share:
 
     def look(self, kf: Any, last: Any) -> None:
         """Count one correction, and judge the window when it is full."""
-        e = np.ravel(last.e).tolist()
-        observed = [d for d in np.ravel(last.psi_deriv).tolist() if d == d]
+        e = last.e.tolist()
+        observed = [d for d in last.psi_deriv.tolist() if d == d]
         sign = sum(1.0 if number > 0.0 else -1.0 for number in e)
         self.numbers += len(observed)
         self.updates += 1
@@ -126,8 +126,6 @@ def _expected(influence: Any, grouping: str, m: int) -> float:
 #: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
 #: many signs must be kept: a fair coin does that once in six hundred thousand periods.
 _PERIOD, _FIRST, _LAST, _KEPT = 240, 9, 57, 40
-#: An innovation of fewer standard deviations is what a start leaves where there is no noise: it has no sign.
-_NO_LAG = 0.1
 
 
 class CorrelatedInnovationsWarning(RobustFilterWarning):
@@ -155,6 +153,10 @@ class Signs:
                 self.same[i] += now * before > 0.0
                 self.last[i] = 1.0 if now > 0.0 else -1.0
 
+    def is_decided(self) -> bool:
+        """Return whether too many have changed, of each sensor, for the rest of a period to tell anything."""
+        return all(pairs - same > _LAST - _FIRST - _KEPT for same, pairs in zip(self.same, self.pairs, strict=True))
+
     def keeper(self) -> int | None:
         """Return a sensor whose innovations nearly all keep their sign, None if there is none."""
         return next((i for i, count in enumerate(self.same) if count >= _KEPT), None)
@@ -168,9 +170,9 @@ def judges(updates: int) -> bool:
 def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Signs | None:
     """Count the signs of a correction's innovations now and then, and warn if they hardly ever change."""
     place = updates % _PERIOD
-    if not _FIRST <= place <= _LAST:
+    if not _FIRST <= place <= _LAST or (signs is not None and place != _FIRST and signs.is_decided()):
         return signs
-    y = _innovation_of(last)
+    y = _lags_of(last).tolist()
     if signs is None or place == _FIRST or len(signs.last) != len(y):
         signs = Signs(len(y))
     signs.count(y)
@@ -186,23 +188,16 @@ def look_at_recording(kf: Any, y: Array, first: int, variances: Callable[[list[i
         signs = Signs(y.shape[1])
         window = seen[begin + _FIRST - 1 : begin + _LAST].tolist()
         if len(window) > _LAST - _FIRST:
-            for one in _signed(y[window], variances(window)):
+            for one in lags(y[window], variances(window)).tolist():
                 signs.count(one)
             _judge(kf, signs, f": step {first + window[-1]}")
 
 
-def _innovation_of(last: Any) -> list[float]:
-    """Return the innovation of a correction, NaN where missing, 0 where it is no lag."""
-    if not hasattr(last, "prior_x"):
-        return _signed(np.where(np.isnan(last.weights), np.nan, last.y), last.S.diagonal())
-    H, R = last.H, ordinary_noise(last.R, last.before)
-    noise = R if last.curvature is None else R + last.curvature
-    return _signed(last.z - H.dot(last.prior_x), (H.dot(last.prior_P) * H).sum(axis=1) + noise.diagonal())
-
-
-def _signed(y: Array, variances: Array) -> Any:
-    """Return innovations as lists, 0 where one is no lag."""
-    return np.where(np.abs(y) < _NO_LAG * np.sqrt(variances), 0.0, y).tolist()
+def _lags_of(last: Any) -> Array:
+    """Return the innovations of a correction, NaN where missing, 0 where one is no lag."""
+    if hasattr(last, "lags"):
+        return last.lags  # type: ignore[no-any-return]
+    return lags(np.where(np.isnan(last.weights), np.nan, last.y), last.S.diagonal())
 
 
 def _judge(kf: Any, signs: Signs, where: str) -> None:

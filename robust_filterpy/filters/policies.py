@@ -342,7 +342,9 @@ class Mixture:
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), before.kept
         record = Mixed(
             after.x.copy(), after.P.copy(), *last[1:], prior.x.copy(), prior.P.copy(), H.copy(), R.copy(),
-            None if M is None else M.copy(), z, before.memory, together=self._named,
+            None if M is None else M.copy(), z, before.memory,
+            lags(z - H.dot(prior.x), (H.dot(prior.P) * H).sum(axis=1) + ordinary_noise(R, before.memory).diagonal()),
+            together=self._named,
         )  # fmt: skip
         return record, None if before.kept is None else after
 
@@ -371,8 +373,9 @@ class Mixture:
         covariance = last.copies.P[0, :n, :n]
         mean, covariance = x + last.copies.x[0, :n], 0.5 * (covariance + covariance.T)
         return Mixed(
-            mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory, unexplained,
-            self._named,
+            mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory,
+            lags(y, (H.dot(P) * H).sum(axis=1) + (ordinary_noise(R, before.memory) + unexplained).diagonal()),
+            unexplained, self._named,
         ), before.kept  # fmt: skip
 
     def standing(self, carried: Kept | None, x: Array, P: Array, memory: Array) -> State:
@@ -465,6 +468,8 @@ class Mixed(NamedTuple):
     """Shape (m,); NaN where missing."""
     before: Array
     """What was learned of the noise."""
+    lags: Array
+    """Innovations whose signs tell whether the estimate lags behind: 0 where too short, NaN where missing, (m,)."""
     curvature: Array | None = None
     """Covariance of what a line does not explain of z."""
     together: tuple[tuple[int, ...], ...] = ()
@@ -509,6 +514,11 @@ def _any_outlier(outlying: Array, grouping: Any) -> Array:
     return np.asarray(each[0] if len(each) == 1 else 1.0 - np.prod([1.0 - p for p in each], axis=0))
 
 
+def lags(y: Array, variances: Array) -> Array:
+    """Return innovations, 0 where one is as short as what a start leaves where there is no noise."""
+    return np.where(np.abs(y) < _NO_LAG * np.sqrt(variances), 0.0, y)
+
+
 def ordinary_noise(R: Array, memory: Array) -> Array:
     """Return the covariance of ordinary noise for an R that was given, memory a row for each sensor or one for all."""
     if len(memory) == 1:
@@ -517,6 +527,8 @@ def ordinary_noise(R: Array, memory: Array) -> Array:
     return np.asarray(R * np.multiply.outer(r, r))
 
 
+# In standard deviations.
+_NO_LAG = 0.1
 #: What judges a filter's measurements. Both have the attributes and methods that `Bounded` has.
 Policy: TypeAlias = Bounded | Mixture
 

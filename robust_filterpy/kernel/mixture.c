@@ -164,6 +164,24 @@ static int weigh(int n, int m, const learnt_rule *rule, learnt_state *s, const d
     return 1;
 }
 
+#define NO_LAG 0.1 /* standard deviations that a start leaves where there is no noise */
+
+/* Innovations z - H x as Mixed.lags has them. x: NULL for a state at 0; before: what was known of the noise, rows of width,
+   or 0 for one row; curvature (m, m) or NULL. */
+static PyObject *lags_of(held *h, int n, int m, const double *z, const double *x, const double *P, const double *H,
+                         const double *R, const double *before, int width, const double *curvature) {
+    PyObject *const lags = array_of(h, 1, m, 0, 0);
+    for (int i = 0; lags && i < m; i++) {
+        double y = z[i], variance = R[i * m + i] * before[i * width] + (curvature ? curvature[i * m + i] : 0);
+        for (int k = 0; k < n; k++) {
+            y -= x ? H[i * n + k] * x[k] : 0;
+            for (int j = 0; j < n; j++) variance += H[i * n + k] * P[k * n + j] * H[i * n + j];
+        }
+        numbers_of(lags)[i] = fabs(y) < NO_LAG * sqrt(variance) ? 0 : y;
+    }
+    return lags;
+}
+
 /* The probability that a component was an outlier; sensors that fail together have one. */
 static double outlier_probability(const learnt_rule *rule, int m, const double *outlying) {
     double ordinary = 1;
@@ -201,7 +219,7 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *con
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_dim_z, AT_inv,
                                            AT_R, AT_H, AT__memory, AT__policy, AT__other_sensors};
     PyObject *const *const given = h->objects;
-    PyObject *seen, *shown, *H_now, *R_now, *H_too, *R_too, *M_too = Py_None, *before_too, *make, *record;
+    PyObject *seen, *shown, *lags, *H_now, *R_now, *H_too, *R_too, *M_too = Py_None, *before_too, *make, *record;
     mixture f;
     customs c = {.m = 0};
     weighed made;
@@ -256,10 +274,13 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *con
     H_too = copied(h, H, 2, m, n);
     R_too = H_too ? copied(h, R, 2, m, m) : NULL;
     shown = R_too ? copied(h, numbers_of(seen), f.now.ndim, m, 1) : NULL;
-    record = shown ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOO", f.x_next, f.P_next, made.known, made.likelihood,
-                                                   made.weights, made.outlying, f.x, f.P, H_too, R_too, M_too, seen,
-                                                   before_too))
-                   : NULL;
+    lags = shown ? lags_of(h, n, m, numbers_of(seen), f.now.x, f.now.P, H, R, before,
+                           known_rows(&f.rule, m) > 1 ? width : 0, NULL)
+                 : NULL;
+    record = lags ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOO", f.x_next, f.P_next, made.known, made.likelihood,
+                                                  made.weights, made.outlying, f.x, f.P, H_too, R_too, M_too, seen,
+                                                  before_too, lags))
+                  : NULL;
     if (!record || !set_mixture(h, filter, &f, AT_x_post, AT_P_post)) return -1;
     return set_weighed(h, filter, &f.rule, m, shown, record, &made, &c);
 }
@@ -303,7 +324,7 @@ static void regress(int n, int m, const double *P, const double *C, const double
 static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_now) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_inv, AT_R, AT__memory, AT__policy, AT__kept};
     PyObject *const *const given = h->objects;
-    PyObject *plain[6], *make, *seen, *y, *H, *zero, *P_too, *R_too, *curvature, *shown, *record, *x_next, *P_next;
+    PyObject *plain[6], *make, *seen, *y, *H, *zero, *P_too, *R_too, *curvature, *shown, *lags, *record, *x_next, *P_next;
     learnt_rule rule;
     filter_state now;
     weighed made;
@@ -365,12 +386,14 @@ static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_
     work_done(stack, work);
     if (!fine || !all_finite(numbers_of(x_next), n) || !all_finite(numbers_of(P_next), n * n)) return 0;
     shown = copied(h, numbers_of(seen), now.ndim, m, 1);
-    x_next = shown ? x_next : NULL;
-    record = x_next ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOO", copied(h, numbers_of(x_next), 1, n, 0),
-                                                    copied(h, numbers_of(P_next), 2, n, n), made.known, made.likelihood,
-                                                    made.weights, made.outlying, zero, P_too, H, R_too, Py_None, y,
-                                                    given[5], curvature))
-                    : NULL;
+    lags = shown ? lags_of(h, n, m, numbers_of(y), NULL, now.P, numbers_of(H), R, before,
+                           known_rows(&rule, m) > 1 ? width : 0, numbers_of(curvature))
+                 : NULL;
+    record = lags ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOOO", copied(h, numbers_of(x_next), 1, n, 0),
+                                                  copied(h, numbers_of(P_next), 2, n, n), made.known, made.likelihood,
+                                                  made.weights, made.outlying, zero, P_too, H, R_too, Py_None, y,
+                                                  given[5], lags, curvature))
+                  : NULL;
     if (!record || !set_state(h, filter, x_next, P_next, AT_x_post, AT_P_post)) return -1;
     return set_weighed(h, filter, &rule, m, shown, record, &made, NULL);
 }

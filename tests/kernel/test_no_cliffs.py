@@ -48,7 +48,8 @@ def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, b
                 kf.update(z[0] if z[0] == z[0] else 1.0, **given)
             else:
                 kf.update(z, **({} if way == "a row of H" else given))
-            rows.append([*np.ravel(kf.x), *np.ravel(kf.P), kf.log_likelihood, kf.outlier_probability])
+            lags = getattr(kf._last, "lags", ())
+            rows.append([*np.ravel(kf.x), *np.ravel(kf.P), kf.log_likelihood, kf.outlier_probability, *lags])
         found.append((np.array(rows), kf._memory, *kf._other_sensors.values()))
     for ours, theirs in zip(*found, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-11)
