@@ -10,8 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from robust_filterpy import testing
-from robust_filterpy.testing.checks.bench import Promise
-from robust_filterpy.testing.checks.filter_subject import FILTER_TAGS
+from robust_filterpy.testing.checks.bench import FILTER_TAGS, Check
 from robust_filterpy.testing.checks.lists import FILTER_PROMISES
 from robust_filterpy.testing.scenarios import contamination, models, plants
 
@@ -78,7 +77,7 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def _checks(title: str, promises: Sequence[Promise], tags: Mapping[str, str]) -> list[str]:
+def _checks(title: str, promises: Sequence[Check], tags: Mapping[str, str]) -> list[str]:
     """Return a section: what can be claimed, and every check with its theorem."""
     rows = [
         (f"`{entry.name}`", entry.theorem, ", ".join(sorted(entry.needs)), "yes" if entry.stochastic else "")

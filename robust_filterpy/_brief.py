@@ -1,13 +1,12 @@
-"""What `print` shows of an object: a line for each part; of large arrays shape, range and median."""
+"""What `print` shows of a result, a line for each part, of large arrays shape, range and median; and its `plot`."""
 
 from __future__ import annotations
 
+import importlib
 import textwrap
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-
-__all__ = ["brief", "lines_of", "wrapped"]
 
 _SMALL, _WIDE = 9, 100
 
@@ -60,3 +59,27 @@ def _array(value: np.ndarray) -> str:
     missing = f", {value.size - finite.size} missing" if finite.size < value.size else ""
     low, middle, high = (f"{number:.4g}" for number in (finite.min(), np.median(finite), finite.max()))
     return f"shape {value.shape}, {low} .. {high}, median {middle}{missing}"
+
+
+class Pictured:
+    """A result that can be drawn."""
+
+    __slots__ = ()
+
+    #: Module and name of the function of `robust_filterpy.plotting` that draws it.
+    picture: ClassVar[str]
+
+    def plot(self, **options: Any) -> Any:
+        """Draw it, by that function of `robust_filterpy.plotting` which its ``picture`` names.
+
+        Parameters
+        ----------
+        **options : dict, optional
+            Of that function.
+
+        Returns
+        -------
+        matplotlib.axes.Axes, or ndarray of them
+        """
+        module, _, name = self.picture.partition(".")
+        return getattr(importlib.import_module(f"robust_filterpy.plotting.{module}"), name)(self, **options)

@@ -178,6 +178,16 @@ def matrix(name: str, value: Any, shape: tuple[int, int], reason: str) -> Array:
     raise ValueError(f"{name}: expected shape {shape} for {reason}, got {_mend(name, array, shape)}")
 
 
+def finite(name: str, value: Any, shape: tuple[int, ...], reshaped: bool = False) -> Array:
+    """Return value as a finite float array of this shape, or of as many numbers where it is reshaped, or raise."""
+    array = numbers(name, value)
+    if reshaped and array.size == math.prod(shape):
+        array = array.reshape(shape)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {shown(value)}")
+    return array
+
+
 def _mend(name: str, array: Array, shape: tuple[int, int]) -> str:
     """Describe what was found and, where it is plain, what was meant."""
     if array.ndim == 0:

@@ -10,8 +10,6 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 
-__all__ = ["FillValues", "fill_values", "without_fill_values"]
-
 # A value that occurs less often, or in a smaller share of the samples, does not repeat.
 _LEAST: Final = 3
 _LEAST_SHARE: Final = 0.002
@@ -102,8 +100,7 @@ def fill_values(signal: Array) -> FillValues:
 
 
 def without_fill_values(name: str, rows: Any) -> tuple[Any, Any]:
-    """Return measurements with NaN for the fill values of each component, and warn of them; else the argument itself.
-    """
+    """Return measurements with NaN for the fill values of each component, and warn of them; else the argument."""
     try:
         if isinstance(rows, np.ndarray) and rows.dtype != object:
             table = np.array(rows, dtype=float)

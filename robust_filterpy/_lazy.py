@@ -35,7 +35,7 @@ _HOMES = (
     "plants.excitation.signals bandlimited_pink_spectrum sample_autocovariance",
     "plants.servo.parameters beta_coefficient", "plants.servo.linearization linearize_servo",
     "plants.servo.position_loop simulate_actuator", "plants.servo.equations valve_opening",
-    "plants.servo.position_loop ServoRecording", "plants.servo.steady_motion operating_point",
+    "plants.servo.position_loop ServoRecording", "plants.servo.linearization operating_point",
     "plotting.figures plot_fit plot_parameters", "plotting.responses plot_noise_spectrum plot_step",
     "plotting.workbench plot_comparison plot_structure_selection plot_tuning plot_validation",
     "testing.assertions.consistency assert_covariance_stays_one",

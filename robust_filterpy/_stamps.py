@@ -11,8 +11,6 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = ["NANO", "as_numpy", "column", "frame", "read", "seconds"]
-
 NANO = 1_000_000_000
 # Numbers as large as this are no seconds since 1970, but milliseconds or smaller parts of one.
 _NO_SECONDS = 1e11

@@ -1,9 +1,15 @@
-"""States as plain arrays: the label that says what one belongs to, and the checks before it is taken over."""
+"""States as plain arrays: the label that says what one belongs to, the checks before it is taken over, and as bytes.
+
+As bytes a state is one record in numpy's .npy format, without pickle.
+"""
 
 from __future__ import annotations
 
+import io
 import math
+import zlib
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +22,8 @@ FORMAT: Final = 1
 #: Name of the label among a state's arrays.
 LABEL: Final = "format"
 
+#: Name of the last field of a state's record.
+_CHECKSUM: Final = "checksum"
 #: Shape of an array: sizes, and None for any.
 Shape = tuple[int | None, ...]
 
@@ -114,7 +122,8 @@ def checked(
             # Text formats, JSON among them, do not keep the shape of what is empty.
             value = value.reshape([size or 0 for size in shape])
         column = name == "x" and value.shape == (*shape, 1)
-        if not (_fits(value.shape, shape) or column or (name in optional and value.ndim == 0)):
+        fits = len(value.shape) == len(shape) and all(b in (None, a) for a, b in zip(value.shape, shape, strict=True))
+        if not (fits or column or (name in optional and value.ndim == 0)):
             raise StateError(f"state: expected {name} of shape {_text(shape)}, got {value.shape}")
         if not (np.isfinite(value) | (np.isnan(value) & (name in gaps))).all():
             raise StateError(f"state: expected finite numbers in {name}, got NaN or infinity")
@@ -153,13 +162,116 @@ def _numbers(name: str, value: Any) -> Array:
         raise StateError(f"state: {error}") from None
 
 
-def _fits(given: tuple[int, ...], shape: Shape) -> bool:
-    """Return whether an array has a shape."""
-    return len(given) == len(shape) and all(b is None or a == b for a, b in zip(given, shape, strict=True))
-
-
 def _text(shape: Shape) -> str:
     """Return a shape as a message shows it."""
     return (
         "(" + ", ".join("any" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
     )
+
+
+def pack(state: Any) -> bytes:
+    """Return a state as bytes, for a file, a database or a message.
+
+    Parameters
+    ----------
+    state : mapping of str to ndarray
+        What ``state()`` of a filter or tracker, or `step`, returned.
+
+    Returns
+    -------
+    bytes
+        A file in numpy's .npy format (version 1.0) with one record: a field of float64 for each array of the state, of
+        uint8 (uint32 for a name beyond Latin-1) for ``format``, and ``checksum``, the CRC-32 of the bytes before it.
+        ``numpy.load(.., allow_pickle=False)`` reads it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If state is no mapping, has no label, or holds something else than numbers.
+
+    Examples
+    --------
+    >>> from robust_filterpy import RobustKalmanFilter
+    >>> kf = RobustKalmanFilter(1, 1)
+    >>> kf.restore(unpack(pack(kf.state())))
+    """
+    if not kind_of(state):
+        raise StateError(f"state: expected what state() or step returned, with {LABEL}, got {list(state)}")
+    arrays = {name: np.asarray(state[name]) for name in state}
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiub":
+            raise TypeError(f"state: expected numbers in {name}, got dtype {array.dtype}")
+    label = "u1" if arrays[LABEL].max() < 256 else "<u4"
+    kinds = (label if name == LABEL else "<f8" for name in arrays)
+    shapes = (array.shape for array in arrays.values())
+    header, dtype = _header(tuple(zip(arrays, kinds, shapes, strict=True)))
+    record = np.zeros((), dtype)
+    for name, array in arrays.items():
+        record[name] = array
+    body = record.tobytes()[:-4]
+    return header + body + zlib.crc32(header + body).to_bytes(4, "little")
+
+
+def unpack(data: bytes) -> dict[str, Array]:
+    """Return the state that `pack` made bytes of.
+
+    Parameters
+    ----------
+    data : bytes
+        From `pack`.
+
+    Returns
+    -------
+    dict of str to ndarray
+        The state, to the last bit.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged, no packed state, or of a newer format.
+    TypeError
+        If data is no bytes.
+    """
+    if not isinstance(data, (bytes, bytearray, memoryview)):
+        raise TypeError(f"data: expected bytes from pack, got {type(data).__name__}")
+    data = bytes(data)
+    size = 10 + int.from_bytes(data[8:10], "little")
+    if data[:8] != b"\x93NUMPY\x01\x00" or len(data) < size + 4:
+        raise StateError(f"data: expected a packed state, got {len(data)} bytes of something else, or cut off")
+    if zlib.crc32(data[:-4]) != int.from_bytes(data[-4:], "little"):
+        raise StateError("data: expected a packed state, got a damaged one: its checksum does not fit")
+    dtype = _dtype_of(data[:size])
+    if dtype.names is None or dtype.names[-1:] != (_CHECKSUM,) or dtype.itemsize != len(data) - size:
+        raise StateError(f"data: expected one record of a state, got {dtype}")
+    record = np.frombuffer(data, dtype, count=1, offset=size)[0]
+    try:
+        state = {name: np.array(record[name], dtype=float) for name in dtype.names[:-1]}
+    except (TypeError, ValueError) as error:
+        raise StateError(f"data: expected numbers in a state, {error}") from None
+    if not kind_of(state):
+        raise StateError(f"data: expected a packed state with {LABEL}, got {list(state)}")
+    return state
+
+
+@lru_cache(maxsize=256)
+def _header(fields: tuple[tuple[str, str, tuple[int, ...]], ...]) -> tuple[bytes, np.dtype[Any]]:
+    """Return the head of the file for a record of such arrays, and the record's type."""
+    dtype = np.dtype([*fields, (_CHECKSUM, "<u4")])
+    file = io.BytesIO()
+    description = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": ()}
+    np.lib.format.write_array_header_1_0(file, description)
+    return file.getvalue(), dtype
+
+
+@lru_cache(maxsize=256)
+def _dtype_of(header: bytes) -> np.dtype[Any]:
+    """Return the type of the record that a head announces."""
+    file = io.BytesIO(header[8:])
+    try:
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    except Exception as error:
+        # The header is parsed as Python text: what is none raises whatever the parser raises.
+        raise StateError(f"data: expected the head of a packed state, {type(error).__name__}: {error}") from None
+    if shape != ():
+        raise StateError(f"data: expected one record, got shape {shape}")
+    return np.dtype(dtype)

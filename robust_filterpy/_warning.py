@@ -1,13 +1,11 @@
-"""Warnings that point at the user's line, however deep in the package they arise, some of them only once."""
+"""Warnings that point at the user's line, some only once, and at sections of the documentation, by their names."""
 
 from __future__ import annotations
 
 import inspect
 import warnings
 import weakref
-from typing import Any
-
-__all__ = ["RobustFilterWarning", "mute", "warn", "was_said"]
+from typing import Any, Final
 
 # filterpy's loops call the filters' methods.
 _PASSED_ON = {"robust_filterpy", "filterpy"}
@@ -53,3 +51,14 @@ def was_said(category: type[Warning], of: Any) -> bool:
 def _key(category: type[Warning], of: Any) -> tuple[type[Warning], Any]:
     """Return under which key it is noted."""
     return category, of if isinstance(of, (str, tuple)) else id(of)
+
+
+#: Sections of "Troubleshooting by symptom".
+FOLLOWS, STOPPED, SMALL = "It follows outliers", "It stopped following", "All weights are small"
+PAGE: Final = "Troubleshooting by symptom"
+
+
+def pointer(*sections: str) -> str:
+    """Return where to read on, as "see "All weights are small" in "Troubleshooting by symptom"."""
+    names = " and ".join(f'"{section}"' for section in dict.fromkeys(sections))
+    return f'see {names} in the documentation\'s "{PAGE}"'

@@ -17,9 +17,8 @@ from robust_filterpy.influence import Linear
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
 from robust_filterpy.plants.servo.equations import valve_opening
-from robust_filterpy.plants.servo.linearization import linearize_servo
+from robust_filterpy.plants.servo.linearization import linearize_servo, operating_point
 from robust_filterpy.plants.servo.position_loop import ServoRecording
-from robust_filterpy.plants.servo.steady_motion import operating_point
 
 ORDER, P0 = 4, 0.01
 CONSTANT = "constant"

@@ -15,8 +15,8 @@ import numpy as np
 
 from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array, fraction
-from robust_filterpy._documentation import FOLLOWS, SMALL, STOPPED, pointer
 from robust_filterpy._progress import stages
+from robust_filterpy._warning import FOLLOWS, SMALL, STOPPED, pointer
 from robust_filterpy.diagnostics import search, statistics
 from robust_filterpy.diagnostics.recording import FilterRecord, is_saver, of_filter, of_saver, of_tracker
 from robust_filterpy.diagnostics.search import Repair

@@ -17,8 +17,7 @@ from robust_filterpy import _checks, kernel
 from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy._version import __version__
-from robust_filterpy.edge.filter_model import Described, described_filter, is_extended, mixes
-from robust_filterpy.edge.tracker_model import described_tracker
+from robust_filterpy.edge.models import Described, described_filter, described_tracker, is_extended, mixes
 from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
@@ -50,10 +49,8 @@ class Exported(NamedTuple):
 
 def export_c(
     model: RobustKalmanFilter | AdaptiveKalmanFilter | RobustExtendedKalmanFilter | ParameterTracker,
-    path: str | os.PathLike[str],
-    *,
-    precision: Precision = "double",
-) -> Exported:
+    path: str | os.PathLike[str], *, precision: Precision = "double",
+) -> Exported:  # fmt: skip
     """Write one C99 file and its header that step exactly this filter or tracker, from its present state.
 
     The C predicts and corrects as `RobustKalmanFilter` does, with its psi, scaling and information, or with noise that
@@ -246,25 +243,19 @@ def _source(path: Any) -> Path:
 
 def _remedy(model: Any) -> str:
     """Say what to export in the place of something that has no C."""
-    if isinstance(model, type):
-        return "pass an instance of it"
-    if hasattr(model, "filters"):
-        return "export each of its filters"
-    if isinstance(model, ParameterTracker):
-        return "a subclass may do anything: pass the tracker that it is made of"
-    if isinstance(model, RobustExtendedKalmanFilter):
-        return "a subclass may override predict_x alone: its update or predict is not the C's"
-    if isinstance(model, ExtendedKalmanFilter):
-        return "export a RobustExtendedKalmanFilter with the same x, P, F, Q and R"
-    if hasattr(model, "points_fn") or hasattr(model, "sigmas_f"):
-        return "export a RobustExtendedKalmanFilter, or a RobustKalmanFilter with the F and H of a working point"
-    if all(hasattr(model, matrix) for matrix in "FHQR"):
-        return (
-            "export a RobustKalmanFilter with the same x, P, F, H, Q, R and B; with influence=Linear() it is the plain "
-            "Kalman filter"
-        )
-    if isinstance(model, Model):
-        return "export a tracker that goes on from it, ParameterTracker(model)"
-    if hasattr(model, "tracker"):
-        return "export a tracker of it, model.tracker(..)"
-    return "export a RobustKalmanFilter with constant matrices in its place"
+    linear = "export a RobustKalmanFilter with the same x, P, F, H, Q, R and B; with influence=Linear() it is the "
+    curved = "export a RobustExtendedKalmanFilter, or a RobustKalmanFilter with the F and H of a working point"
+    remedies = (
+        (isinstance(model, type), "pass an instance of it"),
+        (hasattr(model, "filters"), "export each of its filters"),
+        (isinstance(model, ParameterTracker), "a subclass may do anything: pass the tracker that it is made of"),
+        (isinstance(model, RobustExtendedKalmanFilter),
+         "a subclass may override predict_x alone: its update or predict is not the C's"),
+        (isinstance(model, ExtendedKalmanFilter), "export a RobustExtendedKalmanFilter with the same x, P, F, Q and R"),
+        (hasattr(model, "points_fn") or hasattr(model, "sigmas_f"), curved),
+        (all(hasattr(model, matrix) for matrix in "FHQR"), f"{linear}plain Kalman filter"),
+        (isinstance(model, Model), "export a tracker that goes on from it, ParameterTracker(model)"),
+        (hasattr(model, "tracker"), "export a tracker of it, model.tracker(..)"),
+        (True, "export a RobustKalmanFilter with constant matrices in its place"),
+    )  # fmt: skip
+    return next(words for applies, words in remedies if applies)

@@ -72,13 +72,9 @@ class Interval(NamedTuple):
 
 
 def bootstrap_interval(
-    samples: ArrayLike | tuple[ArrayLike, ...],
-    statistic: str | Callable[..., Any] = "mean",
-    level: float = 0.95,
-    rng: int | Generator | None = None,
-    n_resamples: int = 9999,
-    method: str = "BCa",
-) -> Interval:
+    samples: ArrayLike | tuple[ArrayLike, ...], statistic: str | Callable[..., Any] = "mean", level: float = 0.95,
+    rng: int | Generator | None = None, n_resamples: int = 9999, method: str = "BCa",
+) -> Interval:  # fmt: skip
     """Find a confidence interval by resampling whole runs (`scipy.stats.bootstrap`).
 
     Parameters
@@ -123,11 +119,10 @@ def bootstrap_interval(
     """
     from scipy import stats
 
-    named = ("mean", "median", "rms", "ratio")
-    function = _statistic(statistic, named)
+    function = _statistic(statistic)
     given = samples if isinstance(samples, tuple) else (samples,)
     arrays = _same_runs(given, [f"samples[{i}]" for i in range(len(given))])
-    if statistic in named and len(arrays) != (2 if statistic == "ratio" else 1):
+    if not callable(statistic) and len(arrays) != (2 if statistic == "ratio" else 1):
         wanted = "a tuple of two arrays" if statistic == "ratio" else "one array"
         raise ValueError(
             f"samples: expected {wanted} for statistic={statistic!r}, got {len(arrays)}; "
@@ -148,16 +143,9 @@ def bootstrap_interval(
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
         warnings.filterwarnings("ignore", category=stats.DegenerateDataWarning)
         interval = stats.bootstrap(
-            arrays,
-            function,
-            paired=True,
-            axis=0,
-            confidence_level=level,
-            n_resamples=n_resamples,
-            batch=batch,
-            method=method,
-            **{source: default_rng(rng)},
-        )
+            arrays, function, paired=True, axis=0, confidence_level=level, n_resamples=n_resamples, batch=batch,
+            method=method, **{source: default_rng(rng)},
+        )  # fmt: skip
         estimate = np.asarray(_apply(function, arrays))
     low, high = (np.array(end, dtype=float) for end in interval.confidence_interval)
     constant = interval.standard_error == 0
@@ -177,19 +165,15 @@ def _same_runs(values: Iterable[ArrayLike], names: Sequence[str]) -> tuple[NDArr
     return arrays
 
 
-def _statistic(statistic: str | Callable[..., Any], allowed: Sequence[str]) -> Callable[..., Any]:
+def _statistic(statistic: str | Callable[..., Any]) -> Callable[..., Any]:
     """Return the function of that name, or the caller's own."""
+    functions: dict[str, Any] = {"mean": np.mean, "median": np.median, "rms": _rms, "ratio": _ratio_of_means}
     if callable(statistic):
         return statistic
-    if statistic not in allowed:
-        raise ValueError(f"statistic: expected a callable or one of {', '.join(allowed)}, got {statistic!r}")
-    functions: dict[str, Callable[..., Any]] = {
-        "mean": np.mean,
-        "median": np.median,
-        "rms": _rms,
-        "ratio": _ratio_of_means,
-    }
-    return functions[statistic]
+    if statistic not in functions:
+        raise ValueError(f"statistic: expected a callable or one of {', '.join(functions)}, got {statistic!r}")
+    function: Callable[..., Any] = functions[statistic]
+    return function
 
 
 def _rms(samples: NDArray[np.float64], axis: int) -> Any:

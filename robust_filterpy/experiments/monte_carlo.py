@@ -258,11 +258,7 @@ class MonteCarloResult:
 
 
 def monte_carlo(
-    trial: Trial,
-    runs: int | Iterable[int],
-    seed: Seed = 0,
-    n_jobs: int | None = None,
-    progress: bool | None = None,
+    trial: Trial, runs: int | Iterable[int], seed: Seed = 0, n_jobs: int | None = None, progress: bool | None = None
 ) -> MonteCarloResult:
     """Run an experiment many times, each time with its own random numbers.
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy._documentation import SMALL, STOPPED, pointer
-from robust_filterpy._warning import RobustFilterWarning, warn, was_said
+from robust_filterpy._warning import SMALL, STOPPED, RobustFilterWarning, pointer, warn, was_said
 from robust_filterpy.correction.spread import FILLED, HELD
 from robust_filterpy.filters.policies import lags
 

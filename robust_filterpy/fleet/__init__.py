@@ -10,8 +10,8 @@
 """
 
 from robust_filterpy._lazy import elsewhere
+from robust_filterpy._state import pack, unpack
 from robust_filterpy.fleet.models import FilterModel, TrackerModel
-from robust_filterpy.fleet.packing import pack, unpack
 from robust_filterpy.fleet.states import States
 from robust_filterpy.fleet.table import filter_table, step, step_table
 

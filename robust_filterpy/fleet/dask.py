@@ -11,12 +11,7 @@ __all__ = ["filter_frame"]
 
 
 def filter_frame(
-    frame: Any,
-    model: Model,
-    *,
-    key: str = "device",
-    partitioned: bool = False,
-    npartitions: int | None = None,
+    frame: Any, model: Model, *, key: str = "device", partitioned: bool = False, npartitions: int | None = None
 ) -> Any:
     """Filter a Dask data frame of many keys, each from the model's start; `filter_table` on every partition.
 

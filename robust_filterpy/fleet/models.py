@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._state import LABEL, Shape, labelled
 from robust_filterpy.filters.states import GAPS, StateMixin, moved_shapes, settings_of
-from robust_filterpy.fleet import _filters, _trackers
-from robust_filterpy.fleet._filters import Work
+from robust_filterpy.fleet import _advancing
+from robust_filterpy.fleet._advancing import Plain, Work
 from robust_filterpy.fleet.states import FLEET, checked
 from robust_filterpy.fleet.timeline import POLICIES
 from robust_filterpy.identification.models.structures import Structure
@@ -33,7 +32,7 @@ Late: TypeAlias = Literal["refuse", "drop"]
 
 
 @dataclass(frozen=True, eq=False)
-class Model(ABC):
+class Model:
     """What `FilterModel` and `TrackerModel` share: where a sample's numbers stand, and when it came.
 
     Attributes
@@ -55,6 +54,17 @@ class Model(ABC):
         sample that comes later than that starts its key anew, and ``error`` says so. A state that holds no time does
         not expire. Default: for ever.
     """
+
+    #: Names of what it gives for each sample; number of measurements and of inputs; what its states belong to; entries
+    #: of a state that may hold NaN; at the start, their shapes, what makes the model this one, steps of many keys.
+    columns: ClassVar[Any]
+    widths: ClassVar[Any]
+    kind: ClassVar[Any]
+    gaps: ClassVar[Any]
+    start: ClassVar[Any]
+    _shapes: ClassVar[Any]
+    _said: ClassVar[Any]
+    advance: ClassVar[Any]
 
     measurements: tuple[str, ...] | None = field(default=None, kw_only=True)
     inputs: tuple[str, ...] | None = field(default=None, kw_only=True)
@@ -85,48 +95,6 @@ class Model(ABC):
             raise ValueError(
                 f"expires: expected more than dt={self.dt:g}, got {self.expires:g}; every sample would start anew"
             )
-
-    @property
-    @abstractmethod
-    def columns(self) -> tuple[str, ...]:
-        """Names of what it gives for each sample."""
-
-    @property
-    @abstractmethod
-    def widths(self) -> tuple[int, int]:
-        """Number of measurements and of inputs."""
-
-    @property
-    @abstractmethod
-    def kind(self) -> str:
-        """What its states belong to."""
-
-    @property
-    @abstractmethod
-    def gaps(self) -> tuple[str, ...]:
-        """Entries of a state that may hold NaN."""
-
-    @abstractmethod
-    def start(self) -> dict[str, Array]:
-        """Return the entries of a state at the start."""
-
-    @abstractmethod
-    def _shapes(self) -> dict[str, Shape]:
-        """Return the shapes of these."""
-
-    @abstractmethod
-    def _said(self) -> Iterator[tuple[str, Any]]:
-        """Yield what makes the model this one."""
-
-    @abstractmethod
-    def advance(self, work: Work) -> None:
-        """Take the steps of many keys; one that is refused does not stop the others.
-
-        Parameters
-        ----------
-        work : Work
-            States and samples, written into.
-        """
 
     @cached_property
     def shapes(self) -> dict[str, Shape]:
@@ -246,7 +214,7 @@ class FilterModel(Model):
             )
         object.__setattr__(self, "filter", copy.deepcopy(self.filter))
         object.__setattr__(self, "update", dict(self.update))
-        _filters.require_consistent(self.filter, self.update)
+        _advancing.require_consistent(self.filter, self.update)
         if self.measurements is not None and len(self.measurements) != self.filter.dim_z:
             raise ValueError(
                 f"measurements: expected {self.filter.dim_z} column(s) for dim_z={self.filter.dim_z}, got "
@@ -291,7 +259,7 @@ class FilterModel(Model):
         -------
         dict of str to ndarray
         """
-        return _filters.start(self.filter)
+        return _advancing.start_of_filter(self.filter)
 
     def _shapes(self) -> dict[str, Shape]:
         """Return the shapes of these."""
@@ -314,12 +282,12 @@ class FilterModel(Model):
         work : Work
             States and samples, written into.
         """
-        _filters.advance(self.filter, self.update, self._plain, work)
+        _advancing.advance_filters(self.filter, self.update, self._plain, work)
 
     @cached_property
-    def _plain(self) -> _filters.Plain | None:
+    def _plain(self) -> Plain | None:
         """What the kernel needs, None if it does not serve."""
-        return _filters.plain(self.filter, self.update)
+        return _advancing.plain(self.filter, self.update)
 
 
 # What a correction shows, among what a filter calls its settings.
@@ -404,11 +372,11 @@ class TrackerModel(Model):
         -------
         dict of str to ndarray
         """
-        return _trackers.start(self._tracker)
+        return _advancing.start_of_tracker(self._tracker)
 
     def _shapes(self) -> dict[str, Shape]:
         """Return the shapes of these."""
-        return _trackers.shapes(self._tracker)
+        return _advancing.shapes_of_tracker(self._tracker)
 
     @cached_property
     def _tracker(self) -> ParameterTracker:
@@ -428,7 +396,7 @@ class TrackerModel(Model):
         work : Work
             States and samples, written into.
         """
-        _trackers.advance(self.template(), work)
+        _advancing.advance_trackers(self.template(), work)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return plain attributes: a read-only view has no pickle."""

@@ -18,6 +18,7 @@ from robust_filterpy._checks import Array
 
 #: What is wrong with some of the rows.
 Reasons: TypeAlias = dict[int, str]
+Columns: TypeAlias = Sequence[tuple[str, np.ndarray]]
 
 #: Whose a row is that says nobody's name.
 NOBODY = object()
@@ -56,12 +57,24 @@ def read_array(batch: Any, model: Any) -> Rows:
         raise ValueError(
             f"batch: expected shape (samples, {' or '.join(map(str, widths))}), {what} in a row, got {values.shape}"
         )
-    times = seconds(values[:, 0], said) if timed else None
-    z = measured([("z" if m == 1 else f"z{i}", values[:, timed + i]) for i in range(m)], len(values), said)
+    z = [("z" if m == 1 else f"z{i}", values[:, timed + i]) for i in range(m)]
     given = range(timed + m, values.shape[1])
-    u = inputs([("u" if p == 1 else f"u{i}", values[:, j]) for i, j in enumerate(given)], said) if given else None
-    instants = times is not None and _are_instants(values[:, 0])
-    return Rows(None, times, z, u, said, lambda rows, columns: columns, instants)
+    u = [("u" if p == 1 else f"u{i}", values[:, j]) for i, j in enumerate(given)]
+    return _rows(len(values), None, values[:, 0] if timed else None, z, u, said, lambda rows, columns: columns)
+
+
+def _rows(
+    n: int, keys: Sequence[Any] | None, stamps: np.ndarray | None, measured: Columns, inputs: Columns, said: Reasons,
+    like: Callable[[np.ndarray, dict[str, Any]], Any],
+) -> Rows:  # fmt: skip
+    """Return samples of columns with their names; what is no number is named."""
+    times = None if stamps is None else seconds(stamps, said)
+    z = [_column(name, values, said, "a finite number or NaN (missing)", True) for name, values in measured]
+    what = "a finite number, since an input cannot be missing; the one before it is held"
+    u = [_column(name, values, said, what, False) for name, values in inputs]
+    instants = stamps is not None and _are_instants(stamps)
+    z_rows = np.column_stack(z) if z else np.empty((n, 0))
+    return Rows(keys, times, z_rows, np.column_stack(u) if u else None, said, like, instants)
 
 
 def _as_array(batch: Any, widths: list[int]) -> tuple[np.ndarray, Reasons]:
@@ -106,9 +119,7 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
     said: Reasons = {}
     keys = None if key is None else _keys(key, frame[key], said)
     stamps = None if model.time is None else _stamps.as_numpy(frame[model.time])
-    times = None if stamps is None else seconds(stamps, said)
-    z = measured([(name, frame[name].to_numpy()) for name in chosen], len(frame), said)
-    u = inputs([(name, frame[name].to_numpy()) for name in given], said) if given else None
+    z, u = ([(name, frame[name].to_numpy()) for name in columns] for columns in (chosen, given))
     copied = [name for name in (key, model.time) if name is not None]
 
     def like(rows: np.ndarray, columns: dict[str, Any]) -> Any:
@@ -129,7 +140,7 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
             return back(output.with_columns(series))
         return back(nw.concat([one.to_frame() for one in series], how="horizontal"))
 
-    return Rows(keys, times, z, u, said, like, stamps is not None and _are_instants(stamps))
+    return _rows(len(frame), keys, stamps, z, u, said, like)
 
 
 def reasons(table: Any, key: str) -> tuple[list[tuple[Any, str]], list[Any]]:
@@ -174,18 +185,6 @@ def _are_instants(stamps: np.ndarray) -> bool:
     if stamps.dtype.kind not in "OUT":
         return stamps.dtype.kind == "M"
     return any(isinstance(stamp, (str, datetime, np.datetime64)) for stamp in stamps)
-
-
-def measured(columns: Sequence[tuple[str, np.ndarray]], n: int, said: Reasons) -> Array:
-    """Return measurements, shape (n, m), NaN where one is missing or is no number, which is named."""
-    numbers = [_column(name, values, said, "a finite number or NaN (missing)", True) for name, values in columns]
-    return np.column_stack(numbers) if numbers else np.empty((n, 0))
-
-
-def inputs(columns: Sequence[tuple[str, np.ndarray]], said: Reasons) -> Array:
-    """Return inputs, shape (n, p), NaN where one is no number, which is named."""
-    what = "a finite number, since an input cannot be missing; the one before it is held"
-    return np.column_stack([_column(name, values, said, what, False) for name, values in columns])
 
 
 def _column(name: str, values: np.ndarray, said: Reasons, what: str, gaps: bool) -> Array:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from robust_filterpy import _checks
+from robust_filterpy._state import pack, unpack
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.packing import pack, unpack
 from robust_filterpy.fleet.table import filter_table, step
 
 __all__ = ["filter_frame", "step_stream"]
@@ -17,13 +17,7 @@ _STATE = "state binary"
 _PROVIDER = "spark.sql.streaming.stateStore.providerClass"
 
 
-def filter_frame(
-    frame: Any,
-    model: Model,
-    *,
-    key: str = "device",
-    groups: int | None = None,
-) -> Any:
+def filter_frame(frame: Any, model: Model, *, key: str = "device", groups: int | None = None) -> Any:
     """Filter a Spark data frame of many keys, each from the model's start, by ``applyInPandas``.
 
     Parameters
@@ -64,13 +58,7 @@ def filter_frame(
     return frame.groupBy(of_key).applyInPandas(advance, _schema(frame, model, key))
 
 
-def step_stream(
-    frame: Any,
-    model: Model,
-    *,
-    key: str = "device",
-    forget_after: float | None = None,
-) -> Any:
+def step_stream(frame: Any, model: Model, *, key: str = "device", forget_after: float | None = None) -> Any:
     """Take the samples of a streaming data frame as they come, by ``applyInPandasWithState``.
 
     Parameters

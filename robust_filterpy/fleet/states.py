@@ -47,11 +47,7 @@ class States(Mapping[Any, dict[str, Array]]):
     """
 
     def __init__(
-        self,
-        label: Array,
-        keys: Sequence[Any],
-        columns: Mapping[str, np.ndarray],
-        odd: Mapping[Any, Any] | None = None,
+        self, label: Array, keys: Sequence[Any], columns: Mapping[str, np.ndarray], odd: Mapping[Any, Any] | None = None
     ) -> None:
         """Keep the columns."""
         self.label, self.keys_of_rows, self.columns = label, keys, dict(columns)
@@ -279,13 +275,10 @@ def checked(state: Any, model: Model) -> dict[str, Array]:
                 return {**unknown, **quick}
     needed = {name: shape for name, shape in shapes.items() if name not in FLEET and name not in unknown}
     optional = {name: shape for name, shape in shapes.items() if name not in needed}
-    entries = {**unknown, **_state.checked(state, model.kind, _as_vector(needed), optional, model.gaps)}
+    # x may come as a vector or as a column.
+    vectors = {name: shape[:1] if name == "x" else shape for name, shape in needed.items()}
+    entries = {**unknown, **_state.checked(state, model.kind, vectors, optional, model.gaps)}
     return {name: value if None in shapes[name] else value.reshape(shapes[name]) for name, value in entries.items()}
-
-
-def _as_vector(shapes: Mapping[str, _state.Shape]) -> dict[str, _state.Shape]:
-    """Return shapes with that of x as a vector, which may come as a column too."""
-    return {name: shape[:1] if name == "x" else shape for name, shape in shapes.items()}
 
 
 def _ragged(column: Any, width: list[int]) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
-from robust_filterpy.fleet._filters import Work
+from robust_filterpy.fleet._advancing import Work
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.reading import Reasons, Rows, say
 from robust_filterpy.fleet.states import checked
@@ -138,7 +138,7 @@ def _advanced(
     if line.milliseconds:
         warn(
             f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "
-            f"as a rule, divide them by 1000",
+            f"as a rule, divide them by 1000"
         )
     batch = Batch(rows, order, starts, of, model.late == "drop", clocks, line)
     work, at, held = _steps(model, entries, batch, z, u)

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._checks import shown
-from robust_filterpy.fleet._filters import REFUSED
+from robust_filterpy._state import pack, unpack
+from robust_filterpy.fleet._advancing import REFUSED
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.packing import pack, unpack
 from robust_filterpy.fleet.table import step
 
 __all__ = ["StreamStep"]

@@ -15,7 +15,7 @@ from robust_filterpy._warning import warn
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.reading import NOBODY, Rows, read_array, read_table, reasons, say
 from robust_filterpy.fleet.states import States, taken
-from robust_filterpy.fleet.stepping import advance, owned, started
+from robust_filterpy.fleet.stepping import Outcome, advance, owned, started
 from robust_filterpy.fleet.timeline import grouped, strays
 from robust_filterpy.fusion import Fusion
 
@@ -28,13 +28,7 @@ class _Keys(NamedTuple):
     starts: np.ndarray
 
 
-def filter_table(
-    model: Model,
-    table: Any,
-    *,
-    key: str = "device",
-    sort: bool = True,
-) -> Any:
+def filter_table(model: Model, table: Any, *, key: str = "device", sort: bool = True) -> Any:
     """Filter a table of many keys, each from the model's start.
 
     Parameters
@@ -186,13 +180,10 @@ def step(
     if 0 in outcome.refused:
         raise _state.StateError(outcome.refused[0])
     after = States(model.label, [], outcome.entries).row(0) if outcome.moved[0] else None
-    columns = {name: outcome.columns[outcome.retained, j] for j, name in enumerate(model.columns)}
-    return after, rows.like(outcome.retained, {**columns, "error": outcome.errors})
+    return after, _output(model, rows, outcome)
 
 
-def step_table(
-    model: Model, states: Any, table: Any, *, key: str = "device", sort: bool = False
-) -> tuple[States, Any]:
+def step_table(model: Model, states: Any, table: Any, *, key: str = "device", sort: bool = False) -> tuple[States, Any]:
     """Do what ``step(model, states, table, key=key, sort=sort)`` does, for one release.
 
     Parameters
@@ -239,12 +230,15 @@ def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: b
         names, places = [names[i] for i in moved.tolist()], places[moved]
         entries = {name: column[moved] for name, column in entries.items()}
     after = before.updated(names, places, entries)
+    return after, _output(model, rows, outcome)
+
+
+def _output(model: Model, rows: Rows, outcome: Outcome) -> Any:
+    """Return what the model gives for the rows that were taken, in the form of the batch."""
     every = len(outcome.retained) == len(rows.z)
-    columns = {
-        name: outcome.columns[:, j] if every else outcome.columns[outcome.retained, j]
-        for j, name in enumerate(model.columns)
-    }
-    return after, rows.like(outcome.retained, {**columns, "error": outcome.errors})
+    taken_columns = outcome.columns if every else outcome.columns[outcome.retained]
+    columns = {name: taken_columns[:, j] for j, name in enumerate(model.columns)}
+    return rows.like(outcome.retained, {**columns, "error": outcome.errors})
 
 
 def _out_of_order(times: np.ndarray, starts: np.ndarray) -> bool:

@@ -72,22 +72,20 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
     steps, ends = counts.copy(), starts[1:] - 1
     last[quick] = times[ends[quick]]
     at[quick], elsewhere[quick] = finals[quick], np.nan
-    late: dict[int, str] = {}
-    off: dict[int, str] = {}
-    followed: dict[int, str] = {}
+    said: tuple[dict[int, str], dict[int, str], dict[int, str]] = ({}, {}, {})
     milliseconds = False
     for i in np.flatnonzero(~quick).tolist():
-        line = _Line(Clocks(*(one[i] for one in clocks)), dt, instants)
+        line = _Line(Clocks(*(one[i] for one in clocks)), dt, instants, said)
         for row in range(starts[i], starts[i + 1]):
-            step[row] = line.place(float(times[row]), row, late, off)
+            step[row] = line.place(float(times[row]), row)
             if step[row] < 0:
-                step[row] = line.follow(float(times[row]), row, (late, off, followed))
+                step[row] = line.follow(float(times[row]), row)
             else:
                 line.elsewhere = _NOWHERE
         last[i], origin[i], at[i], elsewhere[i] = line.last, line.origin, line.step, line.elsewhere
         steps[i] = line.steps
         milliseconds |= line.milliseconds
-    return Placed(step, steps, Clocks(last, origin, at, elsewhere), late, off, followed, milliseconds)
+    return Placed(step, steps, Clocks(last, origin, at, elsewhere), *said, milliseconds)
 
 
 def _each_a_step(times: Array, starts: np.ndarray, clocks: Clocks, dt: float | None) -> tuple[np.ndarray, Array]:
@@ -127,32 +125,31 @@ def _as_instant(seconds: float) -> str:
 class _Line:
     """The samples of one key, one after the other."""
 
-    def __init__(self, stood: Clocks, dt: float | None, instants: bool) -> None:
+    def __init__(self, stood: Clocks, dt: float | None, instants: bool, said: tuple[dict[int, str], ...]) -> None:
         """Begin where the last sample stands."""
         self.shown = _as_instant if instants else "{:.15g}".format
         self.last, self.origin, self.step = (float(one) for one in stood[:3])
         self.elsewhere, self.dt, self.steps = tuple(stood.elsewhere.tolist()), dt, 0
-        self.milliseconds = False
+        self.milliseconds, (self.late, self.off, self.followed) = False, said
 
-    def place(self, time: float, row: int, late: dict[int, str], off: dict[int, str]) -> int:
+    def place(self, time: float, row: int) -> int:
         """Return which step a sample is, -1 if it is none, which is noted."""
         if time != time:
             return -1
         if time <= self.last:
             what = "a duplicate" if time == self.last else "late"
             last, got = self.shown(self.last), self.shown(time)
-            late[row] = f"time: expected a sample later than the one at {last}, got {got}, {what}"
+            self.late[row] = f"time: expected a sample later than the one at {last}, got {got}, {what}"
             return -1
         if self.dt is None:
             self.last, self.steps = time, self.steps + 1
             return self.steps - 1
         if self.last != self.last:
             self.origin, self.step = time, -1.0
-        return self._on_grid(time, row, self.dt, late, off)
+        return self._on_grid(time, row, self.dt)
 
-    def follow(self, time: float, row: int, said: tuple[dict[int, str], dict[int, str], dict[int, str]]) -> int:
+    def follow(self, time: float, row: int) -> int:
         """Return which step a sample is that was refused, -1 if it is none; a clock that was set is followed."""
-        late, off, followed = said
         apart = np.inf if self.dt is None else _LONGEST * self.dt
         if not (time < self.last or time - self.last > apart):
             return -1
@@ -160,36 +157,36 @@ class _Line:
         self.elsewhere = time, count + 1.0 if 0.0 < time - before <= apart else 1.0
         if self.elsewhere[1] < (_FOLLOWED_NEAR if abs(time - self.last) <= apart else _FOLLOWED_FAR):
             return -1
-        late.pop(row, None)
-        off.pop(row, None)
-        old, new = self.shown(self.last), self.shown(time)
-        followed[row] = f"time: expected one after {old}, got {new}; the clock was set, and is followed from here on"
+        self.late.pop(row, None)
+        self.off.pop(row, None)
+        expected = f"time: expected one after {self.shown(self.last)}, got {self.shown(time)}"
+        self.followed[row] = f"{expected}; the clock was set, and is followed from here on"
         self.last, self.elsewhere, self.steps = time, _NOWHERE, self.steps + 1
         if self.dt is not None:
             self.origin, self.step = time, 0.0
         return self.steps - 1
 
-    def _on_grid(self, time: float, row: int, dt: float, late: dict[int, str], off: dict[int, str]) -> int:
+    def _on_grid(self, time: float, row: int, dt: float) -> int:
         """Return which step of the grid a sample is."""
         place = (time - self.origin) / dt
         if not abs(place) < 1e15:
-            off[row] = f"time: expected a time that {dt:g} s is a step of, got {self.shown(time)}"
+            self.off[row] = f"time: expected a time that {dt:g} s is a step of, got {self.shown(time)}"
             return -1
         near = float(np.rint(place))
         apart, ahead = place - near, near - self.step
         if abs(apart) > JITTER:
-            off[row] = (
+            self.off[row] = (
                 f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through "
                 f"{self.shown(self.origin)}, got {self.shown(time)}, {abs(apart):.2f} of it away"
             )
             return -1
         if ahead < 1.0:
             got = self.shown(time)
-            late[row] = f"time: expected one sample a step of dt={dt:g} s, got {got}, too early for the next"
+            self.late[row] = f"time: expected one sample a step of dt={dt:g} s, got {got}, too early for the next"
             return -1
         self.milliseconds |= ahead >= 900.0 and abs(time) > _MILLISECONDS
         if ahead > _LONGEST:
-            off[row] = (
+            self.off[row] = (
                 f"time: expected gaps of at most {_LONGEST} steps of dt={dt:g} s, got {ahead:.6g}; start anew with "
                 f"state None"
             )
@@ -201,8 +198,7 @@ class _Line:
 
 
 def strays(times: Array, starts: np.ndarray, dt: float) -> np.ndarray:
-    """Return which samples, in the order of their times, lie so far before all others of their key that they are none.
-    """
+    """Return which samples, in the order of their times, lie so far before all others of their key that none are."""
     after = np.flatnonzero(np.diff(times) > _LONGEST * dt) + 1
     begins = starts[np.searchsorted(starts, after, side="right") - 1]
     ends = starts[np.searchsorted(starts, after, side="right")]

@@ -1,4 +1,15 @@
-"""One step of a fusion as a pure function: what happens between two stamps, and at the second of them."""
+"""One step of a fusion as a pure function: what happens between two stamps, and at the second of them.
+
+A filter's policy predicts and corrects, here as functions from state to state.
+
+All sensors' measurements are one vector in which whoever has not spoken is missing: what is learned has a row for each
+component, so every sensor has a noise, or a typical innovation, of its own.
+
+How noisy a sensor is whose R nobody gave its first readings say, and serve for nothing else: three in a row are
+compared with a straight line in time, the middle one is off by e with variance R (1 + (a^2 + b^2)/(a + b)^2), a and b
+the times between them. Five such e, from seven readings, give R to begin with; from then on it is learned. The state
+plays no part, so it does not matter how uncertain it is.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +17,143 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robust_filterpy._arrays import require_finite_prediction
 from robust_filterpy._checks import Array
-from robust_filterpy.fusion._policies import Policy, State, compared, predicted, series, start, weighed
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales, noise_policy, process_policy
+from robust_filterpy.filters.driver import run
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.policies import Policy
 from robust_filterpy.fusion._watch import Looked, coasted, fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.sensors import Layout
+from robust_filterpy.influence.functions import Influence
+from robust_filterpy.kernel.series import Kept
 
-__all__ = ["FAR", "Moment", "Setup", "advanced", "aged", "begun", "covariance", "moved"]
+# Columns of what is remembered of a component: its age, the last reading, the time before it, the one before that, how
+# many there were, then squares.
+_AGE, _LAST, _GAP, _BEFORE, _COUNT, _SQUARES = 0, 1, 2, 3, 4, 5
+# So many squares are needed; the median of a squared normal number is .455.
+_NEEDED, _MEDIAN = 5, 0.4549
+#: Length of what is remembered, for each component.
+TRIAL = _SQUARES + _NEEDED
+
+
+def compared(trial: Array, sizes: Array, seconds: float, values: Array) -> tuple[Array, Array]:
+    """Return what is remembered after another moment, and the variances that are estimated by now."""
+    unknown = np.isnan(sizes)
+    if not unknown.any():
+        return trial, sizes
+    trial, sizes = trial.copy(), sizes.copy()
+    trial[unknown, _AGE] += seconds
+    for i in np.flatnonzero(unknown & ~np.isnan(values)):
+        row, z = trial[i], values[i]
+        count, a, b = int(row[_COUNT]), row[_GAP], row[_AGE]
+        if count >= 2:
+            with np.errstate(over="ignore"):
+                e = row[_LAST] - (row[_BEFORE] * b + z * a) / (a + b)
+                square = min(e * e / (1.0 + (a * a + b * b) / (a + b) ** 2), 1e300)
+            row[_SQUARES:] = np.append(row[_SQUARES + 1 :], square)
+        row[_BEFORE], row[_GAP], row[_LAST], row[_AGE], row[_COUNT] = row[_LAST], b, z, 0.0, count + 1
+        # A sensor that repeats itself to the last digit has not shown it yet.
+        if count + 1 >= _NEEDED + 2 and row[_SQUARES:].any():
+            median = float(np.median(row[_SQUARES:])) / _MEDIAN
+            sizes[i] = median if median > 0.0 else float(row[_SQUARES:].mean())
+    return trial, sizes
+
+
+class State(NamedTuple):
+    """A filter between two moments; nothing in here is ever written to."""
+
+    x: Array
+    """Mean of all models, (n,)."""
+    P: Array
+    """Its covariance, (n, n)."""
+    memory: Array
+    """What was learned of each component's noise, (M, ..)."""
+    kept: Any
+    """What the policy keeps besides."""
+    sizes: Array
+    """Variance that stands for R where nobody gave it, NaN until it is estimated, 1 elsewhere, (M,)."""
+    u: Array
+    """Control input in force, (dim_u,)."""
+    trial: Array
+    """First readings where nobody gave R, (M, ..)."""
+
+
+def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | None) -> Policy:
+    """Return what predicts and corrects, as `Fusion` is asked for it, or raise if a sensor's R is to be given."""
+    noise, process = noise_policy(noise), process_policy(process)
+    if influence is None:
+        if isinstance(noise, Contaminated):
+            _require_told(layout, "noise that is given")
+        # All sensors stand in one vector, in which each fails on its own, or a group together.
+        noise, process = Learnt() if noise is None else noise, Scales() if process is None else process
+        return RobustKalmanFilter(1, 1, noise=noise, process=process, grouping=layout.grouping).policy
+    if noise is not None or process is not None:
+        raise ValueError("influence: expected neither noise nor process with it")
+    _require_told(layout, "influence")
+    return RobustKalmanFilter(1, 1, influence=influence, scaling="innovation", grouping=layout.grouping).policy
+
+
+def _require_told(layout: Layout, why: str) -> None:
+    """Raise if the size of a noise is neither given nor learned."""
+    for name, sensor in layout.sensors.items():
+        if sensor.R is None:
+            raise ValueError(f"sensor {name!r}: expected R, since with {why} nobody learns it")
+
+
+def start(policy: Policy, x: Array, P: Array, sizes: Array, u: Array) -> State:
+    """Return the state before anything has happened."""
+    M = len(sizes)
+    return State(x, P, policy.begin(M), policy.start(x, P, M), sizes, u, np.zeros((M, TRIAL)))
+
+
+def arrays(policy: Policy, state: State) -> tuple[Array, ...]:
+    """Return a state as arrays: the models, their probabilities, memory, x, P, sizes, u, trial."""
+    hypotheses = policy.current(state.kept, state.x, state.P)[:3]
+    return (*hypotheses, state.memory, state.x, state.P, state.sizes, state.u, state.trial)
+
+
+def of_arrays(policy: Policy, parts: Any) -> State:
+    """Return the state that `arrays` has taken apart, or raise if the probabilities are none."""
+    means, covariances, belief, memory, x, P, sizes, u, trial = parts
+    hypotheses = policy.resumed({"means": means, "covariances": covariances, "belief": belief}, x, P)
+    return State(x, P, memory, hypotheses, sizes, u, trial)
+
+
+def predicted(policy: Policy, state: State, F: Array, Q: Array, drift: Array) -> State:
+    """Return the state after a stretch of time."""
+    x, P, hypotheses = policy.predicted(state.kept, state.x, state.P, F, Q, drift, 1.0)
+    require_finite_prediction(x, P)
+    return State(x, P, state.memory, hypotheses, *state[4:])
+
+
+def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
+    """Return the state after the readings of one moment, and their weights; learns: of whom noise is learned."""
+    seen = ~np.isnan(z)
+    if not seen.any():
+        return state, np.full(len(z), np.nan)
+    estimate, hypotheses = policy.corrected(state, state.x, state.P, z, H, R, None, None)
+    memory = estimate.memory
+    if memory is None:
+        memory = state.memory
+    elif learns is not True or policy.noise is None:
+        keeps = np.broadcast_to(learns, len(z)) & (seen | (policy.noise is not None))
+        memory = np.where(keeps[:, None], memory, state.memory)
+    return State(estimate.x, estimate.P, memory, hypotheses, *state[4:]), estimate.weights
+
+
+def series(
+    policy: Policy, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array
+) -> tuple[Array, Array, Array, State]:
+    """Return x, P, weights of many steps, and the last state."""
+    N, n = len(zs), len(state.x)
+    xs, Ps, weights = np.empty((N, n)), np.empty((N, n, n)), np.empty(zs.shape)
+    stands = policy.standing(state.kept, state.x, state.P, state.memory)
+    run(policy, stands, zs, (F, Q, H, R, drift), Kept(xs, Ps.reshape(N, n * n), weights=weights), of="Fusion")
+    hypotheses = policy.kept_of(state.kept, stands)
+    return xs, Ps, weights, state._replace(x=stands.x, P=stands.P, memory=stands.learnt, kept=hypotheses)
+
 
 # What the first readings tell of a noise that nobody gave is worth so many samples.
 _UNTOLD = 2.0

@@ -12,12 +12,12 @@ from robust_filterpy._checks import Array
 from robust_filterpy._stamps import NANO, as_numpy
 from robust_filterpy._warning import warn
 from robust_filterpy.fusion._stepping import Setup
-from robust_filterpy.fusion.results import FusionWarning
+from robust_filterpy.fusion.sensors import FusionWarning
 
-__all__ = ["Clock", "Rows", "read", "table_columns", "written"]
 
 class Clock:
     """Turn stamps into keys that can be compared, keys into seconds between them, and keys into stamps again."""
+
     # A number is its own key; an instant's key is an integer, the nanoseconds since 1970: a float of seconds since then
     # would be known to a quarter of a microsecond. The first stamp decides which.
 

@@ -31,11 +31,6 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = [
-    "FAULTS", "SLOW", "Looked", "Watch", "alarmed", "begun_anew", "cleared", "coasted", "fresh", "looked_at",
-    "recovered", "suspected", "worths",
-]  # fmt: skip
-
 #: What can be the matter with a sensor, by number: 0 is nothing, 1 something that is not decided yet.
 FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
 
@@ -144,7 +139,7 @@ class Looked(NamedTuple):
     """How much each was believed, NaN where it was not used, (M,)."""
     policy: Any
     state: Any
-    """Before it (`_policies.State`)."""
+    """Before it (`_stepping.State`)."""
 
 
 def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
@@ -276,8 +271,7 @@ def suspected(watch: Watch, followed: np.ndarray, owner: np.ndarray) -> np.ndarr
 
 
 def begun_anew(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
-    """Return that nothing has been seen of lasting faults, since the state is another one, nor of some sensors' noise.
-    """
+    """Return that nothing has been seen of lasting faults, since the state is another, nor of some sensors' noise."""
     statistics, age = watch.statistics.copy(), watch.age * [[1.0], [0.0]]
     sums = slice(_CLASSES + (statistics.shape[1] - _CLASSES) // 2, None)
     statistics[sensors[owner], _NOISE], statistics[sensors[owner], sums] = 0.0, 0.0

@@ -16,18 +16,14 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
-from robust_filterpy.fusion import _keeping
-from robust_filterpy.fusion._delays import found_delays
-from robust_filterpy.fusion._forecasting import forecast
-from robust_filterpy.fusion._policies import policy_of
-from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved
+from robust_filterpy.fusion._stepping import Moment, Setup, begun, moved, policy_of
 from robust_filterpy.fusion._table import Clock, read, table_columns
-from robust_filterpy.fusion._timeline import Timeline
+from robust_filterpy.fusion._timeline import Timeline, restored, state_of
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.reacquisition import Reacquisition
-from robust_filterpy.fusion.recording import Recording, fused
-from robust_filterpy.fusion.results import Estimate, Forecast, FusionWarning, SensorNoise
-from robust_filterpy.fusion.sensors import OFTEN, Layout, Sensor
+from robust_filterpy.fusion.recording import Recording, found_delays, fused
+from robust_filterpy.fusion.results import Estimate, Forecast, SensorNoise, forecast
+from robust_filterpy.fusion.sensors import OFTEN, FusionWarning, Layout, Sensor
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, of_all, silent, words
 from robust_filterpy.influence.functions import Influence
 
@@ -108,20 +104,11 @@ class Fusion:
     """
 
     def __init__(
-        self,
-        motion: Motion,
-        sensors: Mapping[str, Sensor],
-        window: float,
-        *,
-        x0: ArrayLike | None = None,
-        P0: ArrayLike | None = None,
-        t0: Any = None,
-        noise: Contaminated | Learnt | str | None = None,
-        process: Scales | Contaminated | str | None = None,
-        influence: Influence | None = None,
-        watch: bool = False,
+        self, motion: Motion, sensors: Mapping[str, Sensor], window: float, *, x0: ArrayLike | None = None,
+        P0: ArrayLike | None = None, t0: Any = None, noise: Contaminated | Learnt | str | None = None,
+        process: Scales | Contaminated | str | None = None, influence: Influence | None = None, watch: bool = False,
         reacquire: Reacquisition | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Check everything and start with nothing read."""
         if not isinstance(motion, Motion):
             raise TypeError(f"motion: expected one of constant_velocity(..), .., got {_checks.shown(motion)}")
@@ -427,15 +414,9 @@ class Fusion:
         return forecast(self._timeline, self._clock, moment.state, at, times, level)
 
     def run(
-        self,
-        table: Any,
-        *,
-        time: str = "time",
-        sensor: str = "sensor",
-        value: Any = "value",
-        controls: tuple[Any, Any] | None = None,
-        smoothed: bool = False,
-    ) -> Recording:
+        self, table: Any, *, time: str = "time", sensor: str = "sensor", value: Any = "value",
+        controls: tuple[Any, Any] | None = None, smoothed: bool = False,
+    ) -> Recording:  # fmt: skip
         """Return the states of a whole recording, from the start that this fusion was made with; it stays as it is.
 
         Parameters
@@ -567,13 +548,7 @@ class Fusion:
         return "\n".join(lines + ([] if verdicts["motion"].since is None else [words("motion:", verdicts["motion"])]))
 
     def step(
-        self,
-        state: Any,
-        table: Any,
-        *,
-        time: str = "time",
-        sensor: str = "sensor",
-        value: Any = "value",
+        self, state: Any, table: Any, *, time: str = "time", sensor: str = "sensor", value: Any = "value"
     ) -> tuple[dict[str, Array], dict[str, np.ndarray]]:
         """Take what came of one key and change nothing: what `robust_filterpy.fleet.step` asks of a fusion.
 
@@ -627,7 +602,7 @@ class Fusion:
             The state before the oldest entry that is kept, and all entries after it; with ``watch=True`` what is
             thought of the sensors after each, too. Motion and sensors are not in it.
         """
-        return _keeping.state(self._timeline, self._clock, self._counts, OUTCOMES)
+        return state_of(self._timeline, self._clock, self._counts, OUTCOMES)
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this fusion, or of another one made like it, and go on the same to the last bit.
@@ -643,4 +618,4 @@ class Fusion:
             If an array is missing, does not fit or is not finite; nothing has changed then.
         """
         self._timeline.require_rest()
-        self._timeline, self._clock, self._counts = _keeping.restored(self._timeline, state, OUTCOMES)
+        self._timeline, self._clock, self._counts = restored(self._timeline, state, OUTCOMES)

@@ -61,15 +61,10 @@ class Motion:
     """
 
     def __init__(
-        self,
-        dim_x: int,
-        matrices: Callable[[float], tuple[Array, Array, Array]],
-        dim_u: int = 0,
-        function: Callable[..., Any] | None = None,
-        jacobian: Callable[..., Any] | None = None,
-        names: tuple[str, ...] | None = None,
-        together: Callable[[Array], tuple[Array, Array, Array]] | None = None,
-    ) -> None:
+        self, dim_x: int, matrices: Callable[[float], tuple[Array, Array, Array]], dim_u: int = 0,
+        function: Callable[..., Any] | None = None, jacobian: Callable[..., Any] | None = None,
+        names: tuple[str, ...] | None = None, together: Callable[[Array], tuple[Array, Array, Array]] | None = None,
+    ) -> None:  # fmt: skip
         """Keep what it is given."""
         self.dim_x, self.dim_u = _checks.count("dim_x", dim_x, 1), _checks.count("dim_u", dim_u)
         self.names = tuple(f"x{i}" for i in range(dim_x)) if names is None else tuple(names)
@@ -139,8 +134,8 @@ class Motion:
             return Moved(F, Q, B @ u)
         given = (x.copy(), dt, u.copy()) if self.dim_u else (x.copy(), dt)
         n = self.dim_x
-        to = _finite("f(x, dt)", self.function(*given), (n,))
-        F = _finite("jacobian(x, dt)", self.jacobian(*given), (n, n))
+        to = _checks.finite("f(x, dt)", self.function(*given), (n,))
+        F = _checks.finite("jacobian(x, dt)", self.jacobian(*given), (n, n))
         return Moved(F, Q, to - F @ x)
 
 
@@ -351,13 +346,3 @@ def _columns(name: str, value: ArrayLike, n: int) -> Array:
     if matrix.ndim != 2 or len(matrix) != n:
         raise ValueError(f"{name}: expected {n} rows, as A has, got {_checks.described(matrix)}")
     return matrix
-
-
-def _finite(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Return what a user's function returned, or raise."""
-    array = _checks.numbers(name, value)
-    if array.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape}, got {_checks.described(array)}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {array}")
-    return array

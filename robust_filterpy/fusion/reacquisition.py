@@ -38,11 +38,8 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.hypotheses import corrected, moved
-from robust_filterpy.fusion._policies import State
-from robust_filterpy.fusion._stepping import FAR, Moment, Setup, advanced, covariance
+from robust_filterpy.fusion._stepping import FAR, Moment, Setup, State, advanced, covariance
 from robust_filterpy.fusion._watch import begun_anew
-
-__all__ = ["JUMPED", "OVER", "Doubt", "Reacquisition", "doubted", "opened", "stepped"]
 
 # Places of hypotheses: those with another sensor off follow.
 _STILL, OVER, JUMPED = 1, 2, 3

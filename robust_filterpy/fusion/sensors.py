@@ -13,13 +13,18 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import RobustFilterWarning
 
-__all__ = ["OFTEN", "Layout", "Sensor", "angle"]
+__all__ = ["OFTEN", "FusionWarning", "Layout", "Sensor", "angle"]
 
 #: Readings from which it is no accident that the sensors of a group never have the same stamp.
 OFTEN = 50
 # Seconds of delay by which the earliest instant still is one.
 _LATEST = 100 * 86400.0
+
+
+class FusionWarning(RobustFilterWarning):
+    """Say what a fusion cannot use, or whom it does not believe."""
 
 
 def angle(z: ArrayLike, predicted: ArrayLike) -> Array:
@@ -96,9 +101,7 @@ class Sensor:
     every: float | None = None
     group: str | None = None
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
     def __post_init__(self) -> None:
         """Check what does not depend on the state."""
@@ -255,19 +258,11 @@ def _grouping(sensors: dict[str, Sensor], party: np.ndarray) -> Any:
 def _compared(sensor: Sensor, x: Array, z: Array) -> tuple[Array, Array]:
     """Return z - h(x), NaN where z is missing, and the Jacobian of a sensor that is no matrix."""
     m, missing, z = sensor.dim_z, np.isnan(z), z.copy()
-    at = _returned("h", sensor.h(x.copy()), (m,))  # type: ignore[misc]
-    slope = _returned("jacobian", sensor.jacobian(x.copy()), (m, len(x)))  # type: ignore[misc]
+    at = _checks.finite("h", sensor.h(x.copy()), (m,), True)  # type: ignore[misc]
+    slope = _checks.finite("jacobian", sensor.jacobian(x.copy()), (m, len(x)), True)  # type: ignore[misc]
     # A residual is asked about whole readings: what is missing agrees.
     z[missing] = at[missing]
-    apart = z - at if sensor.residual is None else _returned("residual", sensor.residual(z, at.copy()), (m,))
+    apart = z - at
+    if sensor.residual is not None:
+        apart = _checks.finite("residual", sensor.residual(z, at.copy()), (m,), True)
     return np.where(missing, np.nan, apart), slope
-
-
-def _returned(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Return what a user's function returned, or raise."""
-    array = _checks.numbers(name, value)
-    if array.size == int(np.prod(shape)) and array.shape != shape:
-        array = array.reshape(shape)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {_checks.shown(value)}")
-    return array

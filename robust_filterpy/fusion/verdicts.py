@@ -276,7 +276,9 @@ def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
     if moment.watch is not None:
         for verdict, party in zip(_of_sensors(moment.watch), layout.parties, strict=True):
             verdicts.update({name: _shared(verdict, name, party) for name in party})
-        verdicts["motion"] = _of_motion(moment.watch)
+        if moment.watch.model_since is not None:
+            since = Clock.stamp(moment.watch.model_since)
+            verdicts["motion"] = described("model is wrong", since, moment.watch.model)
     return {**verdicts, **_of_doubt(layout.names, moment.doubt)}
 
 
@@ -309,10 +311,3 @@ def _of_sensors(watch: Watch) -> list[Verdict]:
             described(FAULTS[fault], since, float(watch.odds[s]), float(watch.size[s]) if sized else float("nan"))
         )
     return verdicts
-
-
-def _of_motion(watch: Watch) -> Verdict:
-    """Return the verdict about the model of the motion."""
-    if watch.model_since is None:
-        return described("healthy")
-    return described("model is wrong", Clock.stamp(watch.model_since), watch.model)

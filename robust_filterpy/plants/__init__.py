@@ -1,8 +1,7 @@
 """Plants to test estimators on, and what drives them: linear ones that may drift, inputs, a pneumatic servo.
 
-* `linear`: ARX and output-error data from a transfer function or from drifting parameters.
+* `linear`: ARX and output-error data from a transfer function or from drifting parameters; its orders.
 * `drift`: parameters on a random walk that stays stable.
-* `parameters`: what stands for a linear plant, and its orders.
 * `excitation`: inputs with a prescribed spectrum.
 * `servo`: the pneumatic servo of the paper's section 2.
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,13 +18,9 @@ THETA_BAR.setflags(write=False)
 
 
 def random_walk(
-    theta0: ArrayLike,
-    Q: ArrayLike,
-    n: int,
-    rng: np.random.Generator | int | None = None,
-    accept: Callable[[Array], bool] | None = None,
-    C: ArrayLike | None = None,
-) -> Array:
+    theta0: ArrayLike, Q: ArrayLike, n: int, rng: np.random.Generator | int | None = None,
+    accept: Callable[[Array], bool] | None = None, C: ArrayLike | None = None,
+) -> Array:  # fmt: skip
     """Let parameters drift: ``theta(k+1) = C theta(k) + w(k)``, w ~ N(0, Q), eqs (8)-(10).
 
     Parameters
@@ -127,24 +122,13 @@ def stable(na: int, radius: float = 1.0) -> Callable[[ArrayLike], bool]:
     >>> stable(2)([-1.5, 0.7, 1.0, 0.5]), stable(2)([-2.5, 1.0, 1.0, 0.5])
     (True, False)
     """
-    return _PolesInside(count("na", na), positive("radius", radius))
+    return partial(_has_poles_inside, count("na", na), positive("radius", radius))
 
 
-@dataclass(frozen=True)
-class _PolesInside:
+def _has_poles_inside(na: int, radius: float, theta: ArrayLike) -> bool:
     """Tell whether the first na entries of theta are the coefficients of a stable polynomial."""
-
-    na: int
-    radius: float
-
-    def __call__(self, theta: ArrayLike) -> bool:
-        """Judge one theta by its poles."""
-        theta = finite_vector("theta", theta)
-        if theta.size < self.na:
-            raise ValueError(f"theta: expected at least na={self.na} entries, got {theta.size}")
-        return is_stable((theta[: self.na] / self._powers).tolist())
-
-    @cached_property
-    def _powers(self) -> Array:
-        """What takes the circle to that of radius 1."""
-        return np.asarray(self.radius ** np.arange(1, self.na + 1), dtype=float)
+    theta = finite_vector("theta", theta)
+    if theta.size < na:
+        raise ValueError(f"theta: expected at least na={na} entries, got {theta.size}")
+    # The powers take the circle to that of radius 1.
+    return is_stable((theta[:na] / radius ** np.arange(1, na + 1)).tolist())

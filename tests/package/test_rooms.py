@@ -9,8 +9,8 @@ import robust_filterpy
 PACKAGE = Path(robust_filterpy.__file__).parent
 #: From the bottom of the house to its top: a room imports from those before it, and from itself.
 ROOMS = (
-    "_version", "_warning", "_brief", "_checks", "_fill_values", "_stamps", "_arrays", "_documentation", "_filterpy",
-    "_lazy", "_state", "_pictures", "_progress", "influence", "correction", "kernel", "filters", "smoothing",
+    "_version", "_warning", "_brief", "_checks", "_fill_values", "_stamps", "_arrays", "_filterpy",
+    "_lazy", "_state", "_progress", "influence", "correction", "kernel", "filters", "smoothing",
     "fusion", "noise", "diagnostics", "identification", "edge", "plants", "experiments", "testing", "fleet", "adapters",
     "plotting", "kalman", "common", "__init__", "__main__",
 )  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import robust_filterpy
-from robust_filterpy import RobustKalmanFilter, _documentation, diagnose
+from robust_filterpy import RobustKalmanFilter, _warning, diagnose
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -167,11 +167,11 @@ def test_notebooks_run_in_the_folder_of_the_examples(path, tmp_path, monkeypatch
 
 def test_messages_point_to_sections_that_the_page_has():
     text = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
-    assert text.startswith(f"# {_documentation.PAGE}\n")
-    for section in (_documentation.FOLLOWS, _documentation.STOPPED, _documentation.SMALL):
+    assert text.startswith(f"# {_warning.PAGE}\n")
+    for section in (_warning.FOLLOWS, _warning.STOPPED, _warning.SMALL):
         assert f"\n## {section}\n" in text
     said = str(diagnose(*_too_small()))
-    assert _documentation.pointer(_documentation.SMALL) in said
+    assert _warning.pointer(_warning.SMALL) in said
 
 
 def _too_small():

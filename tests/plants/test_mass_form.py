@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
+from robust_filterpy.plants.servo.linearization import operating_point
 from robust_filterpy.plants.servo.position_loop import simulate_actuator
-from robust_filterpy.plants.servo.steady_motion import operating_point
 
 P = PneumaticParameters(leakage_area=2e-9, dead_band=0.015)
 R, T, KAPPA = 287.06, 293.15, 1.4

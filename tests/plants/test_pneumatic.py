@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 
 from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo
 from robust_filterpy.plants.servo.equations import reduced_flow, servo_derivatives, valve_opening
+from robust_filterpy.plants.servo.linearization import operating_point
 from robust_filterpy.plants.servo.parameters import beta_coefficient, critical_ratio
 from robust_filterpy.plants.servo.position_loop import simulate_actuator
-from robust_filterpy.plants.servo.steady_motion import operating_point
 
 P = PneumaticParameters()
 #: The paper's own plant: no overlap of the spool, no leakage.

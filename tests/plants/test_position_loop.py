@@ -18,9 +18,13 @@ from robust_filterpy.plants.servo import (
     simulate_servo,
 )
 from robust_filterpy.plants.servo.equations import servo_derivatives
-from robust_filterpy.plants.servo.linearization import UnstableLoopError, linearize_servo, position_gains
+from robust_filterpy.plants.servo.linearization import (
+    UnstableLoopError,
+    linearize_servo,
+    operating_point,
+    position_gains,
+)
 from robust_filterpy.plants.servo.position_loop import simulate_actuator
-from robust_filterpy.plants.servo.steady_motion import operating_point
 
 P = PneumaticParameters()
 

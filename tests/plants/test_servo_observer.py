@@ -14,8 +14,8 @@ from scipy.io import loadmat
 from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.plants.servo import PneumaticParameters, ServoObserver, simulate_servo
 from robust_filterpy.plants.servo.equations import servo_derivatives
+from robust_filterpy.plants.servo.linearization import operating_point
 from robust_filterpy.plants.servo.position_loop import simulate_actuator
-from robust_filterpy.plants.servo.steady_motion import operating_point
 
 DT, STD = 0.01, np.array([5e-5, 500.0, 500.0])
 P = PneumaticParameters()

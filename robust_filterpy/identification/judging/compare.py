@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.judging.validate import any_model
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model

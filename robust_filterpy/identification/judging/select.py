@@ -26,8 +26,8 @@ from numpy.typing import ArrayLike
 from scipy.stats import norm
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import Pictured
 from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.beside import Settled

@@ -13,8 +13,8 @@ from scipy.signal import fftconvolve, lfilter
 from scipy.stats import chi2, norm
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model, as_model

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from robust_filterpy._brief import brief, lines_of, wrapped
+from robust_filterpy._brief import Pictured, brief, lines_of, wrapped
 from robust_filterpy._checks import Array, count, numbers, real
 from robust_filterpy._fill_values import FillValues
-from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
 

@@ -18,9 +18,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2, norm
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import brief, wrapped
+from robust_filterpy._brief import Pictured, brief, wrapped
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import Pictured
 from robust_filterpy.identification.models.time_axis import table
 
 if TYPE_CHECKING:

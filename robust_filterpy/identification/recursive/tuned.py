@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
-from robust_filterpy._pictures import Pictured
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output

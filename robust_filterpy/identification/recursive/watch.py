@@ -9,8 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy._documentation import STOPPED, pointer
-from robust_filterpy._warning import RobustFilterWarning
+from robust_filterpy._warning import STOPPED, RobustFilterWarning, pointer
 from robust_filterpy.filters.notices import StuckSensorWarning
 from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.dependence import (

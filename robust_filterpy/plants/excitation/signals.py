@@ -140,12 +140,9 @@ def sample_autocovariance(s: ArrayLike, n_lags: int, *, mean: float | None = Non
 
 
 def receding_horizon_binary(
-    autocovariance: ArrayLike,
-    length: int,
-    horizon: int = 1,
-    levels: tuple[float, float] = (-1, 1),
+    autocovariance: ArrayLike, length: int, horizon: int = 1, levels: tuple[float, float] = (-1, 1),
     rng: np.random.Generator | int | None = None,
-) -> Array:
+) -> Array:  # fmt: skip
     """Generate a binary signal whose sampled autocovariance comes close to a prescribed one.
 
     At every instant the 2^m continuations of m samples are compared; of the one whose sampled autocovariance (54)
@@ -213,13 +210,9 @@ def receding_horizon_binary(
 
 
 def prbs(
-    length: int,
-    levels: tuple[float, float] = (-1, 1),
-    *,
-    n_bits: int | None = None,
-    hold: int = 1,
+    length: int, levels: tuple[float, float] = (-1, 1), *, n_bits: int | None = None, hold: int = 1,
     rng: np.random.Generator | int | None = None,
-) -> Array:
+) -> Array:  # fmt: skip
     """Generate a pseudo-random binary sequence of maximal length.
 
     One period of ``(2^n_bits - 1) * hold`` samples is as good as white (hold = 1): its periodic autocovariance at
@@ -323,7 +316,8 @@ def search_bits(target: Array, length: int, horizon: int, rng: np.random.Generat
     rows = sliding_window_view(signal, n + 1)
     sums = np.zeros(n + 1)
     cost = np.empty(1 << m)
-    tolerance = _tie(n + 1, m, length)
+    # Two continuations whose costs differ by less than rounding are equally good.
+    tolerance = 8.0 * float(np.finfo(float).eps) * (n + 1) * m * (length + m)
     for t in range(1, length + 1):
         here = m - 1 + length - t
         gap = sums - (t + m - 1) * target
@@ -355,8 +349,3 @@ def _tuples(m: int, n: int) -> list[tuple[np.ndarray, np.ndarray]]:
         own = [np.einsum("ij,ij->i", bits[:, k:], bits[:, : m - k]) for k in range(min(m, n + 1))]
         blocks.append((bits, np.column_stack(own)))
     return blocks
-
-
-def _tie(n_lags: int, m: int, length: int) -> float:
-    """Bound the rounding error of a cost, below which two continuations count as equally good."""
-    return 8.0 * float(np.finfo(float).eps) * n_lags * m * (length + m)

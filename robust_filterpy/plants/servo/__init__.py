@@ -2,7 +2,7 @@
 
 * `parameters`: its constants, its uncertain alpha and beta.
 * `equations`: equations (1)-(7) as functions of floats, and as a python-control system.
-* `steady_motion`, `linearization`: its steady motions, linear models about them, gains by which its loop is stable.
+* `linearization`: its steady motions, linear models about them, gains by which its loop is stable.
 * `position_loop`: the loop simulated: what drives it, its recording, with files of it for other tools.
 * `observer`: estimates the motion in the loop from sensors that err.
 """

@@ -84,17 +84,11 @@ def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
     through = port_flow(reduced_flow(p.kappa, p.laminar_ratio))
     viscous, spring, mass = p.viscous_friction, p.spring, p.mass
 
-    def derivatives(  # floats, as a solver's thousands of calls want them
-        y: float,
-        v: float,
-        p_a: float,
-        p_b: float,
-        valve: float,
-        load: float,
-        alpha: float,
-        beta: float,
+    # Floats, as a solver's thousands of calls want them
+    def derivatives(
+        y: float, v: float, p_a: float, p_b: float, valve: float, load: float, alpha: float, beta: float,
         supply: float = mean_supply,
-    ) -> tuple[float, float, float, float]:
+    ) -> tuple[float, float, float, float]:  # fmt: skip
         force = area_a * p_a - area_b * p_b - rod_force - viscous * v - friction(v) - spring * y - stop(y, v) - load
         # What `valve_opening` says, for one float.
         opening = min(1.0, max(0.0, (abs(valve) - dead_band) * stretch))
@@ -173,14 +167,10 @@ def end_stop(p: PneumaticParameters) -> Callable[[float, float], float]:
 
 
 def pneumatic_servo(
-    parameters: PneumaticParameters | None = None,
-    *,
-    alpha: Coefficient = NOMINAL_ALPHA,
-    beta: Coefficient | None = None,
-    supply: Coefficient | None = None,
-    outputs: Sequence[str] = STATES,
+    parameters: PneumaticParameters | None = None, *, alpha: Coefficient = NOMINAL_ALPHA,
+    beta: Coefficient | None = None, supply: Coefficient | None = None, outputs: Sequence[str] = STATES,
     name: str = "pneumatic_servo",
-) -> control.NonlinearIOSystem:
+) -> control.NonlinearIOSystem:  # fmt: skip
     """Build the pneumatic servo, eqs (1)-(7), as a nonlinear python-control system.
 
     ::

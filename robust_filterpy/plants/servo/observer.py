@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from robust_filterpy._checks import Array, finite_vector, positive
 
 from .equations import servo_derivatives
-from .linearization import sampled, without_dry_friction
+from .linearization import STATE_SCALES, operating_point, sampled, without_dry_friction
 from .parameters import BETA_RANGE, NOMINAL_ALPHA, PneumaticParameters, as_parameters
-from .steady_motion import STATE_SCALES, operating_point
 
 #: Units of position, velocity, P_a, P_b, force and beta over its nominal value within the filter.
 _SCALES = np.append(STATE_SCALES, [1.0, 1.0])
@@ -91,14 +90,9 @@ class ServoObserver:
     """
 
     def __init__(
-        self,
-        filter: Any,
-        dt: float,
-        std: ArrayLike,
-        parameters: PneumaticParameters | None = None,
-        *,
+        self, filter: Any, dt: float, std: ArrayLike, parameters: PneumaticParameters | None = None, *,
         position: float = 0.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Set the filter up at rest."""
         noise = finite_vector("std", std)
         if noise.shape != (3,) or not np.all(noise > 0):

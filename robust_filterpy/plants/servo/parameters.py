@@ -127,26 +127,20 @@ class PneumaticParameters:
             if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name in _MAY_BE_ZERO))):
                 expected = ">= 0" if field.name in _MAY_BE_ZERO else "> 0"
                 raise ValueError(f"{field.name}: expected a finite number {expected}, got {value}")
-        if self.rod >= self.bore:
-            raise ValueError(f"rod: expected less than the bore {self.bore}, got {self.rod}")
-        if self.supply_pressure <= self.atmospheric_pressure:
-            raise ValueError(
-                f"supply_pressure: expected more than the atmosphere's {self.atmospheric_pressure:g} Pa, got "
-                f"{self.supply_pressure:g}; pressures are absolute"
-            )
-        if self.dead_band >= 1:
-            raise ValueError(f"dead_band: expected a fraction of the spool's stroke below 1, got {self.dead_band}")
-        if self.kappa <= 1:
-            raise ValueError(f"kappa: expected more than 1, got {self.kappa}")
-        if self.static_friction < self.coulomb_friction:
-            raise ValueError(
-                f"static_friction: expected at least coulomb_friction {self.coulomb_friction}, got "
-                f"{self.static_friction}"
-            )
-        if not critical_ratio(self.kappa) < self.laminar_ratio <= 1:
-            raise ValueError(
-                f"laminar_ratio: expected in ({critical_ratio(self.kappa):.4f}, 1], got {self.laminar_ratio}"
-            )
+        least, atmosphere = critical_ratio(self.kappa) if self.kappa > 1 else 0.0, self.atmospheric_pressure
+        for name, good, expected in (
+            ("rod", self.rod < self.bore, f"less than the bore {self.bore}"),
+            ("supply_pressure", self.supply_pressure > atmosphere, f"more than the atmosphere's {atmosphere:g} Pa"),
+            ("dead_band", self.dead_band < 1, "a fraction of the spool's stroke below 1"),
+            ("kappa", self.kappa > 1, "more than 1"),
+            ("static_friction", self.static_friction >= self.coulomb_friction,
+             f"at least coulomb_friction {self.coulomb_friction}"),
+            ("laminar_ratio", least < self.laminar_ratio <= 1, f"in ({least:.4f}, 1]"),
+        ):  # fmt: skip
+            if not good:
+                got = getattr(self, name)
+                mended = f"{got:g}; pressures are absolute" if name == "supply_pressure" else got
+                raise ValueError(f"{name}: expected {expected}, got {mended}")
 
     @property
     def area_a(self) -> float:
@@ -227,15 +221,9 @@ def beta_coefficient(alpha: ArrayLike, discharge_coefficient: ArrayLike, tempera
 
 
 def random_coefficient(
-    name: str,
-    t: ArrayLike,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    spread: float = 0.05,
-    start: float | None = None,
-    rng: Any = None,
-) -> Array:
+    name: str, t: ArrayLike, *, low: float | None = None, high: float | None = None, spread: float = 0.05,
+    start: float | None = None, rng: Any = None,
+) -> Array:  # fmt: skip
     """Draw a slow random path of alpha(t) or beta(t), eqs (2) and (6).
 
     A random walk reflected at `low` and `high`: it is continuous in time, and in the long run every value between

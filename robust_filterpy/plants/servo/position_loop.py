@@ -14,7 +14,7 @@ from scipy.integrate import odeint
 from robust_filterpy._checks import Array, numbers, positive
 
 from .equations import STATES, servo_derivatives
-from .linearization import check_loop, chosen_gains
+from .linearization import check_loop, chosen_gains, operating_point
 from .parameters import (
     ALPHA_RANGE,
     BETA_RANGE,
@@ -25,7 +25,6 @@ from .parameters import (
     checked,
     coefficient_function,
 )
-from .steady_motion import operating_point
 
 Signal: TypeAlias = "Coefficient | ArrayLike"
 
@@ -33,19 +32,10 @@ Signal: TypeAlias = "Coefficient | ArrayLike"
 class ServoInputs:
     """What drives the plant besides its valve, checked and sampled."""
 
-    def __init__(  # the quantities that both simulations take
-        self,
-        n: int,
-        dt: float,
-        rtol: float,
-        p: PneumaticParameters,
-        alpha: Signal,
-        beta: Signal | None,
-        load: Signal,
-        supply: Signal | None,
-        noise: ArrayLike | None,
-        initial: ArrayLike | None,
-    ) -> None:
+    def __init__(
+        self, n: int, dt: float, rtol: float, p: PneumaticParameters, alpha: Signal, beta: Signal | None,
+        load: Signal, supply: Signal | None, noise: ArrayLike | None, initial: ArrayLike | None,
+    ) -> None:  # fmt: skip
         """Bring every signal to one value a sample."""
         for name, value in (("dt", dt), ("rtol", rtol)):
             positive(name, value)
@@ -203,24 +193,13 @@ _Controller: TypeAlias = Callable[[int, "tuple[float, float]", Array, float], "t
 _SCALES = np.array([1e-3, 1e-2, 1e4, 1e4])
 
 
-def simulate_servo(  # an argument for each quantity of the experiment, nearly all by name
-    reference: ArrayLike | Callable[[float], float],
-    dt: float,
-    parameters: PneumaticParameters | None = None,
-    *,
-    duration: float | None = None,
-    gain: float | None = None,
-    damping: float | None = None,
-    compensation: float = 0.9,
-    alpha: Signal = NOMINAL_ALPHA,
-    beta: Signal | None = None,
-    load: Signal = 0.0,
-    supply: Signal | None = None,
-    noise: ArrayLike | None = None,
-    observer: Observer | None = None,
-    initial: ArrayLike | None = None,
-    rtol: float = 1e-6,
-) -> ServoRecording:
+def simulate_servo(
+    reference: ArrayLike | Callable[[float], float], dt: float, parameters: PneumaticParameters | None = None, *,
+    duration: float | None = None, gain: float | None = None, damping: float | None = None,
+    compensation: float = 0.9, alpha: Signal = NOMINAL_ALPHA, beta: Signal | None = None, load: Signal = 0.0,
+    supply: Signal | None = None, noise: ArrayLike | None = None, observer: Observer | None = None,
+    initial: ArrayLike | None = None, rtol: float = 1e-6,
+) -> ServoRecording:  # fmt: skip
     """Simulate the pneumatic servo in a position loop, sampled to identification data.
 
     A digital controller samples the motion and holds the valve between samples. It asks for the opening
@@ -319,19 +298,11 @@ def simulate_servo(  # an argument for each quantity of the experiment, nearly a
     return _simulate(controller, r, p, inputs)
 
 
-def simulate_actuator(  # the quantities of the experiment that `simulate_servo` has too
-    valve: ArrayLike,
-    dt: float,
-    parameters: PneumaticParameters | None = None,
-    *,
-    alpha: Signal = NOMINAL_ALPHA,
-    beta: Signal | None = None,
-    load: Signal = 0.0,
-    supply: Signal | None = None,
-    noise: ArrayLike | None = None,
-    initial: ArrayLike | None = None,
-    rtol: float = 1e-6,
-) -> ServoRecording:
+def simulate_actuator(
+    valve: ArrayLike, dt: float, parameters: PneumaticParameters | None = None, *, alpha: Signal = NOMINAL_ALPHA,
+    beta: Signal | None = None, load: Signal = 0.0, supply: Signal | None = None, noise: ArrayLike | None = None,
+    initial: ArrayLike | None = None, rtol: float = 1e-6,
+) -> ServoRecording:  # fmt: skip
     """Simulate the pneumatic actuator without a loop, for a given command to the valve.
 
     Parameters

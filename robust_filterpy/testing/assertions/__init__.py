@@ -9,16 +9,11 @@
 from __future__ import annotations
 
 from robust_filterpy._lazy import elsewhere
-from robust_filterpy.testing.assertions import consistency, contracts, robustness, tracking
-from robust_filterpy.testing.assertions.consistency import *  # noqa: F403
-from robust_filterpy.testing.assertions.contracts import *  # noqa: F403
-from robust_filterpy.testing.assertions.robustness import *  # noqa: F403
-from robust_filterpy.testing.assertions.tracking import *  # noqa: F403
+from robust_filterpy.testing.assertions.consistency import assert_consistent, assert_innovations_white, assert_unbiased
+from robust_filterpy.testing.assertions.tracking import assert_recovers_parameters, assert_tracks
 
-__all__: list[str] = []
-__all__ += consistency.__all__
-__all__ += contracts.__all__
-__all__ += robustness.__all__
-__all__ += tracking.__all__
+__all__ = [
+    "assert_consistent", "assert_innovations_white", "assert_recovers_parameters", "assert_tracks", "assert_unbiased",
+]  # fmt: skip
 
 __getattr__ = elsewhere(__name__)

@@ -23,8 +23,6 @@ from robust_filterpy.diagnostics.statistics import bulk
 from robust_filterpy.testing.assertions.contracts import at_least_one, band, fail, probability, times
 from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, as_runs
 
-__all__ = ["assert_consistent", "assert_innovations_white", "assert_unbiased"]
-
 # NEES is looked at so often along the runs.
 _INSTANTS = 5
 
@@ -59,7 +57,7 @@ def assert_consistent(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1
     AssertionError: NIS mean 6.8, expected 2 (1.57 to 2.5) over 500 steps: S is about 3.4 times too small: ...
     """
     tested, factor = as_runs(runs), at_least_one(factor)
-    instants = _instants(tested) if _has_errors(tested) else []
+    instants = _instants(tested) if all(run.truth is not None and run.P is not None for run in tested) else []
     alpha = probability(false_alarm) / (1 + len(instants))
     errors = [text for k in instants if (text := _nees(tested, k, factor, alpha))]
     fail([_nis(tested, factor, alpha), *errors[-1:]])
@@ -270,8 +268,3 @@ def _instants(runs: list[FilterRun]) -> list[int]:
     """Return a few steps that every run has, the last one among them."""
     shortest = min(len(run) for run in runs)
     return sorted({round(k) for k in np.linspace(shortest / _INSTANTS, shortest, _INSTANTS) - 1.0})
-
-
-def _has_errors(runs: list[FilterRun]) -> bool:
-    """Tell whether all runs know the truth and P."""
-    return all(run.truth is not None and run.P is not None for run in runs)

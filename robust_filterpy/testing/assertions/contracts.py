@@ -13,7 +13,6 @@ from scipy import stats
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 
-__all__ = []
 
 def times(ratio: float) -> str:
     """Say by which factor a covariance is wrong, of squares that are so many times too large."""
@@ -107,12 +106,9 @@ def _identical(one: np.ndarray, two: np.ndarray) -> bool:
 
 
 def assert_refused_call_changes_nothing(
-    estimator: Any,
-    call: Callable[[Any], Any],
-    *,
-    raises: type[BaseException] | tuple[type[BaseException], ...] = REFUSALS,
-    names: Iterable[str] | None = None,
-) -> str:
+    estimator: Any, call: Callable[[Any], Any], *,
+    raises: type[BaseException] | tuple[type[BaseException], ...] = REFUSALS, names: Iterable[str] | None = None,
+) -> str:  # fmt: skip
     """Assert that a bad call raises, and leaves everything that can be seen as it was.
 
     Parameters
@@ -200,15 +196,9 @@ def assert_state_round_trip(
 
 
 def assert_same_filter(
-    a: Any,
-    b: Any,
-    zs: Iterable[Any],
-    *,
-    us: Sequence[Any] | None = None,
-    names: Sequence[str] = ("x", "P"),
-    rtol: float = 1e-9,
-    step: Callable[[Any, Any], Any] | None = None,
-) -> None:
+    a: Any, b: Any, zs: Iterable[Any], *, us: Sequence[Any] | None = None, names: Sequence[str] = ("x", "P"),
+    rtol: float = 1e-9, step: Callable[[Any, Any], Any] | None = None,
+) -> None:  # fmt: skip
     """Assert that two filters are the same, call by call.
 
     Parameters

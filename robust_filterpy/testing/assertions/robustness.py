@@ -19,8 +19,6 @@ from robust_filterpy.testing.scenarios.drawing import Scenario, draw
 from robust_filterpy.testing.scenarios.models import StateModel, random_stable
 from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, as_runs
 
-__all__ = []
-
 Make = Callable[[int, int], Any]
 
 # Innovations in standard deviations; the largest is beyond any sensor and far from overflow.
@@ -80,13 +78,9 @@ def _movement(step: Array, P: Array) -> float:
 
 
 def assert_recovers_from_jump(
-    make: Make,
-    *,
-    size: float = 30.0,
-    within: int = 100,
-    deviations: float = 6.0,
+    make: Make, *, size: float = 30.0, within: int = 100, deviations: float = 6.0,
     rng: np.random.Generator | int | None = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Assert that a filter follows when the state has truly jumped.
 
     Parameters
@@ -130,11 +124,7 @@ def assert_recovers_from_jump(
 
 
 def assert_efficient(
-    runs_: Runs,
-    *,
-    at_least: float,
-    relative_to: Sequence[FilterRun] | FilterRun,
-    false_alarm: float = 1e-6,
+    runs_: Runs, *, at_least: float, relative_to: Sequence[FilterRun] | FilterRun, false_alarm: float = 1e-6
 ) -> None:
     """Assert that the squared error is not much larger than that of a reference on the same recordings.
 
@@ -205,13 +195,9 @@ STATE_UNITS, SENSOR_UNITS = np.array([1e-2, 1e-4, 5e-3, 2e-4]), np.array([1e-4, 
 
 
 def assert_unit_equivariant(
-    make: Make,
-    scenario: Scenario,
-    *,
-    state: ArrayLike | None = None,
-    sensors: ArrayLike | None = None,
+    make: Make, scenario: Scenario, *, state: ArrayLike | None = None, sensors: ArrayLike | None = None,
     rtol: float = 1e-6,
-) -> None:
+) -> None:  # fmt: skip
     """Assert that in other units a filter gives the same answer in other units.
 
     Parameters

@@ -15,8 +15,6 @@ from robust_filterpy.testing.assertions.contracts import at_least_one, fail, pro
 from robust_filterpy.testing.assertions.robustness import ratio_of_errors
 from robust_filterpy.testing.scenarios.runs import TrackerRun, as_tracker_runs
 
-__all__ = ["assert_recovers_parameters", "assert_tracks"]
-
 
 def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: float = 1e-6) -> None:
     """Assert that the last parameters are as close to the truth as the noise lets anybody come.
@@ -65,13 +63,9 @@ def _resemblance(theta: np.ndarray, truth: np.ndarray) -> str:
 
 
 def assert_tracks(
-    runs: Any,
-    *,
-    at_least: float = 0.5,
-    relative_to: Sequence[TrackerRun] | TrackerRun | None = None,
-    skip: int = 0,
+    runs: Any, *, at_least: float = 0.5, relative_to: Sequence[TrackerRun] | TrackerRun | None = None, skip: int = 0,
     false_alarm: float = 1e-6,
-) -> None:
+) -> None:  # fmt: skip
     """Assert that parameters that move are followed almost as well as by a reference.
 
     Parameters

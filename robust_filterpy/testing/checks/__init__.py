@@ -1,8 +1,8 @@
 """Every promise of a filter, tested by name.
 
 * `lists`: `check_filter`, and the checks for pytest.
-* `filter_contracts`, `filter_equations`, `common`: the promises; `filter_subject` makes filters and moves them.
-* `bench`: names, claims, expected failures.
+* `filter_contracts`, `filter_equations`: the promises.
+* `bench`: names, claims, expected failures, and what makes filters and moves them.
 """
 
 from __future__ import annotations

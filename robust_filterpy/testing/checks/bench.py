@@ -1,4 +1,4 @@
-"""The machinery of `check_filter`: named promises, what is not claimed, what is expected to fail.
+"""The machinery of `check_filter`: named promises, what is expected to fail, and the subject that they are tested on.
 
 A promise is a function of a subject (the filter's factory, a seed, the false-alarm probability) that raises
 AssertionError. Its docstring's first line is the theorem.
@@ -11,11 +11,18 @@ import unittest
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Check", "CheckResult", "ChecksFailed"]
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
+from robust_filterpy.testing.scenarios import runs
+from robust_filterpy.testing.scenarios.contamination import Kinds
+from robust_filterpy.testing.scenarios.drawing import Scenario, draw
+from robust_filterpy.testing.scenarios.models import StateModel, random_stable
+from robust_filterpy.testing.scenarios.runs import FilterRun
 
 #: Samples after which a filter is old.
 OLD = 1200
@@ -28,54 +35,13 @@ def through(estimator: Any, steps: Iterable[Callable[[Any], Any]]) -> Any:
     return estimator
 
 
-@dataclass(frozen=True)
-class Promise:
-    """Hold a promise of an estimator.
-
-    Attributes
-    ----------
-    function : callable
-        Raises AssertionError if it is not kept.
-    needs : frozenset of str
-        Claims that it belongs to.
-    stochastic : bool
-        Whether it may fail by chance.
-    """
-
-    function: Callable[[Any], None]
-    needs: frozenset[str]
-    stochastic: bool
-
-    @property
-    def name(self) -> str:
-        """Name of the check."""
-        return self.function.__name__
-
-    @property
-    def theorem(self) -> str:
-        """What is asserted, in a sentence: the first line of the docstring."""
-        return (self.function.__doc__ or "").strip().splitlines()[0]
-
-
-def promise(
-    register: list[Promise], *needs: str, stochastic: bool = False
-) -> Callable[[Callable[[Any], None]], Callable[[Any], None]]:
-    """Return a decorator that puts a function, with the claims without which it is not tested, on a list."""
-
-    def decorate(function: Callable[[Any], None]) -> Callable[[Any], None]:
-        register.append(Promise(function, frozenset(needs), stochastic))
-        return function
-
-    return decorate
-
-
 def not_applicable(reason: str) -> unittest.SkipTest:
     """Return what a promise raises that has no meaning for this estimator; pytest and unittest report it as skipped."""
     return unittest.SkipTest(reason)
 
 
 @dataclass(frozen=True)
-class Check(Promise):
+class Check:
     """One named promise, to be called with the estimator's factory.
 
     Attributes
@@ -92,8 +58,21 @@ class Check(Promise):
         ``subject(make, name, seed)`` returns what the promise is tested on.
     """
 
-    expected_failure: str | None
-    subject: Callable[..., Any]
+    function: Callable[[Any], None]
+    needs: frozenset[str]
+    stochastic: bool
+    expected_failure: str | None = None
+    subject: Callable[..., Any] | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the check."""
+        return self.function.__name__
+
+    @property
+    def theorem(self) -> str:
+        """What is asserted, in a sentence: the first line of the docstring."""
+        return (self.function.__doc__ or "").strip().splitlines()[0]
 
     @property
     def __name__(self) -> str:
@@ -108,7 +87,7 @@ class Check(Promise):
         """Test the promise."""
         try:
             with np.errstate(all="ignore"):
-                self.function(self.subject(make, self.name, seed))
+                self.function(self.subject(make, self.name, seed))  # type: ignore[misc]
         except unittest.SkipTest:
             raise
         except Exception as error:
@@ -121,6 +100,18 @@ class Check(Promise):
                 f"{self.name}: expected to fail ({self.expected_failure}), but it passes; take it off the list",
                 stacklevel=2,
             )
+
+
+def promise(
+    register: list[Check], *needs: str, stochastic: bool = False
+) -> Callable[[Callable[[Any], None]], Callable[[Any], None]]:
+    """Return a decorator that puts a function, with the claims without which it is not tested, on a list."""
+
+    def decorate(function: Callable[[Any], None]) -> Callable[[Any], None]:
+        register.append(Check(function, frozenset(needs), stochastic))
+        return function
+
+    return decorate
 
 
 class CheckResult(NamedTuple):
@@ -190,3 +181,142 @@ def result_of(check: Check, make: Callable[..., Any]) -> CheckResult:
     except AssertionError as error:
         status, message = "failed", str(error)
     return CheckResult(check.name, status, message, time.perf_counter() - start)
+
+
+#: What a filter can claim; `check_filter` tests all of it that is not in not_claimed.
+FILTER_TAGS = {
+    "prediction": "the prediction is linear: x = F x + B u, P = F P F' + Q",
+    "exact": "it is the Kalman filter to rounding (never tested of a filter that claims to be robust)",
+    "linear": "innovations within their noise move the state by the Kalman gain",
+    "robust": "one wrong measurement moves the state by a bounded amount",
+    "recovers": "it follows a true jump of the state",
+    "missing": "update(None) is a missing measurement",
+    "nan": "NaN in z is a missing component, and the others are used",
+    "likelihood": "log_likelihood is the logarithm of a density of z",
+    "units": "the units of states and sensors do not matter",
+    "memoryless": "nothing is remembered but x and P",
+    "validates": "bad input raises, and a refused call changes nothing",
+    "pickle": "it can be pickled",
+}
+
+# How far a filter that is no Kalman filter may be off in its own judgment of its errors on clean normal data.
+_FACTOR = 1.5
+RUNS, _STEPS = 30, 40
+
+
+@dataclass(frozen=True)
+class FilterSubject:
+    """Make filters, load them and move them: what a promise is tested on.
+
+    Attributes
+    ----------
+    make : callable
+        Returns a new filter.
+    claims : frozenset of str
+        Tags of what it claims.
+    seed : sequence of int
+        Seed of everything that is drawn.
+    false_alarm : float
+        Probability that a right filter fails one stochastic check.
+    """
+
+    make: Callable[..., Any]
+    claims: frozenset[str]
+    seed: Sequence[int]
+    false_alarm: float
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """Draws everything that this check draws."""
+        return np.random.default_rng(list(self.seed))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the estimator claims to be the Kalman filter."""
+        return "exact" in self.claims
+
+    @property
+    def factor(self) -> float:
+        """Factor by which S and P may be wrong."""
+        return 1.0 if self.is_exact else _FACTOR
+
+    def made(self, dim_x: int, dim_z: int) -> Any:
+        """Make a filter, or say what make returned."""
+        what = "dim_x and dim_z"
+        if not callable(self.make):
+            raise TypeError(f"make: expected a class or a function of {what}, got {_checks.shown(self.make)}")
+        kf = self.make(dim_x, dim_z)
+        needed = ("x", "P", "predict", "update")
+        lacking = [name for name in needed if isinstance(kf, type) or not hasattr(kf, name)]
+        if lacking:
+            raise TypeError(
+                f"make: expected a function of {what} that returns a filter with x, P, predict() and update(z), got "
+                f"{_checks.shown(kf)} without {lacking[0]}"
+            )
+        if np.size(kf.x) != dim_x:
+            raise ValueError(f"make: expected x of {dim_x} numbers from make({dim_x}, {dim_z}), got {np.size(kf.x)}")
+        return kf
+
+    def new(self, model: StateModel) -> Any:
+        """Make a filter and load a model into it."""
+        return runs.load(self.made(*model.dims[:2]), model)
+
+    def at_prior(self, model: StateModel) -> Any:
+        """Make a filter that has just predicted the model's x and P: some cannot correct before they predict."""
+        kf = self.new(model.with_(F=np.eye(len(model.x)), Q=np.zeros_like(model.Q)))
+        kf.predict()
+        kf.F, kf.Q = model.F.copy(), model.Q.copy()
+        return kf
+
+    def model(self, dim_x: int = 4, dim_z: int = 2, dim_u: int = 0) -> StateModel:
+        """Draw a random stable system."""
+        return random_stable(dim_x, dim_z, dim_u, rng=self.rng)
+
+    def recording(self, model: StateModel, steps: int = 10) -> Array:
+        """Draw ordinary measurements, shape (steps, m)."""
+        scenario: Scenario = draw(model, steps, rng=self.rng)
+        return scenario.z
+
+    def advance(self, kf: Any, zs: Array, model: StateModel) -> Any:
+        """Predict and correct along a recording and return the filter."""
+        for z in zs:
+            runs.step(kf, runs.or_none(z), model)
+        return kf
+
+    def aged(self, model: StateModel, age: int) -> Any:
+        """Make a filter that has filtered this many ordinary measurements, or none."""
+        return self.advance(self.new(model), self.recording(model, age) if age else np.empty((0, 0)), model)
+
+    def many(self, contamination: Kinds = "none", count: int = RUNS) -> tuple[list[Scenario], list[FilterRun]]:
+        """Run new filters over independent recordings of one system."""
+        model = self.model()
+        scenarios = [draw(model, _STEPS, contamination=contamination, rng=self.rng) for _ in range(count)]
+        return scenarios, [runs.run_filter(self.new(model), scenario) for scenario in scenarios]
+
+    def work(self) -> tuple[Callable[[], Any], Sequence[Callable[[Any], Any]]]:
+        """Return what makes loaded filters, and predictions and corrections in turn."""
+        model = self.model()
+        steps = [
+            call
+            for z in self.recording(model)
+            for call in (partial(runs.predict, u=None), partial(runs.measure, z=z, model=model))
+        ]
+        return lambda: self.new(model), steps
+
+    def corrected(self, e: float, age: int = 0, R_ratio: float = 1.0) -> tuple[Array, Array, Array, Array]:
+        """Return the step of a correction by e deviations of each sensor, the Kalman gain's, P before and after."""
+        model = self.model()
+        model = model.with_(R=R_ratio * model.R)
+        kf = self.aged(model, age)
+        if age:
+            # In an old filter H and R are others from then on.
+            other = self.model()
+            model = model.with_(H=other.H, R=other.R)
+            kf.H, kf.R = model.H.copy(), model.R.copy()
+        kf.predict()
+        x, P = runs.state(kf)
+        S = model.innovation_covariance(P)
+        y = e * np.sqrt(S.diagonal())
+        runs.measure(kf, model.H @ x + y, model)
+        after, P_after = runs.state(kf)
+        return after - x, P @ model.H.T @ np.linalg.solve(S, y), P, P_after

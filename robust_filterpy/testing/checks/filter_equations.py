@@ -7,15 +7,14 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy._checks import Array, takes
 from robust_filterpy.testing.assertions.contracts import deviations, furthest
-from robust_filterpy.testing.checks.bench import OLD, Promise, not_applicable, promise
-from robust_filterpy.testing.checks.filter_subject import FilterSubject
+from robust_filterpy.testing.checks.bench import OLD, Check, FilterSubject, not_applicable, promise
 from robust_filterpy.testing.scenarios import runs
 from robust_filterpy.testing.scenarios.models import StateModel, range_bearing
 from robust_filterpy.testing.scenarios.runs import state
 
 _SMALL = 1e-7
 
-PROMISES: list[Promise] = []
+PROMISES: list[Check] = []
 
 
 @promise(PROMISES, "prediction")
@@ -27,10 +26,9 @@ def prediction_moves_the_state_by_F(subject: FilterSubject) -> None:
     for k in range(3):
         kf.predict()
         x = model.F @ x
-        off = furthest(np.ravel(kf.x) - x, model.P)
-        if off > _SMALL:
-            like = _alike(np.ravel(kf.x), model.F.T @ model.x, "F'") if k == 0 else ""
-            raise AssertionError(f"prediction {k + 1}: x is off by {off:.2g} of its standard deviations from F x{like}")
+        like = _alike(np.ravel(kf.x), model.F.T @ model.x, "F'") if k == 0 else ""
+        words = f"prediction {k + 1}: x is off by {{}} of its standard deviations from F x{like}"
+        _require_near(kf.x, x, model.P, words)
 
 
 @promise(PROMISES, "prediction")
@@ -76,19 +74,16 @@ def control_input_moves_the_prediction(subject: FilterSubject) -> None:
     u = np.array([0.7, -1.3])
     runs.predict(kf, u)
     still.predict()
-    off = furthest(np.ravel(kf.x) - model.F @ model.x - model.B @ u, model.P)  # type: ignore[operator]
-    if off > _SMALL:
-        got, wanted = np.ravel(kf.x) - model.F @ model.x, model.B @ u  # type: ignore[operator]
-        raise AssertionError(f"x is off by {off:.2g} of its standard deviations from F x + B u{_ratio(got, wanted)}")
+    still_x, moved = model.F @ model.x, model.B @ u  # type: ignore[operator]
+    more = _ratio(np.ravel(kf.x) - still_x, moved)
+    _require_near(kf.x, still_x + moved, model.P, f"x is off by {{}} of its standard deviations from F x + B u{more}")
     _compare(state(kf)[1], state(still)[1], "P_prior without an input", "")
     # filterpy's extended filter makes a matrix of x in a prediction without u, once it has a B.
     if np.size(still.x) != len(model.x):
         return
     x, P = state(kf)
     kf.predict()
-    off = furthest(np.ravel(kf.x) - model.F @ x, P)
-    if off > _SMALL:
-        raise AssertionError(f"a prediction without u, after one with it, is off by {off:.2g} deviations: u is kept")
+    _require_near(kf.x, model.F @ x, P, "a prediction without u, after one with it, is off by {} deviations: u is kept")
 
 
 @promise(PROMISES)
@@ -99,9 +94,7 @@ def measurement_at_its_prediction_moves_nothing(subject: FilterSubject) -> None:
     kf.predict()
     x, P = state(kf)
     runs.measure(kf, model.H @ x, model)
-    moved = furthest(np.ravel(kf.x) - x, P)
-    if moved > _SMALL:
-        raise AssertionError(f"z = H x moved the state by {moved:.2g} of its standard deviations: y is not z - H x")
+    _require_near(kf.x, x, P, "z = H x moved the state by {} of its standard deviations: y is not z - H x")
 
 
 @promise(PROMISES)
@@ -182,10 +175,10 @@ def measurement_noise_is_R(subject: FilterSubject) -> None:
     size = np.abs(model.R).max()
     agree = np.abs(by_gain - by_covariance).max() <= 1e-5 * size
     if agree and np.abs(by_gain - model.R).max() > 1e-5 * size:
-        ratio = np.diagonal(by_gain) / np.diagonal(model.R)
+        shown = ", ".join(f"{ratio:.3g}" for ratio in np.diagonal(by_gain) / np.diagonal(model.R))
         raise AssertionError(
             f"R acts as {np.round(by_gain, 4).tolist()} where {np.round(model.R, 4).tolist()} was given: variances are "
-            f"{_list(ratio)} times as large"
+            f"{shown} times as large"
         )
 
 
@@ -226,8 +219,7 @@ def two_sensors_after_one_another_are_both_at_once(subject: FilterSubject) -> No
         kf = subject.at_prior(one)
         runs.measure(kf, z[[i]], one)
         x, P = state(kf)
-    if furthest(np.ravel(both.x) - x, P) > 1e-6:
-        raise AssertionError(f"x differs by {furthest(np.ravel(both.x) - x, P):.2g} of its standard deviations")
+    _require_near(both.x, x, P, "x differs by {} of its standard deviations", 1e-6)
     _compare(state(both)[1], P, "P after the sensors one by one", "")
 
 
@@ -245,12 +237,9 @@ def nonlinear_sensor_is_linearised_at_the_prediction(subject: FilterSubject) -> 
     x = np.ravel(line.x)
     line.H = model.jacobian(x)
     line.update(z - model.measured(x) + line.H @ x)
-    off = furthest(np.ravel(kf.x) - np.ravel(line.x), line.P)
     # A robust filter's psi is nearly linear for innovations as small as these.
-    if off > (_SMALL if subject.is_exact else 0.2):
-        raise AssertionError(
-            f"x is off by {off:.2g} of its standard deviations from the filter of the linearized sensor"
-        )
+    words = "x is off by {} of its standard deviations from the filter of the linearized sensor"
+    _require_near(kf.x, np.ravel(line.x), line.P, words, _SMALL if subject.is_exact else 0.2)
 
 
 def _gain(subject: FilterSubject, model: StateModel) -> tuple[Array, Array]:
@@ -268,6 +257,13 @@ def _posterior(subject: FilterSubject, model: StateModel) -> Array:
     kf = subject.at_prior(model)
     runs.measure(kf, model.H @ model.x + 0.1, model)
     return state(kf)[1]
+
+
+def _require_near(x: Array, wanted: Array, P: Array, words: str, most: float = _SMALL) -> None:
+    """Fail with these words, and by how much, where x is not as wanted, in its standard deviations."""
+    off = furthest(np.ravel(x) - wanted, P)
+    if off > most:
+        raise AssertionError(words.format(f"{off:.2g}"))
 
 
 def _compare(got: Array, wanted: Array, name: str, more: str) -> None:
@@ -290,8 +286,3 @@ def _ratio(got: Array, wanted: Array) -> str:
     if np.allclose(got, ratio * wanted, atol=1e-6 * np.abs(wanted).max()):
         return f"; it is {ratio:.3g} times that"
     return ""
-
-
-def _list(values: Array) -> str:
-    """Return numbers in print."""
-    return ", ".join(f"{value:.3g}" for value in values)

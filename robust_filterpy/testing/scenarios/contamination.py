@@ -134,14 +134,9 @@ def missing(
 
 #: What a scenario knows by name.
 CONTAMINATIONS: dict[str, Callable[..., Spoilt]] = {
-    "mixture": mixture,
-    "one-sided": one_sided,
-    "bursts": partial(mixture, length=5),
-    "student": student,
-    "sentinels": sentinels,
-    "stuck": stuck,
-    "missing": missing,
-}
+    "mixture": mixture, "one-sided": one_sided, "bursts": partial(mixture, length=5), "student": student,
+    "sentinels": sentinels, "stuck": stuck, "missing": missing,
+}  # fmt: skip
 _OF_NOISE = ("mixture", "one-sided", "bursts", "student")
 
 

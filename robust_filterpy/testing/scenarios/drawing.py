@@ -62,9 +62,7 @@ class Scenario:
     noise_ratio: Array
     Qs: Array
 
-    def __str__(self) -> str:
-        """Return what there is, on a screen."""
-        return brief(self)
+    __str__ = brief
 
     def load(self, kf: Any) -> Any:
         """Put the model into a filter and return it.
@@ -88,14 +86,9 @@ class Scenario:
 
 
 def draw(
-    problem: str | StateModel | Plant,
-    steps: int = 200,
-    *,
-    contamination: Kinds = "none",
-    jumps: Mapping[int, ArrayLike] | None = None,
-    rng: np.random.Generator | int | None = None,
-    **options: Any,
-) -> Any:
+    problem: str | StateModel | Plant, steps: int = 200, *, contamination: Kinds = "none",
+    jumps: Mapping[int, ArrayLike] | None = None, rng: np.random.Generator | int | None = None, **options: Any,
+) -> Any:  # fmt: skip
     """Draw a scenario.
 
     Parameters

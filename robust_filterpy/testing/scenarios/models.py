@@ -136,17 +136,13 @@ class StateModel:
         StateModel
         """
         a, b = np.asarray(state, dtype=float), np.asarray(sensors, dtype=float)
+        moved, seen = np.outer(a, a), np.outer(b, 1 / a)
         return self.with_(
-            x=a * self.x,
-            P=np.outer(a, a) * self.P,
-            F=np.outer(a, 1 / a) * self.F,
-            H=np.outer(b, 1 / a) * self.H,
-            Q=np.outer(a, a) * self.Q,
-            R=np.outer(b, b) * self.R,
-            B=None if self.B is None else a[:, None] * self.B,
+            x=a * self.x, P=moved * self.P, F=np.outer(a, 1 / a) * self.F, H=seen * self.H, Q=moved * self.Q,
+            R=np.outer(b, b) * self.R, B=None if self.B is None else a[:, None] * self.B,
             sensor=None if self.sensor is None else lambda x: b * self.measured(x / a),
-            sensor_jacobian=None if self.sensor is None else lambda x: np.outer(b, 1 / a) * self.jacobian(x / a),
-        )
+            sensor_jacobian=None if self.sensor is None else lambda x: seen * self.jacobian(x / a),
+        )  # fmt: skip
 
     def of_sensors(self, rows: ArrayLike) -> StateModel:
         """Return the system with some of its sensors, in this order.
@@ -162,12 +158,11 @@ class StateModel:
         """
         rows = np.asarray(rows, dtype=int)
         return self.with_(
-            H=self.H[rows],
-            R=self.R[np.ix_(rows, rows)],
+            H=self.H[rows], R=self.R[np.ix_(rows, rows)],
             sensor=None if self.sensor is None else lambda x: self.measured(x)[rows],
             sensor_jacobian=None if self.sensor is None else lambda x: self.jacobian(x)[rows],
             periods=None if self.periods is None else tuple(self.periods[i] for i in rows),
-        )
+        )  # fmt: skip
 
 
 def constant_velocity(dt: float = 1.0) -> StateModel:
@@ -175,13 +170,9 @@ def constant_velocity(dt: float = 1.0) -> StateModel:
     dt = _checks.positive("dt", dt)
     Q = 0.02 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     return StateModel(
-        x=np.array([0.0, 1.0, 0.0, -0.5]),
-        P=_twice(np.diag([1.0, 0.1])),
-        F=_twice([[1.0, dt], [0.0, 1.0]]),
-        H=_twice([[1.0, 0.0]]),
-        Q=_twice(Q),
-        R=np.eye(2),
-    )
+        x=np.array([0.0, 1.0, 0.0, -0.5]), P=_twice(np.diag([1.0, 0.1])), F=_twice([[1.0, dt], [0.0, 1.0]]),
+        H=_twice([[1.0, 0.0]]), Q=_twice(Q), R=np.eye(2),
+    )  # fmt: skip
 
 
 def _twice(block: ArrayLike) -> Array:
@@ -198,14 +189,10 @@ def level(jump_probability: float = 0.005) -> StateModel:
 
 def paper(P0: float = 0.1) -> StateModel:
     """Return the state-estimation problem of the paper, equations 31-34, from P(0|0) = P0 I."""
-    F = np.array(
-        [
-            [0.99, -0.012, 0.001, -0.001],
-            [-0.005, 0.98, -0.001, 0.005],
-            [-0.001, 0.01, 1.0, -0.001],
-            [0.01, 0.001, -0.002, 1.0],
-        ]
-    )
+    F = np.array([
+        [0.99, -0.012, 0.001, -0.001], [-0.005, 0.98, -0.001, 0.005],
+        [-0.001, 0.01, 1.0, -0.001], [0.01, 0.001, -0.002, 1.0],
+    ])  # fmt: skip
     return StateModel(np.zeros(4), P0 * np.eye(4), F, np.eye(1, 4), 0.001 * np.eye(4), np.array([[0.1]]))
 
 
@@ -215,28 +202,19 @@ def vehicle(jump_probability: float = 0.1) -> StateModel:
     one, zero = np.eye(2), np.zeros((2, 2))
     B = np.sqrt(10) * np.vstack([0.5 * dt * dt * one, dt * one])
     return StateModel(
-        x=np.array([0.0, 0.0, 5.0, 5.0]),
-        P=1e-9 * np.eye(4),
+        x=np.array([0.0, 0.0, 5.0, 5.0]), P=1e-9 * np.eye(4), H=np.eye(2, 4), Q=B @ B.T, R=5 * one,
         F=np.block([[one, dt * (1 - 0.5 * drag * dt) * one], [zero, (1 - drag * dt) * one]]),
-        H=np.eye(2, 4),
-        Q=B @ B.T,
-        R=5 * one,
         jump_probability=_checks.fraction("jump_probability", jump_probability),
-    )
+    )  # fmt: skip
 
 
 def two_sensors() -> StateModel:
     """Return a cart, in m and m/s, whose position comes in km every fifth sample and whose speed in km/h at each."""
     dt = 0.1
     return StateModel(
-        x=np.array([0.0, 5.0]),
-        P=np.diag([1.0, 0.25]),
-        F=np.array([[1.0, dt], [0.0, 1.0]]),
-        H=np.diag([1e-3, 3.6]),
-        Q=0.2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]),
-        R=np.diag([0.002**2, 2.0**2]),
-        periods=(5, 1),
-    )
+        x=np.array([0.0, 5.0]), P=np.diag([1.0, 0.25]), F=np.array([[1.0, dt], [0.0, 1.0]]), H=np.diag([1e-3, 3.6]),
+        Q=0.2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), R=np.diag([0.002**2, 2.0**2]), periods=(5, 1),
+    )  # fmt: skip
 
 
 def range_bearing() -> StateModel:
@@ -269,23 +247,13 @@ def random_stable(
 
     F, Q = rng.normal(size=(n, n)), covariance(n, 0.1)
     return StateModel(
-        x=rng.normal(size=n),
-        P=covariance(n, 1.0) + Q,
-        F=F * 0.95 / np.abs(np.linalg.eigvals(F)).max(),
-        H=rng.normal(size=(m, n)),
-        Q=Q,
-        R=covariance(m, 0.5),
-        B=rng.normal(size=(n, p)) if p else None,
-    )
+        x=rng.normal(size=n), P=covariance(n, 1.0) + Q, F=F * 0.95 / np.abs(np.linalg.eigvals(F)).max(),
+        H=rng.normal(size=(m, n)), Q=Q, R=covariance(m, 0.5), B=rng.normal(size=(n, p)) if p else None,
+    )  # fmt: skip
 
 
 #: What `draw` knows by name.
 MODELS: dict[str, Callable[..., StateModel]] = {
-    "constant velocity": constant_velocity,
-    "level": level,
-    "paper": paper,
-    "vehicle": vehicle,
-    "two sensors": two_sensors,
-    "range and bearing": range_bearing,
-    "random stable": random_stable,
-}
+    "constant velocity": constant_velocity, "level": level, "paper": paper, "vehicle": vehicle,
+    "two sensors": two_sensors, "range and bearing": range_bearing, "random stable": random_stable,
+}  # fmt: skip

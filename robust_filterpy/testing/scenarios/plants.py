@@ -31,7 +31,7 @@ from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 from robust_filterpy.plants.drift import random_walk, stable
-from robust_filterpy.plants.parameters import linear_parameters
+from robust_filterpy.plants.linear import linear_parameters
 from robust_filterpy.plants.servo import simulate_servo
 from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
 from robust_filterpy.testing.scenarios.runs import TrackerRun, run_tracker
@@ -188,12 +188,9 @@ def servo(order: int = 4, sigma: float = 0.05) -> Plant:
 
 #: What `draw` knows by name.
 PLANTS: dict[str, Callable[..., Plant]] = {
-    "arx": partial(linear, ARX),
-    "output error": partial(linear, OutputError),
-    "armax": armax,
-    "fir": fir,
+    "arx": partial(linear, ARX), "output error": partial(linear, OutputError), "armax": armax, "fir": fir,
     "servo": servo,
-}
+}  # fmt: skip
 
 
 def draw_plant(
@@ -215,19 +212,9 @@ def draw_plant(
     seen = spoilt(y[:, None], clean[:, None], sigma, [kind for kind in kinds if not of_noise(kind)], rng)
     both = Spoilt(seen.z, seen.noise_ratio * noise.noise_ratio, seen.is_outlier | noise.is_outlier)
     missing = np.isnan(both.z[:, 0])
-    return PlantScenario(
-        structure,
-        u,
-        both.z[:, 0],
-        clean,
-        theta,
-        plant.sigma**2,
-        plant.Q,
-        both.is_outlier[:, 0] & ~missing,
-        missing,
-        is_jump,
-        both.noise_ratio[:, 0],
-    )
+    outlying, ratio = both.is_outlier[:, 0] & ~missing, both.noise_ratio[:, 0]
+    known = structure, u, both.z[:, 0], clean, theta, plant.sigma**2, plant.Q
+    return PlantScenario(*known, outlying, missing, is_jump, ratio)
 
 
 def jump_rows(jumps: Mapping[int, ArrayLike], steps: int, n: int) -> Array:

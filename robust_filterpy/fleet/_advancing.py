@@ -1,4 +1,4 @@
-"""Many keys with one filter: by the kernel, keys with equally many steps together, or one by one.
+"""Many keys with one filter or kind of tracker: those with equally many steps together by the kernel, or one by one.
 
 However a recording is cut into batches, and whichever keys come together, the numbers are the same to the last bit:
 every step that the kernel can take is the kernel's, and the definition takes single steps.
@@ -12,15 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import _checks
+from robust_filterpy import _checks, _state
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import mute
+from robust_filterpy.correction import spread
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.notices import StuckSensorWarning, say_stuck_among
 from robust_filterpy.filters.states import moved_shapes
+from robust_filterpy.identification.models.results import Columns
+from robust_filterpy.identification.models.signals import measured_output, recorded_input
+from robust_filterpy.identification.recursive.tracker import ParameterTracker, keeps_spread
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.series import Model, Output
 
@@ -90,14 +93,14 @@ def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
         raise TypeError(f"update: expected the further arguments of {type(kf).__name__}.update, {error}") from None
 
 
-def start(kf: Any) -> dict[str, Array]:
+def start_of_filter(kf: Any) -> dict[str, Array]:
     """Return what a filter's steps move, as it is; of sensors of which nothing was learned yet, zeros."""
     empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in moved_shapes(kf).items()}
     state = kf.state()
     return {name: state.get(name, value) for name, value in empty.items()}
 
 
-def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
+def advance_filters(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
     """Take the steps of all keys; kf stays as it is."""
     steps = np.diff(work.bounds)
     if series is None:
@@ -120,12 +123,14 @@ def advance(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work
     for i in np.flatnonzero(~good).tolist():
         _explain(copy.deepcopy(kf), work, i)
     before = memory.copy()
-    for rows in _groups(good, steps, kf):
-        _together(series, kf, update, work, rows)
+    n, m, able = kf.dim_x, kf.dim_z, np.flatnonzero(good & (steps > 0))
+    for members in _groups(steps[able], lambda k: _GROUP // max(int(steps[able[k]]) * (2 * n + m), n * n)):
+        _together(series, kf, update, work, able[members])
     if memory.size:
         # Of a key it is said once: its state knows.
         memory = _moving(work)[2]
-        say_stuck_among("step", "key", (before[:, :, FILLED] == 0.0) & (memory[:, :, FILLED] > 0.0), work.name)
+        before, memory = before[:, :, spread.FILLED], memory[:, :, spread.FILLED]
+        say_stuck_among("step", "key", (before == 0.0) & (memory > 0.0), work.name)
 
 
 def _moving(work: Work) -> tuple[Array, Array, Array]:
@@ -157,7 +162,7 @@ def _alone(
         if not _step(worker, update, work, i, k):
             break
         work.columns[k] = _shown(worker)
-    for name, value in start(worker).items():
+    for name, value in start_of_filter(worker).items():
         work.entries[name][i] = value
     return i not in work.stopped
 
@@ -187,15 +192,12 @@ def _step(worker: Any, update: Mapping[str, Any], work: Work, i: int, k: int) ->
     return True
 
 
-def _groups(good: np.ndarray, steps: np.ndarray, kf: Any) -> Iterator[np.ndarray]:
-    """Yield keys with equally many steps, as many at once as stay in a processor's cache."""
-    n, m = kf.dim_x, kf.dim_z
-    order = np.argsort(steps, kind="stable")
-    order = order[good[order] & (steps[order] > 0)]
-    for members in np.split(order, np.flatnonzero(np.diff(steps[order])) + 1):
-        if len(members):
-            share = max(1, _GROUP // max(int(steps[members[0]]) * (2 * n + m), n * n))
-            yield from (members[first : first + share] for first in range(0, len(members), share))
+def _groups(of: np.ndarray, size: Callable[[int], int]) -> Iterator[np.ndarray]:
+    """Yield the places of equal numbers, as many at once as size says of the first of them."""
+    order = np.argsort(of, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(of[order])) + 1) if len(of) else ():
+        share = max(1, size(int(members[0])))
+        yield from (members[first : first + share] for first in range(0, len(members), share))
 
 
 def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, rows: np.ndarray) -> None:
@@ -238,3 +240,104 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, row
         k = int(done[s])
         while k < steps and _alone(worker, {}, update, work, int(rows[s]), k, k + 1):
             k = int(by_kernel(slice(s, s + 1), k + 1)[0])
+
+
+# What the model says, not the state.
+_SETTINGS = ("Q", "F", "alpha_sq", _state.LABEL)
+# As many keys at once as stay in a processor's cache.
+_TRACKERS = 500
+
+
+def start_of_tracker(tracker: ParameterTracker) -> dict[str, Array]:
+    """Return what a tracker's steps move, as it is; of a sensor of which nothing was learned yet, zeros."""
+    unknown = {"filter_spread": spread.begin(1)} if keeps_spread(tracker) else {}
+    return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
+
+
+def shapes_of_tracker(tracker: ParameterTracker) -> dict[str, _state.Shape]:
+    """Return the shapes of that; how long a recording is kept for a start or watched, no one knows beforehand."""
+    sizes: dict[str, _state.Shape] = {name: value.shape for name, value in start_of_tracker(tracker).items()}
+    return {**sizes, **{name: (None, *sizes[name][1:]) for name in ("start", "followed")}}
+
+
+def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
+    """Take the samples of all keys."""
+    settings = {name: value for name, value in tracker.state().items() if name in _SETTINGS and name != _state.LABEL}
+    done = np.zeros(len(work.bounds) - 1, dtype=bool)
+    for rows in _of_one_phase(work) if tracker.is_one_of_many else ():
+        try:
+            _samples_together(tracker, settings, work, rows)
+            done[rows] = True
+        except REFUSED:
+            continue
+    for i in np.flatnonzero(~done).tolist():
+        try:
+            tracker.restore({**settings, **{name: column[i] for name, column in work.entries.items()}})
+        except REFUSED as error:
+            work.stopped[i] = -1, str(error)
+            continue
+        first, stop = int(work.bounds[i]), int(work.bounds[i + 1])
+        before = tracker.state()
+        try:
+            _through(tracker, work, first, stop)
+        except REFUSED:
+            tracker.restore(before)
+            _one_by_one(tracker, work, i)
+        for name, value in start_of_tracker(tracker).items():
+            work.entries[name][i] = value
+
+
+def _of_one_phase(work: Work) -> Iterator[np.ndarray]:
+    """Yield keys with equally many samples, and as many until the next look at them unless there is one sample."""
+    steps = np.diff(work.bounds)
+    phases = np.stack((steps, work.entries["recursion"][:, 6], work.entries["watch"][:, 2] % 40.0), axis=1)
+    phases[steps == 1, 1:] = 0.0
+    _, of, counts = np.unique(phases, axis=0, return_inverse=True, return_counts=True)
+    able = np.flatnonzero((counts[of.ravel()] > 1) & (steps > 0))
+    yield from (able[members] for members in _groups(of.ravel()[able], lambda k: _TRACKERS))
+
+
+def _samples_together(tracker: ParameterTracker, settings: dict[str, Array], work: Work, rows: np.ndarray) -> None:
+    """Take the samples of keys with equally many, or raise; nothing has changed then."""
+    every = work.bounds[rows][:, None] + np.arange(work.bounds[rows[0] + 1] - work.bounds[rows[0]])
+    y = measured_output(work.z[every].ravel()).reshape(every.shape)
+    u = recorded_input(tracker.structure, None if work.u is None else work.u[every.ravel()], every.size)
+    states = {name: column[rows] for name, column in work.entries.items()}
+    out, after = tracker.together(states | settings, y, u.reshape(*every.shape, -1))
+    _write(tracker, work, every, out)
+    for name, column in after.items():
+        work.entries[name][rows] = column
+
+
+def _write(tracker: ParameterTracker, work: Work, places: Any, out: Columns) -> None:
+    """Write what samples gave into the columns."""
+    own = tracker.form.own
+    std = np.sqrt(np.maximum(out.variance[..., own], 0.0))
+    numbers = np.stack((out.prediction, out.residual, out.weights, out.guard), axis=-1)
+    work.columns[places] = np.concatenate((out.theta[..., own], std, numbers), axis=-1)
+
+
+def _through(tracker: ParameterTracker, work: Work, first: int, stop: int) -> None:
+    """Take the samples from first to stop, or raise."""
+    if first == stop:
+        return
+    y, u = measured_output(work.z[first:stop]), None if work.u is None else work.u[first:stop]
+    _write(tracker, work, slice(first, stop), tracker.advance(y, recorded_input(tracker.structure, u, len(y)), None))
+
+
+def _one_by_one(tracker: ParameterTracker, work: Work, i: int) -> None:
+    """Take the samples of a key one by one; an output that is refused is as if missing."""
+    for k in range(int(work.bounds[i]), int(work.bounds[i + 1])):
+        before = tracker.state()
+        try:
+            _through(tracker, work, k, k + 1)
+        except REFUSED as refusal:
+            tracker.restore(before)
+            work.missed[k], work.z[k] = f"update: {refusal}; as if it were missing", np.nan
+            try:
+                _through(tracker, work, k, k + 1)
+            except REFUSED as error:
+                tracker.restore(before)
+                del work.missed[k]
+                work.stopped[i] = int(k - work.bounds[i]), f"step {k - work.bounds[i]}: {error}"
+                return
