@@ -312,6 +312,15 @@ def predict_and_update(kf, z):
     kf.update(z)
 
 
+def through(kf, zs):
+    """Predict and update along measurements, and return x after each, flat."""
+    path = []
+    for z in zs:
+        predict_and_update(kf, z)
+        path.append(np.ravel(kf.x).copy())
+    return np.array(path)
+
+
 def assert_same_along(robust, plain, zs, step=predict_and_update, names=(*STATE, "y", "K", "S", "SI"), rtol=1e-10):
     """Compare after every step, attribute by attribute."""
     assert_same_filter(robust, plain, zs, step=step, names=names, rtol=rtol)

@@ -10,7 +10,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from support import TOLD, cart, make, random_problem, simulate, with_, without_kernel
+from support import TOLD, cart, make, random_problem, simulate, through, with_, without_kernel
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, copies
@@ -19,15 +19,6 @@ from robust_filterpy.correction.spread import NUMBERS
 # How probable the classes are before anything has been seen.
 SHARES = np.array([0.85, 0.05, 0.05, 0.05])
 ORDINARY = {"process": Scales((1.0,))}
-
-
-def advance(kf, zs):
-    path = []
-    for z in zs:
-        kf.predict()
-        kf.update(z)
-        path.append(np.ravel(kf.x).copy())
-    return np.array(path)
 
 
 def moving(seed, n, label=1.0, R=1.0, Q=1.0):
@@ -101,7 +92,7 @@ def test_sensors_that_fail_together_can_be_named():
 
     def run(noise, grouping):
         kf = make(RobustKalmanFilter, problem, 1, noise=noise, grouping=grouping)
-        return advance(kf, zs), kf.outlier_probability
+        return through(kf, zs), kf.outlier_probability
 
     told = Contaminated(0.2, 20.0)
     # Each has a size of noise of its own, which nobody learns here.
@@ -211,7 +202,7 @@ def test_a_jump_of_the_whole_state_is_believed(size, path):
             z += problem.H @ x
             x = problem.F @ x
         kf = make(AdaptiveKalmanFilter, problem, 1)
-        advance(kf, zs)
+        through(kf, zs)
         off = kf.H @ np.ravel(kf.x) - zs[-1]
         assert np.abs(off / np.sqrt(problem.R.diagonal())).max() < 8.0, seed
 
@@ -228,7 +219,7 @@ def test_a_ball_that_bounces_is_followed():
     for seed in range(60):
         zs = truth + 1.5 * np.random.default_rng(seed).normal(size=60)
         for k, cls in enumerate((AdaptiveKalmanFilter, KalmanFilter)):
-            squares[k] += np.mean((advance(make(cls, problem, 1), zs)[:, 0] - truth)[5:] ** 2)
+            squares[k] += np.mean((through(make(cls, problem, 1), zs)[:, 0] - truth)[5:] ** 2)
     assert squares[0] < 4.0 * squares[1]
 
 
@@ -236,7 +227,7 @@ def test_a_ball_that_bounces_is_followed():
 def test_one_outlier_of_any_size_moves_the_state_little_and_r_hardly(size):
     problem, _, zs, _ = moving(6, 200)
     kf = make(AdaptiveKalmanFilter, problem, 1)
-    advance(kf, zs)
+    through(kf, zs)
     kf.predict()
     x, r = kf.x.copy(), kf.R_learnt[0, 0]
     kf.update([size])
@@ -302,7 +293,7 @@ def test_sensors_next_to_without_noise_are_believed_wherever_the_start_is(noise,
         problem = with_(random_problem(seed, 3, 2), R=noise * np.eye(2), P=np.eye(3))
         kf = make(AdaptiveKalmanFilter, problem, 1)
         zs = simulate(with_(problem, x=problem.x + 300.0 * np.random.default_rng(seed).normal(size=(3, 1))), 8, seed)[0]
-        advance(kf, zs)
+        through(kf, zs)
         np.testing.assert_allclose(kf.H @ np.ravel(kf.x), zs[-1], atol=0.02)
         assert noise or np.allclose(kf.H @ np.ravel(kf.x), zs[-1])
 
@@ -317,7 +308,7 @@ def test_sensors_next_to_without_noise_are_believed_wherever_the_start_is(noise,
 ])  # fmt: skip
 def test_a_state_that_holds_no_probabilities_is_refused(name, spoilt, match):
     kf = make(AdaptiveKalmanFilter, cart(), 1)
-    advance(kf, [0.1, 0.2])
+    through(kf, [0.1, 0.2])
     before = kf.state()
     with pytest.raises(ValueError, match=match):
         kf.restore({**before, name: spoilt(before[name]), "x": before["x"] + 1.0})
@@ -328,7 +319,7 @@ def test_a_state_that_holds_no_probabilities_is_refused(name, spoilt, match):
 def test_what_is_missing_or_unseen_teaches_nothing():
     problem = random_problem(7, 4, 2)
     kf = make(AdaptiveKalmanFilter, problem, 1)
-    advance(kf, simulate(problem, 20, 7, contamination=0.3)[0])
+    through(kf, simulate(problem, 20, 7, contamination=0.3)[0])
     kf.predict()
     learnt = kf.learnt.copy()
     kf.update(None)
@@ -347,7 +338,7 @@ def test_a_part_of_the_measurement_teaches_of_its_own_sensors():
     problem = with_(random_problem(8, 4, 3), R=np.diag([1.0, 2.0, 3.0]))
     zs = simulate(problem, 40, 8, contamination=0.1)[0]
     kf, twin = (make(AdaptiveKalmanFilter, problem, 1) for _ in range(2))
-    advance(kf, zs), advance(twin, zs)
+    through(kf, zs), through(twin, zs)
     learnt = kf.learnt.copy()
     kf.update_sequential(1, [0.3, 40.0])
     np.testing.assert_array_equal(kf.learnt[0], learnt[0])
@@ -362,7 +353,7 @@ def test_sensors_may_join():
     problem = random_problem(9, 4, 3)
     kf = make(AdaptiveKalmanFilter, with_(problem, H=problem.H[:1], R=problem.R[:1, :1], M=problem.M[:, :1]), 1)
     zs = simulate(problem, 30, 9)[0]
-    advance(kf, zs[:, :1])
+    through(kf, zs[:, :1])
     learnt = kf.learnt.copy()
     kf.predict()
     kf.update(zs[0], H=problem.H, R=problem.R)
@@ -378,7 +369,7 @@ def test_what_was_learnt_can_be_handed_on(grouping):
     told = with_(problem, R=0.01 * problem.R)
     zs = simulate(problem, 400, 10, contamination=0.1)[0]
     old, new, blank = (make(AdaptiveKalmanFilter, told, 1, grouping=grouping) for _ in range(3))
-    advance(old, zs[:300])
+    through(old, zs[:300])
     new.learnt = old.learnt
     np.testing.assert_array_equal(new.R_learnt, old.R_learnt)
     for name, value in old.noise_learnt._asdict().items():
@@ -415,13 +406,13 @@ def test_what_is_handed_on_is_checked(value):
 def test_another_grouping_starts_to_learn_anew():
     problem = random_problem(14, 4, 2)
     kf = make(AdaptiveKalmanFilter, problem, 1)
-    advance(kf, simulate(problem, 20, 14)[0])
+    through(kf, simulate(problem, 20, 14)[0])
     learnt = kf.learnt.copy()
     kf.grouping = "component"
     np.testing.assert_array_equal(kf.learnt, learnt)
     kf.grouping = "joint"
     assert kf.learnt.shape[0] == 1 and kf.noise_learnt.r == pytest.approx([1.0])
-    advance(kf, simulate(problem, 20, 15)[0])
+    through(kf, simulate(problem, 20, 15)[0])
 
 
 @pytest.mark.parametrize("kind, options, match", [
@@ -489,9 +480,7 @@ def test_what_is_learnt_of_a_reading_beyond_all_numbers_can_be_handed_on():
     for one in (kf, twin):
         one.F = one.H = np.eye(1)
         one.R = 1e-20 * np.eye(1)
-    for z in (1.0, 2.0, 1e300):
-        kf.predict()
-        kf.update(z)
+    through(kf, (1.0, 2.0, 1e300))
     twin.learnt = kf.learnt
     np.testing.assert_array_equal(twin.learnt, kf.learnt)
 
@@ -588,7 +577,7 @@ def test_a_box_whose_shape_hardly_moves_is_followed_for_as_long_as_it_is_there()
         problem = with_(problem, x=np.r_[zs[0], np.zeros(3)][:, None])
         errors = []
         for cls in (AdaptiveKalmanFilter, KalmanFilter):
-            path = advance(make(cls, problem, 1), zs)
+            path = through(make(cls, problem, 1), zs)
             errors.append(np.mean((path[20:, :2] - truth[20:, :2]) ** 2))
         ratios.append(errors[0] / errors[1])
     # With one scale of Q for all of the state it was 50 and more.
@@ -603,9 +592,7 @@ def test_a_sensor_ten_times_better_than_told_is_known_in_a_few_dozen_samples_and
             kf = AdaptiveKalmanFilter(1, 1)
             kf.F = kf.H = np.eye(1)
             kf.Q *= 1e-4
-            for z in sigma * g.normal(size=60) + np.cumsum(0.01 * g.normal(size=60)):
-                kf.predict()
-                kf.update(z)
+            through(kf, sigma * g.normal(size=60) + np.cumsum(0.01 * g.normal(size=60)))
             falls.append(kf.learnt[0, 0])
     better, right = np.reshape(falls, (40, 2)).T
     assert np.median(better) < 0.03 and (better < 0.1).mean() > 0.9 and (right > 0.25).all()
@@ -629,7 +616,7 @@ def test_readings_that_repeat_themselves_do_not_teach_that_a_sensor_has_no_noise
             random_problem(1, 2, 2), F=np.eye(2), H=np.eye(2), Q=drift**2 * np.eye(2), P=10.0 * np.eye(2),
             R=(sigma**2 + step**2 / 12.0) * np.eye(2), x=np.zeros((2, 1)),
         )  # fmt: skip
-        paths = [advance(make(cls, problem, 1), zs) for cls in (AdaptiveKalmanFilter, KalmanFilter)]
+        paths = [through(make(cls, problem, 1), zs) for cls in (AdaptiveKalmanFilter, KalmanFilter)]
         errors.append([np.mean((path - truth) ** 2) for path in paths])
     ours, theirs = np.sum(errors, axis=0)
     assert ours < most * theirs
@@ -644,9 +631,7 @@ def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed(sp
     )  # fmt: skip
     kf = make(AdaptiveKalmanFilter, problem, 1)
     truth = 300.0 + 15.0 * np.arange(12)
-    for z in truth + np.random.default_rng(1).normal(size=12):
-        kf.predict()
-        kf.update(z)
+    through(kf, truth + np.random.default_rng(1).normal(size=12))
     assert np.abs(np.ravel(kf.x) - [truth[-1], 15.0]).max() < 3.0
 
 
@@ -654,7 +639,7 @@ def test_a_start_that_the_first_reading_contradicts_is_doubted_with_its_speed(sp
 def test_a_jump_that_nothing_confirms_does_not_show(path, wild):
     """One wild reading is hardly ever a jump: its candidate, as far off as it, adds nothing to x and P."""
     kf = make(AdaptiveKalmanFilter, cart(), 1)
-    advance(kf, 0.1 * np.arange(100) + np.random.default_rng(0).normal(size=100))
+    through(kf, 0.1 * np.arange(100) + np.random.default_rng(0).normal(size=100))
     before, P = np.ravel(kf.x).copy(), kf.P.copy()
     kf.predict()
     kf.update(before[0] + wild)

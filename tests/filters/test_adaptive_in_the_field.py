@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from support import without_kernel
+from support import through, without_kernel
 
 from robust_filterpy import AdaptiveKalmanFilter
 from robust_filterpy.filters import StuckSensorWarning
@@ -20,16 +20,6 @@ def moving(kind, H=((1.0, 0.0),), q=1e-3, r=1.0, P=10.0, x=0.0):
     return kf
 
 
-def followed(kf, zs):
-    """Return x after each reading."""
-    found = []
-    for z in zs:
-        kf.predict()
-        kf.update(z)
-        found.append(np.ravel(kf.x).copy())
-    return np.array(found)
-
-
 @pytest.mark.parametrize("length", [1, 4, 7, 8, 30, 700])
 @pytest.mark.parametrize("value", [-9999.0, 0.0, 65535.0, 1e30])
 def test_a_run_of_fill_values_is_missing_and_is_said_once(value, length, recwarn):
@@ -40,7 +30,7 @@ def test_a_run_of_fill_values_is_missing_and_is_said_once(value, length, recwarn
     gaps = zs.copy()
     gaps[200 : 200 + length] = np.nan
     ours, theirs, missing = (
-        np.abs(followed(moving(kind, q=1e-4, r=0.01, P=100.0, x=20.0), readings)[200:, 0] - x[200:])
+        np.abs(through(moving(kind, q=1e-4, r=0.01, P=100.0, x=20.0), readings)[200:, 0] - x[200:])
         for kind, readings in ((AdaptiveKalmanFilter, zs), (KalmanFilter, zs), (AdaptiveKalmanFilter, gaps))
     )
     # Nothing foresees a gap of hundreds.
@@ -51,14 +41,14 @@ def test_a_run_of_fill_values_is_missing_and_is_said_once(value, length, recwarn
 def test_a_sensor_at_rest_that_truly_steps_is_followed():
     for step in (0.01, 0.5, 1.0):
         zs = np.round(np.where(np.arange(300) < 250, 20.0, 35.0) / step) * step
-        assert np.abs(followed(moving(AdaptiveKalmanFilter, r=0.04, x=20.0), zs)[260:, 0] - 35.0).max() < 1.0
+        assert np.abs(through(moving(AdaptiveKalmanFilter, r=0.04, x=20.0), zs)[260:, 0] - 35.0).max() < 1.0
 
 
 def test_a_state_that_its_sensor_hardly_sees_keeps_a_bounded_covariance_through_many_jumps():
     rng, kf = np.random.default_rng(0), moving(AdaptiveKalmanFilter, [[1.0, 0.0, 1e-3]], P=1.0)
     widest = []
     for jump in range(10):
-        followed(kf, 100.0 * (jump % 2) + rng.normal(size=60))
+        through(kf, 100.0 * (jump % 2) + rng.normal(size=60))
         widest.append(kf.P.max())
         assert np.linalg.eigvalsh(kf.P).min() > 0.0
     # A reading of 100 in a millionth of the variance, by a third.
@@ -72,7 +62,7 @@ def test_of_two_sensors_the_one_that_has_gone_off_is_left():
         x = np.cumsum(np.cumsum(np.sqrt(1e-3) * rng.normal(size=600)))
         zs = x[:, None] + rng.normal(size=(600, 2)) + np.outer(np.arange(600) >= 100, [0.0, 8.0])
         for i, kind in enumerate((AdaptiveKalmanFilter, KalmanFilter)):
-            errors[i] += np.square(followed(moving(kind, [[1.0, 0.0], [1.0, 0.0]]), zs)[:, 0] - x).sum()
+            errors[i] += np.square(through(moving(kind, [[1.0, 0.0], [1.0, 0.0]]), zs)[:, 0] - x).sum()
     assert np.sqrt(errors[0] / errors[1]) < 0.17
 
 
@@ -81,7 +71,7 @@ def test_a_position_that_steps_is_not_taken_for_speed():
         kf = moving(AdaptiveKalmanFilter, r=0.09)
         kf.F[0, 1], kf.Q = 0.1, np.array([[1e-3 / 3, 5e-3], [5e-3, 0.1]])
         noise = 0.05 * np.random.default_rng(seed).normal(size=400)
-        found = followed(kf, 0.7 * np.arange(400) + 5.0 * (np.arange(400) >= 200) + noise)
+        found = through(kf, 0.7 * np.arange(400) + 5.0 * (np.arange(400) >= 200) + noise)
         # filterpy's is off by 7.3.
         assert np.abs(found[190:, 1] - 7.0).max() < 1.0 and abs(found[-1, 0] - 284.3) < 0.1
 
@@ -97,7 +87,7 @@ def jumping(seed, size, every):
 def test_how_many_readings_a_jump_needs_is_learnt(size, every, limit):
     cases = [jumping(seed, size, every) for seed in range(10, 16)]
     ours, theirs = (
-        [np.square(followed(moving(kind, x=x[0]), zs)[:, 0] - x).mean() for x, zs in cases]
+        [np.square(through(moving(kind, x=x[0]), zs)[:, 0] - x).mean() for x, zs in cases]
         for kind in (AdaptiveKalmanFilter, KalmanFilter)
     )
     assert np.sqrt(np.mean(ours) / np.mean(theirs)) < limit
@@ -106,7 +96,7 @@ def test_how_many_readings_a_jump_needs_is_learnt(size, every, limit):
 def test_after_jumps_no_outlier_that_is_farther_than_they_went_is_believed():
     x, zs = jumping(3, 30.0, 200)
     zs[950:953] += 1e4
-    assert np.abs(followed(moving(AdaptiveKalmanFilter, x=x[0]), zs)[900:, 0] - x[900:]).max() < 10.0
+    assert np.abs(through(moving(AdaptiveKalmanFilter, x=x[0]), zs)[900:, 0] - x[900:]).max() < 10.0
 
 
 def test_the_definition_says_the_same_of_them(monkeypatch):
@@ -116,10 +106,10 @@ def test_the_definition_says_the_same_of_them(monkeypatch):
     fills = np.where(np.arange(120) // 20 == 3, -9999.0, np.round(rng.normal(size=120), 1))
     cases = (((1.0, 0.0, 1e-3),), hardly), (((1.0, 0.0), (1.0, 0.0)), biased), (((1.0, 0.0),), fills)
     cases = (*cases, (((1.0, 0.0),), jumping(10, 30.0, 60)[1][:300]))
-    expected = [followed(moving(AdaptiveKalmanFilter, H), zs) for H, zs in cases]
+    expected = [through(moving(AdaptiveKalmanFilter, H), zs) for H, zs in cases]
     without_kernel(monkeypatch)
     for (H, zs), found in zip(cases, expected, strict=True):
-        np.testing.assert_allclose(followed(moving(AdaptiveKalmanFilter, H), zs), found, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(through(moving(AdaptiveKalmanFilter, H), zs), found, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

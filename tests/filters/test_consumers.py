@@ -18,9 +18,7 @@ NDIMS = [1, 2]
 
 def travel(kf, zs):
     """Predict and update along zs."""
-    for z in zs:
-        kf.predict()
-        kf.update(z)
+    support.through(kf, zs)
     return kf
 
 
@@ -117,9 +115,7 @@ def test_imm_survives_outliers_and_gaps(ndim, choices):
 
 def test_imm_forgets_nothing_at_a_missing_sample():
     imm = IMMEstimator(bank(RobustKalmanFilter), (0.5, 0.5), TRANSITION)
-    for z in support.simulate(support.cart(), 30, seed=4)[0]:
-        imm.predict()
-        imm.update(z)
+    support.through(imm, support.simulate(support.cart(), 30, seed=4)[0])
     imm.predict()
     mu = imm.cbar.copy()
     imm.update(None)

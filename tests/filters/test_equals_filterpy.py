@@ -183,9 +183,7 @@ def test_steady_state(ndim):
 def test_steady_state_with_a_gain_from_elsewhere():
     problem = support.random_problem(9, 4, 2)
     donor = pair(problem)[1]
-    for z in support.simulate(problem, 60, seed=4)[0]:
-        donor.predict()
-        donor.update(z)
+    support.through(donor, support.simulate(problem, 60, seed=4)[0])
     robust, plain = pair(problem)
     for kf in (robust, plain):
         kf.K, kf.P = donor.K.copy(), donor.P.copy()

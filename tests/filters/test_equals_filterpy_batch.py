@@ -108,9 +108,7 @@ def test_a_number_as_q_is_what_it_is_in_filterpy(Q):
         steps, whole = make(2, 1), make(2, 1)
         for kf in (steps, whole):
             kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), Q
-        for z in zs:
-            steps.predict()
-            steps.update(z)
+        support.through(steps, zs)
         found.append((steps.P, *whole.batch_filter(zs)))
     for theirs, ours in zip(*found, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)

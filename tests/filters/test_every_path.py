@@ -113,9 +113,7 @@ def test_steady_state_is_not_spoilt_by_the_outlier_before(ndim):
     calm, upset = robust(problem, ndim), robust(problem, ndim)
     zs = support.simulate(problem, 60, seed=1)[0]
     for kf in (calm, upset):
-        for z in zs:
-            kf.predict()
-            kf.update(z)
+        support.through(kf, zs)
         kf.predict()
     x, P = calm.x.copy(), calm.P.copy()
     calm.update(zs[0])

@@ -178,9 +178,7 @@ def test_every_path_that_corrects_is_robust(cls, options):
 def test_a_process_scale_that_is_ruled_out_for_long_spoils_nothing(cls):
     """A dwell beyond 1/eps lets no probability back in; one that has underflowed is divided by."""
     kf = make(cls, cart(), 1, process=Scales((1.0, 1e6), dwell=1e20))
-    for z in np.random.default_rng(0).normal(size=600):
-        kf.predict()
-        kf.update(z)
+    support.through(kf, np.random.default_rng(0).normal(size=600))
     assert np.isfinite(kf.x).all() and kf.process_probabilities[0] == pytest.approx(1.0)
 
 

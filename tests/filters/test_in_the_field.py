@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
+from support import through
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter
 from robust_filterpy.correction.spread import NUMBERS
@@ -93,9 +94,7 @@ def test_a_run_of_fill_values_is_missing(value, run):
 def test_that_a_run_is_missing_is_said_once_and_weighs_nothing():
     kf, rng = moving(RobustKalmanFilter), np.random.default_rng(1)
     with pytest.warns(StuckSensorWarning, match="missing") as said:
-        for z in [*rng.normal(size=50), *[-9999.0] * 5, *rng.normal(size=5), *[-9999.0] * 5]:
-            kf.predict()
-            kf.update(z)
+        through(kf, [*rng.normal(size=50), *[-9999.0] * 5, *rng.normal(size=5), *[-9999.0] * 5])
     assert len(said) == 1 and kf.weights == 0.0
 
 
@@ -145,9 +144,7 @@ def test_a_state_with_fewer_columns_is_read(width):
 
 def test_a_state_of_learned_noise_without_jumps_is_read():
     kf, rng = moving(AdaptiveKalmanFilter), np.random.default_rng(5)
-    for z in rng.normal(size=40):
-        kf.predict()
-        kf.update(z)
+    through(kf, rng.normal(size=40))
     state, other = kf.state(), moving(AdaptiveKalmanFilter)
     assert state["learnt"][0, -15] == 0.0, "no jump has been believed"
     state["learnt"] = np.delete(state["learnt"], np.s_[-15:-10], axis=1)
@@ -201,9 +198,7 @@ def after_jumps(sizes, seed=0, every=60):
     """The default after jumps of some sizes, and where the position is then."""
     rng, kf, level = np.random.default_rng(seed), moving(RobustKalmanFilter), 0.0
     for size in (*sizes, 0.0):
-        for z in level + rng.normal(size=every):
-            kf.predict()
-            kf.update(z)
+        through(kf, level + rng.normal(size=every))
         level += size
     return kf, level
 
@@ -243,9 +238,7 @@ def test_a_state_of_learned_noise_without_typical_innovations_is_read(jumps):
         return moving(lambda **sizes: RobustKalmanFilter(**sizes, noise="learnt"))
 
     kf, other, rng = learning(), learning(), np.random.default_rng(5)
-    for z in rng.normal(size=40):
-        kf.predict()
-        kf.update(z)
+    through(kf, rng.normal(size=40))
     state = kf.state()
     absent = np.r_[-17 - NUMBERS : -17, () if jumps else np.r_[-15:-10]].astype(int)
     state["learnt"] = np.delete(state["learnt"], absent, axis=1)

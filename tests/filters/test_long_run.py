@@ -27,9 +27,7 @@ def test_p_stays_positive_definite_and_x_finite(dims, choices):
         zs = rng.normal(size=(CHUNK, dims[1])) * np.sqrt(np.diag(problem.R))
         bad = rng.random(zs.shape) < 0.4
         zs[bad] = outliers(rng, bad.sum())
-        for z in zs:
-            kf.predict()
-            kf.update(z)
+        support.through(kf, zs)
         support.assert_positive_definite(kf.P)
         support.assert_all_finite(kf)
         largest = max(largest, np.abs(kf.x).max(), np.abs(kf.P).max())

@@ -198,9 +198,7 @@ def test_where_outliers_are_usual_one_reading_undoes_nothing(path):
     zs = 100.0 + 0.5 * rng.normal(size=400) + np.where(np.arange(400) % 10 == 5, 40.0, 0.0)
     zs[300:] -= 80.0
     kf = level_and_cycle()
-    for z in zs:
-        kf.predict()
-        kf.update(z)
+    support.through(kf, zs)
     before = kf.x[0]
     kf.predict()
     kf.update(100.0)

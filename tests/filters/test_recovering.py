@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import TrimmedMean
-from support import make, random_problem, recovering, simulate, with_, without_kernel
+from support import make, random_problem, recovering, simulate, through, with_, without_kernel
 
 from robust_filterpy import Huber, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.influence import Hampel, Linear
@@ -200,7 +200,5 @@ def test_a_direction_that_inv_leaves_out_does_not_count(scaling):
     kf = recovering(2, 2, patience=3, scaling=scaling)
     kf.H, kf.P, kf.Q, kf.R, kf.inv = np.eye(2), np.diag([0.01, 0.0]), 0.0, np.diag([0.01, 0.0]), np.linalg.pinv
     with np.errstate(all="raise"):
-        for z in ([0.0, 50.0], [0.0, 50.0], [0.0, 50.0], [5.0, 50.0]):
-            kf.predict()
-            kf.update(z)
+        through(kf, ([0.0, 50.0], [0.0, 50.0], [0.0, 50.0], [5.0, 50.0]))
     assert (kf.refused, kf.recoveries) == (1, 0)

@@ -72,9 +72,7 @@ class Calls(RuleBasedStateMachine):
         at = data.draw(st.integers(0, len(rows)))
         expected = whole.batch_filter(rows)[0]
         found = np.concatenate([parts.batch_filter(part)[0] for part in (rows[:at], rows[at:])])
-        for z in rows:
-            loop.predict()
-            loop.update(z)
+        support.through(loop, rows)
         size = max(np.abs(expected).max(), 1e-300)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * size)
         for other in (parts, loop):

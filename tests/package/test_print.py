@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support import by_night
+from support import by_night, through
 
 from robust_filterpy import (
     ARX,
@@ -136,9 +136,7 @@ def test_a_filter_fits_a_screen_and_says_what_it_has_learnt(policy, n):
     kf = RobustKalmanFilter(n, 2, **FILTERS[policy])
     kf.H = np.eye(2, n)
     assert "weights" not in str(kf)
-    for z in 3.0 * np.random.default_rng(10_003).normal(size=(50, 2)):
-        kf.predict()
-        kf.update(z)
+    through(kf, 3.0 * np.random.default_rng(10_003).normal(size=(50, 2)))
     lines = str(kf).splitlines()
     assert len(lines) <= 15 and max(map(len, lines)) <= 100
     assert f"{n} states, 2 measured" in lines[0] and "its weights" in str(kf)

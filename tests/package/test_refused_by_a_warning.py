@@ -1,12 +1,20 @@
-"""Where a warning is an error, the call that gives it has not happened: trackers, banks, fusions and fleets."""
+"""Where a warning is an error, the call that gives it has not happened: filters, trackers, banks and fusions."""
 
 import pickle
 import warnings
 
 import numpy as np
 import pytest
+from filterpy.kalman import MerweScaledSigmaPoints
 
-from robust_filterpy import _warning, fusion
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    _warning,
+    fusion,
+)
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
 
 
@@ -49,6 +57,50 @@ def watched(call, things, state, said):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         call(things[0])
+
+
+class Extended(RobustExtendedKalmanFilter):
+    def update(self, z):
+        super().update(z, lambda x: np.eye(1, 2), lambda x: x[:1])
+
+
+def unscented(**options):
+    points = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
+    moved = lambda x, dt: np.array([x[0] + x[1], x[1]])  # noqa: E731
+    return RobustUnscentedKalmanFilter(2, 1, 1.0, lambda x: x[:1], moved, points, **options)
+
+
+FILTERS = {
+    "default": lambda: RobustKalmanFilter(2, 1),
+    "innovation": lambda: RobustKalmanFilter(2, 1, scaling="innovation"),
+    "patience": lambda: RobustKalmanFilter(2, 1, patience=5),
+    "learnt": lambda: RobustKalmanFilter(2, 1, noise="learnt"),
+    "adaptive": lambda: AdaptiveKalmanFilter(2, 1),
+    "extended": lambda: Extended(2, 1),
+    "extended learnt": lambda: Extended(2, 1, noise="learnt"),
+    "unscented": unscented,
+    "unscented learnt": lambda: unscented(noise="learnt"),
+}
+
+
+def readings(rng):
+    stuck, fill, wild = rng.normal(size=(3, 100))
+    stuck[60:80], fill[60:63], slope = 50.0, -9999.0, 0.5 * np.arange(100.0) ** 1.5
+    return stuck, fill, 100.0 * wild, slope
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_reading_that_a_warning_refuses_has_not_happened(name):
+    said = set()
+    for zs in readings(np.random.default_rng(3)):
+        things = FILTERS[name](), FILTERS[name]()
+        for kf in things:
+            kf.F, kf.H, kf.P, kf.Q = np.eye(2) + np.eye(2, k=1), np.eye(1, 2), 10.0 * np.eye(2), 0.01 * np.eye(2)
+        for z in zs[:, None]:
+            for call in (lambda kf: kf.predict(), lambda kf, z=z: kf.update(z)):
+                watched(call, things, lambda kf: kf.state(), said)
+        assert pickle.dumps(things[0].state()) == pickle.dumps(things[1].state())
+    assert said or name in ("patience", "unscented")
 
 
 def tracker(structure):

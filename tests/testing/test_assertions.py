@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 import wrong_filters
 from filterpy.kalman import KalmanFilter
-from support import told_tracker
+from support import through, told_tracker
 
 from robust_filterpy import ParameterTracker, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.influence import Linear
@@ -155,9 +155,7 @@ def test_visible_is_what_can_be_read_as_numbers():
 
 def test_copies():
     def go_on(kf):
-        for z in np.linspace(0.0, 3.0, 8).reshape(4, 2):
-            kf.predict()
-            kf.update(z)
+        through(kf, np.linspace(0.0, 3.0, 8).reshape(4, 2))
 
     for make in (KalmanFilter, RobustKalmanFilter, wrong_filters.Textbook):
         kf = load(make(4, 2), random_stable(4, 2, rng=1))
