@@ -63,7 +63,7 @@ def test_a_tracker_takes_fill_values_for_gaps():
 @support.draws(1, 3)
 def test_wild_values_of_any_size_that_do_not_repeat_are_outliers(draws):
     for seed in range(draws):
-        rng, y, u = recording(seed)
+        rng, y, u = recording(seed, 500)
         wild = np.where(rng.random(y.size) < 0.1, 1e7 * rng.normal(size=y.size), y)
         model = identify(wild, u, OutputError(2, 2))
         assert model.noise.influence.scale_ratio > 1e5
@@ -97,7 +97,7 @@ def test_the_offset_is_that_of_the_input_as_measured():
 
 
 def test_an_ordinary_recording_has_no_findings():
-    _, y, u = recording(5)
+    _, y, u = recording(5, 400)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         model = identify(y, u, OutputError(2, 2))
@@ -116,13 +116,13 @@ def free_error(model, y, u):
 
 @pytest.mark.parametrize("size", [2.0, pytest.param(-4.0, marks=pytest.mark.nightly)])
 def test_a_step_of_the_level_is_found_with_time_and_size(size):
-    _, y, u = recording(6)
+    _, y, u = recording(6, 600)
     size *= np.std(y)
     broken = y + size * (np.arange(y.size) >= 400)
     with pytest.warns(UserWarning, match="the level of y steps by .* at sample 400"):
         model = identify(broken, u, OutputError(2, 2))
     (found,) = model.findings
-    assert (found.kind, found.place) == ("step", (400, 1000))
+    assert (found.kind, found.place) == ("step", (400, 600))
     assert model.trend[399] - model.trend[400] == pytest.approx(-size, rel=0.02)
     assert model.trend[-1] == 0.0
     assert free_error(model, y, u) < free_error(identify(y, u, OutputError(2, 2)), y, u) + 0.5
@@ -143,7 +143,7 @@ def test_a_ramp_and_a_line_are_taken_off():
 
 
 def test_what_knows_the_recording_takes_its_trend_off_and_puts_it_back():
-    _, y, u = recording(8)
+    _, y, u = recording(8, 600)
     broken = y + 8.0 * (np.arange(y.size) >= 300)
     with pytest.warns(UserWarning, match="steps"):
         model = identify(broken, u, OutputError(2, 2))
@@ -156,7 +156,7 @@ def test_what_knows_the_recording_takes_its_trend_off_and_puts_it_back():
 
 
 def test_the_trend_is_as_asked_for():
-    _, y, u = recording(9)
+    _, y, u = recording(9, 600)
     broken = y + 8.0 * (np.arange(y.size) >= 300)
     with pytest.warns(UserWarning, match="follow u"):
         constant = identify(broken, u, OutputError(2, 2), trend="constant")
@@ -260,7 +260,7 @@ def test_a_part_that_is_nearly_all_outliers_is_of_another_plant():
 @support.draws(1, 3)
 def test_outliers_of_the_input_are_said_and_large_inputs_are_not(draws):
     for seed in range(draws):
-        rng, y, u = recording(20 + seed, share=0.0)
+        rng, y, u = recording(20 + seed, 600, share=0.0)
         read = np.where(rng.random(u.size) < 0.03, 10.0 * rng.normal(size=u.size), u)
         with pytest.warns(UserWarning, match="u has .* values unlike the others"):
             identify(y, read, OutputError(2, 2))
@@ -272,7 +272,7 @@ def test_outliers_of_the_input_are_said_and_large_inputs_are_not(draws):
 def test_gross_errors_do_not_hide_outliers_of_the_input(draws):
     # Three sizes: noise, what the inputs that were not as read leave, and errors far beyond; the mixture has two.
     for seed in range(draws):
-        rng, y, u = recording(30 + seed, share=0.0)
+        rng, y, u = recording(30 + seed, 600, share=0.0)
         y = np.where(rng.random(u.size) < 0.01, 1e5 * rng.normal(size=u.size), y)
         read = np.where(rng.random(u.size) < 0.05, 10.0 * rng.normal(size=u.size), u)
         with pytest.warns(UserWarning, match="u has .* values unlike the others"):
@@ -331,7 +331,7 @@ def test_a_shock_of_the_process_is_not_taken_for_wild_outputs():
 @support.draws(1, 4)
 def test_outliers_of_the_process_are_no_other_plant(draws):
     for seed in range(draws):
-        y, u = driven(seed, 3000)
+        y, u = driven(seed, 1500)
         assert not identify(y, u, ARX(2, 2)).findings
 
 
