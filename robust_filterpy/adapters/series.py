@@ -31,13 +31,13 @@ class SeriesModel:
     ----------
     filters : tuple of filters
         With the model set; they are copied before use, so that every series begins anew.
-    told : bool
+    given : bool
         Whether the user brought the filter, and its x and P are where to begin. A level with a slope begins at the
         first values of each series.
     """
 
     filters: tuple[Any, ...]
-    told: bool
+    given: bool
 
     @classmethod
     def of(cls, filter: Any, values: Array) -> SeriesModel:
@@ -68,11 +68,11 @@ class SeriesModel:
         """
         _finite(values)
         if filter is None:
-            return cls(tuple(_level_and_slope(column) for column in values.T), told=False)
+            return cls(tuple(_level_and_slope(column) for column in values.T), given=False)
         if not isinstance(filter, KalmanFilter):
             raise TypeError(f"filter: expected a linear filter of filterpy's kind or None, got {type(filter).__name__}")
         ours = copy.deepcopy(filter) if isinstance(filter, RobustKalmanFilter) else robust(filter)
-        model = cls((ours,), told=True)
+        model = cls((ours,), given=True)
         model.checked(values)
         return model
 
@@ -87,7 +87,7 @@ class SeriesModel:
         _finite(values)
         expected = sum(kf.dim_z for kf in self.filters)
         if values.shape[1] != expected:
-            what = "the filter's dim_z" if self.told else "as in fit"
+            what = "the filter's dim_z" if self.given else "as in fit"
             raise ValueError(f"series: expected {expected} column(s), {what}, got {values.shape[1]}")
 
     def estimates(self, values: Array, *, smoothed: bool = False, states: bool = False) -> Array:
@@ -116,7 +116,7 @@ class SeriesModel:
         for kf in self.filters:
             columns, begin = values[:, begin : begin + kf.dim_z], begin + kf.dim_z
             kf = copy.deepcopy(kf)
-            if not self.told:
+            if not self.given:
                 kf.x[0, 0] = _first_level(columns[:, 0])
             x = smooth(kf, columns).x if smoothed else kf.batch_filter(columns)[0]
             x = np.reshape(x, (len(values), -1))

@@ -15,7 +15,7 @@ from robust_filterpy.filters.policies import ordinary_noise
 from robust_filterpy.filters.problem import Problem, read
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.filters.snapshot import unchanged_if_refused
-from robust_filterpy.kernel.series import Kept as Rows
+from robust_filterpy.kernel.series import Rows
 
 
 class RecordingMixin(Shell):
@@ -99,7 +99,7 @@ class RecordingMixin(Shell):
     def _run(self, rows: Problem, shown: Rows, update_first: bool, first: int, last: int) -> None:
         """Take steps of a recording at once."""
         policy, (x, P), m = self._policy, state_of(self), rows.zs.shape[1]
-        memory = self._known(m).memory
+        memory = self._prior(m).memory
         state = policy.standing(self._kept, x.ravel(), P, memory)
         run(
             policy, state, rows.zs, rows[1:6], shown, of=type(self).__name__, first=first, last=last,
@@ -107,7 +107,7 @@ class RecordingMixin(Shell):
         )  # fmt: skip
         # What else a step leaves in the filter, the filter's own next step sets anew.
         self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
-        self._kept = policy.kept_of(self._kept, state)
+        self._kept = policy.carried_of(self._kept, state)
         if policy.noise is None and policy.learns:
             look_for_repeats(self, state.learnt, memory)
         self._learn(state.learnt, len(state.learnt))

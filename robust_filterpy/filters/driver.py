@@ -14,9 +14,8 @@ from robust_filterpy._arrays import measured, regardless, require_finite_predict
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import RobustFilterWarning, warn
 from robust_filterpy.correction.standardization import SingularInnovationError
-from robust_filterpy.filters.policies import Kept, Known, Policy
-from robust_filterpy.kernel.series import Kept as Rows
-from robust_filterpy.kernel.series import State
+from robust_filterpy.filters.policies import Carried, Policy, Prior
+from robust_filterpy.kernel.series import Rows, State
 
 __all__ = ["require_finite_correction", "run", "without_rounding"]
 
@@ -56,7 +55,7 @@ def _step(
     weights, outlying, log_density = np.full(len(z), np.nan), 0.0, 0.0
     x, P, memory, carried = state.x, state.P, state.learnt, None
     if len(state.means) > 1:
-        carried = Kept(*(part.copy() for part in (*state[:3], x, P)))
+        carried = Carried(*(part.copy() for part in (*state[:3], x, P)))
     for predicts in (not update_first, update_first):
         if predicts:
             x, P, carried = policy.predicted(carried, x, P, F, Q, Bu, alpha_sq)
@@ -66,11 +65,11 @@ def _step(
         if measured(z, len(z)) is not None:
             at = x
 
-            def correct(before: Known, P: Array, at: Array = at) -> Any:
+            def correct(before: Prior, P: Array, at: Array = at) -> Any:
                 """Correct with this P."""
                 return policy.corrected(before, at, P, z, H, R, None, None)
 
-            correction, carried = without_rounding(of, correct, Known(memory, carried), P, H, R)
+            correction, carried = without_rounding(of, correct, Prior(memory, carried), P, H, R)
             require_finite_correction(correction)
             x, P, weights, log_density = correction.x, correction.P, correction.weights, correction.log_density
             memory = memory if correction.memory is None else correction.memory
@@ -110,14 +109,14 @@ def without_rounding(
     try:
         return correct(before, P)
     except SingularInnovationError:
-        carried, stack = before.kept, P[None]
+        carried, stack = before.carried, P[None]
         if hasattr(carried, "covariances") and carried.P.tobytes() == P.tobytes():
             stack = np.concatenate([stack, carried.covariances])
         mended = None if H is None else _mended(stack, H, R)
         if mended is None:
             raise
         if len(mended) > 1:
-            before = before._replace(kept=carried._replace(covariances=mended[1:], P=mended[0]))
+            before = before._replace(carried=carried._replace(covariances=mended[1:], P=mended[0]))
         correction = correct(before, mended[0])
     warn(
         f"{name}: H P H' is negative by rounding, since P holds numbers as large as {np.abs(P).max():.3g}; the nearest "

@@ -362,7 +362,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             self._skip()
             return
         passed = None if H is own else H
-        last, carried = regardless(self._corrected, x, P, values, H, R, M, self._known(len(H), passed))
+        last, carried = regardless(self._corrected, x, P, values, H, R, M, self._prior(len(H), passed))
         self._keep(last, carried, np.atleast_1d(values), passed)
 
     def _measurement(self, z: Any, R: Any, H: Any, M: Any, n: int) -> tuple[Array, Array, Any, Any]:
@@ -448,7 +448,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         values = np.atleast_1d(values)
         y = values - finite_product(H, x.ravel())
         # Of the correction by this S only what psi leaves of y is used: the gain is K. No refusal counts.
-        before, C = self._known(m)._replace(kept=None), P @ H.T
+        before, C = self._prior(m)._replace(carried=None), P @ H.T
         correction: Any = None
         if self._inverse is None:
             correction = moments.correct(self._choices, before.memory, P, values, y, C, np.asarray(S, dtype=float), R)
@@ -519,8 +519,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         )
         values = measured(z_i, k, missing=True)
         # A part tells nothing of how long the whole has been refused.
-        before = self._known(k, first=start)
-        before = before._replace(kept=None) if self.noise is None else before
+        before = self._prior(k, first=start)
+        before = before._replace(carried=None) if self.noise is None else before
         correction, carried = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None, before)
         settings = None if self.noise is not None else (self._choices, self._whole_memory(), self._inverse is not None)
         parts = Parts.of(self._record(), m, Part(start, k, correction), settings)
@@ -538,7 +538,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
     def _whole_memory(self) -> Array | None:
         """Return the memory of all sensors of z under scaling "learnt", None where nothing is learned."""
-        return self._known(self.dim_z).memory if self._learns_spread else None
+        return self._prior(self.dim_z).memory if self._learns_spread else None
 
     def batch_filter(
         self,
@@ -683,6 +683,6 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         if values is None:
             return 0.0
         if self.noise is not None:
-            return float(self._corrected(x, P, values, H, R, None, self._known(len(H)))[0].log_density)
+            return float(self._corrected(x, P, values, H, R, None, self._prior(len(H)))[0].log_density)
         y = np.atleast_1d(values) - H.dot(x).ravel()
         return self._log_density(y, self.S)

@@ -66,11 +66,11 @@ class NonlinearFilterMixin(Shell):
         """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing."""
         # C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual
         # is handed it.
-        before = self._known(len(y))
+        before = self._prior(len(y))
         if self._policy.by_kernel and self._inverse is None:
             taken = moments.correct(self._choices, before.memory, P, z, y, C, S, R)
             if taken is not None:
-                return taken, before.kept
+                return taken, before.carried
 
         def correct(before: Any, P: Array) -> Any:
             """Correct with the moments of P, where C is a Jacobian."""

@@ -52,22 +52,21 @@ from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_ref
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as half_step
 from robust_filterpy.kernel import moments, series
-from robust_filterpy.kernel.series import Kept as Rows
-from robust_filterpy.kernel.series import State
+from robust_filterpy.kernel.series import Rows, State
 
 __all__ = ["Bounded", "Mixture", "Options", "Policy", "finite_product", "ordinary_noise", "policy_of", "with_options"]
 
 
-class Known(NamedTuple):
+class Prior(NamedTuple):
     """What a policy knows before a correction."""
 
     memory: Array
     """Of the sensors of this measurement, a row each (one for all that fail together)."""
-    kept: Any
+    carried: Any
     """What it keeps besides."""
 
 
-class Kept(NamedTuple):
+class Carried(NamedTuple):
     """The models, and the x and P merged from them."""
 
     means: Array
@@ -156,7 +155,7 @@ class Bounded:
         if self.by_kernel and inv is None:
             taken = moments.correct_linear(self.choices, before.memory, x, P, z, H, R, M)
             if taken is not None:
-                return taken, before.kept
+                return taken, before.carried
         y = z - finite_product(H, x)
         return self.corrected_by_moments(before, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), inv)
 
@@ -170,9 +169,9 @@ class Bounded:
         else:
             _, y, C, S, _, _ = innovation
             last = correct(x, P, y, C, S, self.choices, skip_singular=inv is not None)
-        if self.patience is None or before.kept is None:
-            return last, before.kept
-        carried, full = watched(before.kept, self.patience, last, difference)
+        if self.patience is None or before.carried is None:
+            return last, before.carried
+        carried, full = watched(before.carried, self.patience, last, difference)
         if not full:
             return last, carried
         _, _, C, S, R, H = innovation
@@ -180,7 +179,7 @@ class Bounded:
         jump = jump_of(last, C, S - R if H is None else H @ C)
         return (last, carried) if jump is None else (last._replace(P=last.P + jump), carried.recovered())
 
-    def current(self, carried: Any, x: Array, P: Array) -> Kept:
+    def current(self, carried: Any, x: Array, P: Array) -> Carried:
         """Return the one model that there is."""
         return alone(x, P)
 
@@ -189,7 +188,7 @@ class Bounded:
         none = np.empty((0, len(x)))
         return State(none, none[:, :, None], none, memory.copy(), x.copy(), P.copy())
 
-    def kept_of(self, carried: Any, state: State) -> Any:
+    def carried_of(self, carried: Any, state: State) -> Any:
         """Return what is kept besides where a recording has come to."""
         return carried
 
@@ -234,10 +233,10 @@ class Bounded:
         return Insistence(int(counts[0]), int(counts[1]), entries["insisting"])
 
 
-def alone(x: Array, P: Array) -> Kept:
+def alone(x: Array, P: Array) -> Carried:
     """Return the model of a filter that trusts its process."""
     n = len(x)
-    return Kept(x[None], P[None], np.array([np.ones(n), np.zeros(n), np.zeros(n)]), x, P)
+    return Carried(x[None], P[None], np.array([np.ones(n), np.zeros(n), np.zeros(n)]), x, P)
 
 
 def finite_product(H: Array, x: Array) -> Array:
@@ -297,12 +296,12 @@ class Mixture:
         """Return the memory of sensors of which nothing was learned."""
         return self.classes.start(sensors)
 
-    def start(self, x: Array, P: Array, sensors: int) -> Kept | None:
+    def start(self, x: Array, P: Array, sensors: int) -> Carried | None:
         """Return the models, all at x, P; None where there is but one."""
         begun = side_by_side.start(x, P, self.scales)
-        return Kept(*begun.packed, x.copy(), P.copy()) if self.scales.count > 1 else None
+        return Carried(*begun.packed, x.copy(), P.copy()) if self.scales.count > 1 else None
 
-    def current(self, carried: Kept | None, x: Array, P: Array) -> Kept:
+    def current(self, carried: Carried | None, x: Array, P: Array) -> Carried:
         """Return the models; all of them at x, P if these have been assigned from outside."""
         if carried is None:
             return alone(x, P)
@@ -316,37 +315,37 @@ class Mixture:
         x, P = x.copy(), P.copy()
         given = now.given and now.given._replace(x=x, P=P)
         tiled = Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given)
-        return Kept(*side_by_side.coupled(tiled, P, self.scales).packed, x, P)
+        return Carried(*side_by_side.coupled(tiled, P, self.scales).packed, x, P)
 
     def predicted(
-        self, carried: Kept | None, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
-    ) -> tuple[Array, Array, Kept | None]:
+        self, carried: Carried | None, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
+    ) -> tuple[Array, Array, Carried | None]:
         """Return x and P of all models after a prediction: mixed as the scale may have changed, then moved."""
         control = None if Bu is None else Bu.ravel()
         now = self.current(carried, x.ravel(), P).hypotheses
         moved, *merged_to = half_step.predict(now, F, Q, self.scales, control, alpha_sq)
-        after = Kept(*moved.packed, *merged_to)
+        after = Carried(*moved.packed, *merged_to)
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if carried is None else after
 
     def corrected(
         self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
-    ) -> tuple[Correction | Mixed, Kept | None]:
+    ) -> tuple[Correction | Mixed, Carried | None]:
         """Return the correction of every model, merged."""
-        prior = self.current(before.kept, x, P)
+        prior = self.current(before.carried, x, P)
         # Raises where H x is not finite.
         finite_product(H, x)
         last, *merged = half_step.correct(prior.hypotheses, before.memory, z, H, R, self.classes, self.scales, M, inv)
-        after = Kept(*last.copies.packed, *merged)
+        after = Carried(*last.copies.packed, *merged)
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory)
-            return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), before.kept
+            return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), before.carried
         record = Mixed(
             after.x.copy(), after.P.copy(), *last[1:], prior.x.copy(), prior.P.copy(), H.copy(), R.copy(),
             None if M is None else M.copy(), z, before.memory,
             lags(z - H.dot(prior.x), (H.dot(prior.P) * H).sum(axis=1) + ordinary_noise(R, before.memory).diagonal()),
             together=self._named,
         )  # fmt: skip
-        return record, None if before.kept is None else after
+        return record, None if before.carried is None else after
 
     def corrected_by_moments(
         self, before: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
@@ -368,7 +367,7 @@ class Mixture:
         unexplained = curvature if curvature.size else np.zeros((m, m))
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory) + unexplained
-            return nothing_observed(x, P, H @ P @ H.T + ordinary, m), before.kept
+            return nothing_observed(x, P, H @ P @ H.T + ordinary, m), before.carried
         # What F P F' leaves of asymmetry would grow where F does.
         covariance = last.copies.P[0, :n, :n]
         mean, covariance = x + last.copies.x[0, :n], 0.5 * (covariance + covariance.T)
@@ -376,15 +375,15 @@ class Mixture:
             mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory,
             lags(y, (H.dot(P) * H).sum(axis=1) + (ordinary_noise(R, before.memory) + unexplained).diagonal()),
             unexplained, self._named,
-        ), before.kept  # fmt: skip
+        ), before.carried  # fmt: skip
 
-    def standing(self, carried: Kept | None, x: Array, P: Array, memory: Array) -> State:
+    def standing(self, carried: Carried | None, x: Array, P: Array, memory: Array) -> State:
         """Return where a recording begins, in arrays of its own."""
         return half_step.begin(self.current(carried, x, P).hypotheses, memory)._replace(x=x.copy(), P=P.copy())
 
-    def kept_of(self, carried: Kept | None, state: State) -> Kept | None:
+    def carried_of(self, carried: Carried | None, state: State) -> Carried | None:
         """Return what is kept besides where a recording has come to."""
-        return None if carried is None else Kept(*state[:3], state.x, state.P)
+        return None if carried is None else Carried(*state[:3], state.x, state.P)
 
     def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
         """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
@@ -412,14 +411,14 @@ class Mixture:
         """Logarithms of the scales of Q."""
         return np.log(self.scales.scales)
 
-    def slack(self, carried: Kept | None) -> float:
+    def slack(self, carried: Carried | None) -> float:
         """Return the factor of Q that is thought likely."""
         if carried is None:
             return 1.0
         slow = carried.belief[: len(self.scales.scales)]
         return math.exp(float((self._logs @ (slow / slow.sum(axis=0))).mean()))
 
-    def process_scale(self, carried: Kept | None, n: int) -> Array:
+    def process_scale(self, carried: Carried | None, n: int) -> Array:
         """Return the mean factor of each state's Q."""
         if carried is None:
             return np.ones(n)
@@ -427,19 +426,19 @@ class Mixture:
         mean = np.asarray(self.scales.scales @ side_by_side.slow(carried.hypotheses, self.scales))
         return mean if given is None else mean * given.factor
 
-    def entries(self, carried: Kept | None, x: Array, P: Array) -> dict[str, Array]:
+    def entries(self, carried: Carried | None, x: Array, P: Array) -> dict[str, Array]:
         """Return the models as arrays of a state."""
         if carried is None:
             return {}
         now = self.current(carried, x, P)
         return {"means": now.means, "covariances": now.covariances, "belief": now.belief}
 
-    def resumed(self, entries: dict[str, Array], x: Array, P: Array) -> Kept | None:
+    def resumed(self, entries: dict[str, Array], x: Array, P: Array) -> Carried | None:
         """Return the models of a state, if their probabilities are some."""
         if self.scales.count == 1:
             return None
         side_by_side.require_belief("state: belief", entries["belief"], self.scales)
-        return Kept(entries["means"], entries["covariances"], entries["belief"], x.copy(), P.copy())
+        return Carried(entries["means"], entries["covariances"], entries["belief"], x.copy(), P.copy())
 
 
 class Mixed(NamedTuple):

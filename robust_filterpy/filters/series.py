@@ -23,11 +23,10 @@ from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.driver import run
 from robust_filterpy.filters.notices import say_stuck_among
-from robust_filterpy.filters.policies import Kept, policy_of
+from robust_filterpy.filters.policies import Carried, policy_of
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import series as kernel
-from robust_filterpy.kernel.series import Kept as Rows
-from robust_filterpy.kernel.series import Model, Output
+from robust_filterpy.kernel.series import Model, Output, Rows
 
 __all__ = ["FilteredSeries", "began", "continued", "filter_series"]
 
@@ -396,7 +395,7 @@ def _alone(
     covariances = out.covariances[s].reshape(len(out.means[s]), -1) if out.covariances[s].size else None
     scales, odds = (None if column is None else column[s] for column in (scale, outlying))
     into = Rows(out.means[s], covariances, None, None, out.weights[s], odds, scales, out.log_likelihood[s : s + 1])
-    apart = Kept(at["means"], at["covariances"], at["belief"], at["x"], at["P"]) if "means" in at else None
+    apart = Carried(at["means"], at["covariances"], at["belief"], at["x"], at["P"]) if "means" in at else None
     memory = at.get("learnt", at.get("spread", policy.begin(given.z.shape[2])))
     state = policy.standing(apart, at["x"], at["P"], memory)
     lost: tuple[str, ...] = ()

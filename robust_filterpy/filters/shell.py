@@ -22,7 +22,7 @@ from robust_filterpy.filters.driver import require_finite_correction
 from robust_filterpy.filters.notices import EVERY, Share, judges, look_at_signs, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
-from robust_filterpy.filters.states import Customs, StateMixin
+from robust_filterpy.filters.states import Memories, StateMixin
 from robust_filterpy.kernel.moments import Taken, correction_of, judged_of, weights_of
 
 _DEFAULT_INVERSE = np.linalg.inv
@@ -127,7 +127,7 @@ class Shell(StateMixin):
         self._share, self._signs, self._updates, self._process_scales = Share(), None, 0, None
         self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
-        self._keep_sensors(Customs(self._policy.begin(dim_z), {}))
+        self._keep_sensors(Memories(self._policy.begin(dim_z), {}))
         self._named_sensors = {}
 
     def _start(self) -> None:
@@ -169,7 +169,7 @@ class Shell(StateMixin):
         anew = type(policy) is not type(old) or (isinstance(policy, Mixture) and policy.classes != old.classes)
         self._policy, self._choices = policy, policy.choices
         if anew:
-            self._keep_sensors(Customs(policy.begin(self.dim_z), {}))
+            self._keep_sensors(Memories(policy.begin(self.dim_z), {}))
         if anew or policy.process != old.process or policy.patience != old.patience:
             self._start()
 
@@ -381,7 +381,7 @@ class Shell(StateMixin):
 
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""
-        memory = self._known(len(y)).memory if self._learns_spread else None
+        memory = self._prior(len(y)).memory if self._learns_spread else None
         return log_density(y, S, self._choices, memory, self._inverse is not None)
 
     def _record(self) -> Any:

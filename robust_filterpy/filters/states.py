@@ -17,7 +17,7 @@ from robust_filterpy.correction.learning import LearntNoise, describe
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import NUMBERS, SPREAD, WEIGHT
 from robust_filterpy.filters._insistence import Insistence
-from robust_filterpy.filters.policies import Bounded, Known, Mixture, ordinary_noise
+from robust_filterpy.filters.policies import Bounded, Mixture, Prior, ordinary_noise
 from robust_filterpy.filters.snapshot import whole
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ GAPS: Final = ("insisting",)
 _MOST = 32
 
 
-class Customs(NamedTuple):
+class Memories(NamedTuple):
     """Memories of sensors, w numbers each; nothing in here is ever written to."""
     # A row of an H that was passed tells the sensor. One that is met for the first time begins with what was learned of
     # its place in z, so that an H that varies from step to step goes by places.
@@ -50,7 +50,7 @@ class Customs(NamedTuple):
                 memories[i] = self.places[place]
         return memories
 
-    def updated(self, memory: Array, begin: Array, keys: list[Any]) -> Customs:
+    def updated(self, memory: Array, begin: Array, keys: list[Any]) -> Memories:
         """Return these with the memories of some sensors replaced, named as in `of`."""
         places, rows = self.places.copy(), dict(self.rows)
         for i, (key, one) in enumerate(zip(keys, memory, strict=True)):
@@ -63,7 +63,7 @@ class Customs(NamedTuple):
                 rows[key] = one.copy()
         for key in list(rows)[: max(len(rows) - _MOST, 0)]:
             del rows[key]
-        return Customs(places, rows)
+        return Memories(places, rows)
 
 
 class StateMixin:
@@ -115,21 +115,21 @@ class StateMixin:
     #: One number for each step of the last recording, None before one.
     _process_scales: Array | None
 
-    def _known_sensors(self) -> Customs:
+    def _remembered(self) -> Memories:
         """Return the memory of the sensors; the array alone is what the kernel reads and replaces."""
-        return Customs(self._memory, self._other_sensors)
+        return Memories(self._memory, self._other_sensors)
 
-    def _keep_sensors(self, value: Customs) -> None:
+    def _keep_sensors(self, value: Memories) -> None:
         """Keep the memory of the sensors."""
         self._memory, self._other_sensors = value
 
-    def _known(self, m: int, passed: Array | None = None, first: int = 0) -> Known:
+    def _prior(self, m: int, passed: Array | None = None, first: int = 0) -> Prior:
         """Return the memory before a correction by m sensors, from place `first` in z on or by their rows of H."""
         learns = self._policy.learns
         if learns and passed is None and first + m <= len(self._memory):
-            return Known(self._memory[first : first + m], self._kept)
+            return Prior(self._memory[first : first + m], self._kept)
         begin, keys = self._sensors_of(m, passed, first)
-        return Known(self._known_sensors().of(begin, keys) if learns else begin, self._kept)
+        return Prior(self._remembered().of(begin, keys) if learns else begin, self._kept)
 
     def _sensors_of(self, m: int, passed: Array | None, first: int) -> tuple[Array, list[Any]]:
         """Return memories without any knowledge, and what tells the m sensors: their places, or their rows of an H."""
@@ -140,7 +140,7 @@ class StateMixin:
         return begin[first:], places if passed is None else sensor_keys(passed, getattr(self, "H", None))
 
     def _learn(self, memory: Array | None, m: int, passed: Array | None = None, first: int = 0) -> None:
-        """Keep what a correction by m sensors has taught, named as in `_known`."""
+        """Keep what a correction by m sensors has taught, named as in `_prior`."""
         if memory is None or not self._policy.learns:
             return
         if passed is None and first + m <= len(self._memory) and len(memory) == m:
@@ -148,7 +148,7 @@ class StateMixin:
             places[first : first + m] = memory
             self._memory = places
             return
-        self._keep_sensors(self._known_sensors().updated(memory, *self._sensors_of(m, passed, first)))
+        self._keep_sensors(self._remembered().updated(memory, *self._sensors_of(m, passed, first)))
 
     def _spoken(self, sensor: str | int | None, correct: Callable[[], None]) -> None:
         """Correct by a sensor that is named, None for those that their places or rows of H tell."""
@@ -157,8 +157,8 @@ class StateMixin:
             return
         if not isinstance(sensor, (str, int)) or isinstance(sensor, bool):
             raise TypeError(f"sensor: expected a name or a number, got {_checks.shown(sensor)}")
-        unnamed, name = self._known_sensors(), str(sensor)
-        self._keep_sensors(Customs(self._named_sensors.get(name, self._policy.begin(self.dim_z)), {}))
+        unnamed, name = self._remembered(), str(sensor)
+        self._keep_sensors(Memories(self._named_sensors.get(name, self._policy.begin(self.dim_z)), {}))
         try:
             correct()
             spoken = self._memory
@@ -181,7 +181,7 @@ class StateMixin:
         """
         if not self._learns_spread:
             return np.full(self.dim_z, np.nan)
-        memory = self._known(self.dim_z).memory
+        memory = self._prior(self.dim_z).memory
         return np.where(memory[:, WEIGHT] > 0.0, memory[:, SPREAD], np.nan)
 
     @property
@@ -240,7 +240,7 @@ class StateMixin:
         if type(self._policy) is not Mixture:
             return None
         kf: Any = self
-        return ordinary_noise(noise_covariance(kf.R, None, self.dim_z), self._known(self.dim_z).memory)
+        return ordinary_noise(noise_covariance(kf.R, None, self.dim_z), self._prior(self.dim_z).memory)
 
     @property
     def _learns_noise(self) -> bool:
@@ -350,11 +350,11 @@ class StateMixin:
 
     def _sensors_in_state(self) -> dict[str, Array]:
         """Return the memory of the sensors, if there is any."""
-        customs, name = self._known_sensors(), self._sensors_name
-        entries = {name: customs.places} if name == "spread" and (customs.places.any() or customs.rows) else {}
-        if customs.rows:
-            entries["sensors"] = np.array([np.frombuffer(key) for key in customs.rows])
-            entries[f"sensors_{name}"] = np.array(list(customs.rows.values()))
+        memories, name = self._remembered(), self._sensors_name
+        entries = {name: memories.places} if name == "spread" and (memories.places.any() or memories.rows) else {}
+        if memories.rows:
+            entries["sensors"] = np.array([np.frombuffer(key) for key in memories.rows])
+            entries[f"sensors_{name}"] = np.array(list(memories.rows.values()))
         if self._named_sensors:
             entries["named"] = _state.spelt(json.dumps({one: len(rows) for one, rows in self._named_sensors.items()}))
             entries[f"named_{name}"] = np.vstack(list(self._named_sensors.values()))
@@ -383,7 +383,7 @@ class StateMixin:
         carried = self._policy.resumed(entries, np.ravel(entries["x"]), entries["P"])
         self.x, self.P, self._kept = entries["x"], entries["P"], carried
         self._show_nothing()
-        self._keep_sensors(Customs(places, {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}))
+        self._keep_sensors(Memories(places, {row.tobytes(): one for row, one in zip(rows, memories, strict=True)}))
         self._named_sensors = named
         for key, name in self._settings.items():
             if key in entries:

@@ -27,7 +27,7 @@ from robust_filterpy.fusion._watch import Looked, coasted, fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.influence.functions import Influence
-from robust_filterpy.kernel.series import Kept
+from robust_filterpy.kernel.series import Rows
 
 # Columns of what is remembered of a component: its age, the last reading, the time before it, the one before that, how
 # many there were, then squares.
@@ -70,7 +70,7 @@ class State(NamedTuple):
     """Its covariance, (n, n)."""
     memory: Array
     """What was learned of each component's noise, (M, ..)."""
-    kept: Any
+    carried: Any
     """What the policy keeps besides."""
     sizes: Array
     """Variance that stands for R where nobody gave it, NaN until it is estimated, 1 elsewhere, (M,)."""
@@ -110,7 +110,7 @@ def start(policy: Policy, x: Array, P: Array, sizes: Array, u: Array) -> State:
 
 def arrays(policy: Policy, state: State) -> tuple[Array, ...]:
     """Return a state as arrays: the models, their probabilities, memory, x, P, sizes, u, trial."""
-    hypotheses = policy.current(state.kept, state.x, state.P)[:3]
+    hypotheses = policy.current(state.carried, state.x, state.P)[:3]
     return (*hypotheses, state.memory, state.x, state.P, state.sizes, state.u, state.trial)
 
 
@@ -123,7 +123,7 @@ def of_arrays(policy: Policy, parts: Any) -> State:
 
 def predicted(policy: Policy, state: State, F: Array, Q: Array, drift: Array) -> State:
     """Return the state after a stretch of time."""
-    x, P, hypotheses = policy.predicted(state.kept, state.x, state.P, F, Q, drift, 1.0)
+    x, P, hypotheses = policy.predicted(state.carried, state.x, state.P, F, Q, drift, 1.0)
     require_finite_prediction(x, P)
     return State(x, P, state.memory, hypotheses, *state[4:])
 
@@ -149,10 +149,10 @@ def series(
     """Return x, P, weights of many steps, and the last state."""
     N, n = len(zs), len(state.x)
     xs, Ps, weights = np.empty((N, n)), np.empty((N, n, n)), np.empty(zs.shape)
-    stands = policy.standing(state.kept, state.x, state.P, state.memory)
-    run(policy, stands, zs, (F, Q, H, R, drift), Kept(xs, Ps.reshape(N, n * n), weights=weights), of="Fusion")
-    hypotheses = policy.kept_of(state.kept, stands)
-    return xs, Ps, weights, state._replace(x=stands.x, P=stands.P, memory=stands.learnt, kept=hypotheses)
+    stands = policy.standing(state.carried, state.x, state.P, state.memory)
+    run(policy, stands, zs, (F, Q, H, R, drift), Rows(xs, Ps.reshape(N, n * n), weights=weights), of="Fusion")
+    hypotheses = policy.carried_of(state.carried, stands)
+    return xs, Ps, weights, state._replace(x=stands.x, P=stands.P, memory=stands.learnt, carried=hypotheses)
 
 
 # What the first readings tell of a noise that nobody gave is worth so many samples.

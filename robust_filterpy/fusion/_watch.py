@@ -156,7 +156,7 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     PH, rows, quiet, learnt = now.state.P @ H.T, statistics[here], watch.score < _QUIET, None
     S, slack, scales = H @ PH, watch.slack, watch.scales.tolist()
     if (rows[:, _COUNT] % _SELDOM == 0.0).any():
-        memory, slack = now.state.memory, now.policy.slack(now.state.kept)
+        memory, slack = now.state.memory, now.policy.slack(now.state.carried)
         learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
     said = zip(here.tolist(), rows.tolist(), now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
     updated, counts = [], []

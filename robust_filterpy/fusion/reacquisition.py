@@ -137,7 +137,7 @@ def stepped(setup: Setup, state: State, doubt: Doubt, seconds: float, z: Array) 
     """Return the hypotheses some seconds later, after what was read."""
     n, owner, first = setup.layout.n, setup.layout.owner, not doubt.agreed
     x, P, quiet = doubt.x.copy(), doubt.P.copy(), doubt.quiet + seconds
-    slack = setup.policy.slack(state.kept)
+    slack = setup.policy.slack(state.carried)
     if setup.motion.is_linear:
         F, Q, drift = setup.motion.over(seconds, x[0, :n], state.u)
     else:
@@ -283,7 +283,7 @@ def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, same:
         apart = doubt.x[:, :n] - x
         P = np.einsum("i,ijk->jk", p, doubt.P[:, :n, :n] + apart[:, :, None] * apart[:, None, :])
     was, now = before.state, moment.state
-    state = now._replace(x=x, P=P, memory=was.memory, kept=setup.policy.start(x, P, len(now.sizes)))
+    state = now._replace(x=x, P=P, memory=was.memory, carried=setup.policy.start(x, P, len(now.sizes)))
     # The tests of sensors were of another state.
     watch = moment.watch and begun_anew(before.watch, np.zeros(len(before.watch.fault), dtype=bool), setup.layout.party)
     return moment._replace(state=state, watch=watch, doubt=remaining, anew=True)

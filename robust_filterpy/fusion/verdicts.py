@@ -232,7 +232,7 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     R = covariance(setup.layout, state.sizes).diagonal()
     scales, shares = setup.policy.shares(state.memory)
     return Stretch(
-        state.x, state.P, F, Q * setup.policy.slack(state.kept), drift, seconds_,
+        state.x, state.P, F, Q * setup.policy.slack(state.carried), drift, seconds_,
         np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.statistics[:, SLOW] * R, scales,
         shares, worth,
     )  # fmt: skip

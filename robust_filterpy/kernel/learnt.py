@@ -15,9 +15,9 @@ from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.whitening import Inverse
-from robust_filterpy.kernel.series import Kept, State, plain
+from robust_filterpy.kernel.series import Rows, State, plain
 
-__all__ = ["Kept", "State", "begin", "correct", "predict", "rule", "run"]
+__all__ = ["Rows", "State", "begin", "correct", "predict", "rule", "run"]
 
 #: Which half of a step is taken.
 PREDICTION, CORRECTION, BOTH = 1, 2, 3
@@ -48,7 +48,7 @@ def begin(copies: Copies, memory: Array) -> State:
 
 
 def run(
-    state: State, zs: Array, model: tuple[Any, ...], noise: NoiseClasses, process: Scales, kept: Kept,
+    state: State, zs: Array, model: tuple[Any, ...], noise: NoiseClasses, process: Scales, rows: Rows,
     *, first: int = 0, last: int | None = None, every: int = 1, alpha_sq: float = 1.0, update_first: bool = False,
     which: int = BOTH, readings: Array | None = None, M: Array | None = None,
 ) -> int:  # fmt: skip
@@ -57,12 +57,12 @@ def run(
     last = len(zs) if last is None else last
     if extension is None:
         return first
-    width = 0 if kept.covariances is None else kept.covariances.shape[1]
-    likelihood = np.zeros(1) if kept.log_likelihood is None else kept.log_likelihood
+    width = 0 if rows.covariances is None else rows.covariances.shape[1]
+    likelihood = np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood
     said = plain(zs if readings is None else readings)[None]
     # One series.
     given = tuple(None if a is None else plain(a)[None] for a in (*model, None if M is None else M[None]))
-    into = tuple(None if a is None else a[None] for a in kept[:-1])
+    into = tuple(None if a is None else a[None] for a in rows[:-1])
     taken = extension.learnt_steps(
         rule(noise, process), tuple(state), plain(zs)[None], said, given, (*into, likelihood),
         (first, last, every, alpha_sq, bool(update_first), width, which),
@@ -77,7 +77,7 @@ def predict(
     n = len(F)
     state = begin(copies, _SENSOR)
     model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
-    if run(state, np.full((1, 1), np.nan), model, _NOISE, process, Kept(), alpha_sq=alpha_sq, which=PREDICTION):
+    if run(state, np.full((1, 1), np.nan), model, _NOISE, process, Rows(), alpha_sq=alpha_sq, which=PREDICTION):
         return Copies.unpacked(*state[:3]), state.x, state.P
     moved = side_by_side.predict(copies, F, Q, process, Bu, alpha_sq)
     return moved, *side_by_side.merged(moved, process)
@@ -100,7 +100,7 @@ def correct(
         (m, n), state = H.shape, begin(copies, memory)
         weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
         model = (_nothing(n), _nothing(n), H[None], R[None], None)
-        into = Kept(weights=weights, outlying=outlying, log_likelihood=likelihood)
+        into = Rows(weights=weights, outlying=outlying, log_likelihood=likelihood)
         said = None if readings is None else readings[None]
         if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said, M=M):
             found = Corrected(Copies.unpacked(*state[:3]), state.learnt, float(likelihood[0]), weights[0], outlying[0])

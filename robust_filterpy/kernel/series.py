@@ -55,7 +55,7 @@ class State(NamedTuple):
     """Its covariance, (n, n)."""
 
 
-class Kept(NamedTuple):
+class Rows(NamedTuple):
     """What a run writes into, a row for each kept step; None where nothing is wanted."""
 
     means: Array | None = None
@@ -135,11 +135,11 @@ def filter_series(
     done = np.full(len(zs), start, dtype=np.intp)
     low, high = (0, len(zs)) if span is None else span
     rows = zs.shape[1] // every
-    kept = [a.reshape(len(zs), rows, -1) if a.shape[1] else None for a in output[:5]]
-    width = next((a.shape[2] for a in (kept[1], kept[3]) if a is not None), 0)
-    kept = [None if a is not None and a.shape[2] == 0 else a for a in kept]
+    into = [a.reshape(len(zs), rows, -1) if a.shape[1] else None for a in output[:5]]
+    width = next((a.shape[2] for a in (into[1], into[3]) if a is not None), 0)
+    into = [None if a is not None and a.shape[2] == 0 else a for a in into]
     kernel.extension().filter_series(
-        rule(choices), np.ascontiguousarray(zs), tuple(map(plain, model)), x, P, memory, tuple(kept),
+        rule(choices), np.ascontiguousarray(zs), tuple(map(plain, model)), x, P, memory, tuple(into),
         output.log_likelihood, done,
         (start, zs.shape[1] if stop is None else stop, low, high, float(alpha_sq), bool(update_first), every), width,
     )  # fmt: skip
@@ -147,7 +147,7 @@ def filter_series(
 
 
 def run(
-    choices: Choices, state: State, zs: Array, model: tuple[Any, ...], kept: Kept,
+    choices: Choices, state: State, zs: Array, model: tuple[Any, ...], rows: Rows,
     *, first: int = 0, last: int | None = None, alpha_sq: float = 1.0, update_first: bool = False,
     every: int = 1,
 ) -> int:  # fmt: skip
@@ -156,11 +156,11 @@ def run(
         return first
     done, n = np.full(1, first, dtype=np.intp), len(state.x)
     last = len(zs) if last is None else last
-    width = 0 if kept.covariances is None else kept.covariances.shape[1]
+    width = 0 if rows.covariances is None else rows.covariances.shape[1]
     matrices = (*model[:4], np.zeros((1, n)) if model[4] is None else model[4])
     kernel.extension().filter_series(
         rule(choices), plain(zs)[None], tuple(plain(a)[None] for a in matrices), state.x[None], state.P[None],
-        state.learnt[None], tuple(None if a is None else a[None] for a in kept[:5]), np.zeros(1), done,
+        state.learnt[None], tuple(None if a is None else a[None] for a in rows[:5]), np.zeros(1), done,
         (first, last, 0, 1, alpha_sq, bool(update_first), every), width,
     )  # fmt: skip
     return int(done[0])

@@ -6,6 +6,7 @@ Legends stand next to the data. matplotlib is imported when something is drawn.
 from __future__ import annotations
 
 import textwrap
+import warnings
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -179,15 +180,17 @@ def plot_comparison(
     return ax
 
 
-def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
+def plot_tuning(tuned: Any = None, *, ax: Axes | None = None, found: TunedTracker | None = None) -> Axes:
     """Draw the log-likelihood of each value that `ParameterTracker.tuned` tried.
 
     Parameters
     ----------
-    found : TunedTracker
+    tuned : TunedTracker
         What `ParameterTracker.tuned` returned.
     ax : matplotlib.axes.Axes, optional
         Where to draw.
+    found : TunedTracker, optional
+        The old name of tuned.
 
     Returns
     -------
@@ -198,10 +201,13 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
     Of two names that were tried together the first is the abscissa, and the second has a line for each value. A
     covariance stands at its trace.
     """
-    names = list(found.best.values)
-    x = np.array([_place(row.values[names[0]]) for row in found.rows])
-    value = np.array([row.log_likelihood for row in found.rows]) - found.best.log_likelihood
-    groups = [_place(row.values[names[1]]) if len(names) > 1 else 0.0 for row in found.rows]
+    if found is not None:
+        warnings.warn("plot_tuning: found= is called tuned now", DeprecationWarning, stacklevel=2)
+        tuned = found
+    names = list(tuned.best.values)
+    x = np.array([_place(row.values[names[0]]) for row in tuned.rows])
+    value = np.array([row.log_likelihood for row in tuned.rows]) - tuned.best.log_likelihood
+    groups = [_place(row.values[names[1]]) if len(names) > 1 else 0.0 for row in tuned.rows]
     ax = style.one_axes(ax)
     for place, group in enumerate(dict.fromkeys(groups)):
         of = np.array([one == group for one in groups])
@@ -209,7 +215,7 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
         label = f"{names[1]} = {group:.3g}" if len(names) > 1 else "tried"
         look = {**style.line_of(place), "marker": style.MARKERS[place % 6], "markersize": 4}
         ax.plot(x[of][order], value[of][order], linewidth=1.2, label=label, **look)
-    chosen = found.rows.index(found.best)
+    chosen = tuned.rows.index(tuned.best)
     style.ring(ax, x[chosen], value[chosen])
     ax.axhline(-2.0, color="0.5", linestyle=":", linewidth=1.0, label="as good: 2 below")
     least = float(x[x > 0.0].min(initial=np.inf))
@@ -219,7 +225,7 @@ def plot_tuning(found: TunedTracker, *, ax: Axes | None = None) -> Axes:
         ax.set_xlim(-0.3 * least if (x == 0.0).any() else 0.8 * least, 1.5 * x.max())
     ax.set_yscale("symlog", linthresh=10.0)
     ax.set_ylim(None, 2.0)
-    what = "trace of Q" if any(np.ndim(row.values[names[0]]) for row in found.rows) else names[0]
+    what = "trace of Q" if any(np.ndim(row.values[names[0]]) for row in tuned.rows) else names[0]
     ax.set(xlabel=what, ylabel="log-likelihood less the best")
     style.legend_outside(ax)
     return ax

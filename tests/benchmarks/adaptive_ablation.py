@@ -53,7 +53,9 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "a candidate for a jump": (("rule->jump * (1 - unseen[i])", "0"),),
     "a sample is worth 100 to 1 for it": (("real_min(w.logs[q], LEARNT_EVIDENCE * evidence)", "w.logs[q]"),),
     "nor tells of the scale of Q": (("known_well && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
-    "how often the state jumps": (("returns ? -each : each", "0"),),
+    "how often the state jumps": (
+        ("returns ? real_max(jumps[JUMPS_CHANCE] - each, 0) : real_max(jumps[JUMPS_CHANCE], each) + each", "0"),
+    ),
     "it knows no last class": (("learnt_usual(K, known, w.usual)", "learnt_predicted(K, known, w.usual)"),),
     "it is hidden while less likely than not": (("!(work[q * n + i] > REAL(0.5))", "0"),),
     "a start elsewhere, with .2": (
@@ -87,7 +89,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "parity: a floor of r": (
         ("real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)))", "r[i]"),
     ),
-    "parity: r raised for a colour": (("real_exp(colour[i] * real_log((1 + part) / (1 - part)))", "1"),),
+    "parity: r raised for a color": (("real_exp(colour[i] * real_log((1 + part) / (1 - part)))", "1"),),
     "parity: outliers are shortened": (("real_min(real_max(e, -reach), reach)", "e"),),
     "parity: dependent samples are worth few": (("worth / (worth + rule->begin[1])", "1"),),
 }  # fmt: skip

@@ -144,7 +144,7 @@ def _autoregression(g: np.random.Generator, lag: float, sensors: int) -> np.ndar
 
 
 def anchors(seed: int) -> Trap:
-    """A walker among four far anchors: ranges with coloured noise (.93), a tenth of the time delayed by walls."""
+    """A walker among four far anchors: ranges with colored noise (.93), a tenth of the time delayed by walls."""
     g = np.random.default_rng(seed)
     angles = np.arange(4) * np.pi / 2 + 0.3
     H = np.zeros((4, 4))
@@ -309,10 +309,10 @@ Measure = Callable[[Trap, np.ndarray, np.ndarray], float]
 ROWS: list[tuple[str, Callable[[int], Trap], Measure, float, str | None]] = [
     ("sensors in turn, sigma 5 and .1, as NaN rows: error", in_turn, error, 1.15, None),
     ("the same through one row: error", one_row, error, 1.15, NAMED),
-    ("coloured .9, 2 sensors: error", partial(coloured, sensors=2, lag=0.9), error, 1.04, None),
-    ("coloured .98, 4 sensors: error", partial(coloured, sensors=4, lag=0.98), error, 1.15, None),
+    ("colored .9, 2 sensors: error", partial(coloured, sensors=2, lag=0.9), error, 1.04, None),
+    ("colored .98, 4 sensors: error", partial(coloured, sensors=4, lag=0.98), error, 1.15, None),
     ("the same: coverage", partial(coloured, sensors=4, lag=0.98), coverage, 0.75, None),
-    ("ranges to anchors, coloured .93, walls: error over the gate's", anchors, error, 0.97, GATE),
+    ("ranges to anchors, colored .93, walls: error over the gate's", anchors, error, 0.97, GATE),
     ("the same: coverage", anchors, coverage, 0.5, None),
     ("3 sensors correlated .8 that fail together: error", together, error, 1.1, JOINT),
     ("Q given 10 times too large, outliers: error", partial(large_q, factor=10.0), error, 1.1, None),

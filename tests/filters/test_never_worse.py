@@ -137,7 +137,7 @@ def test_sensors_that_take_turns_are_told_apart_by_their_rows(path):
     for k in range(400):
         kf.predict()
         kf.update(sigma[k % 2] * rng.normal(), H=rows[k % 2])
-    spreads = [kf._known(1, row).memory[0, 1] for row in rows]
+    spreads = [kf._prior(1, row).memory[0, 1] for row in rows]
     assert spreads[0] / spreads[1] == pytest.approx(50.0, rel=0.4)
 
 

@@ -104,7 +104,7 @@ def test_predictions_made_together_are_those_made_one_by_one(a, c, d, gap):
     error += np.convolve(wild, parts.a)[:samples]
     known = np.ones(samples, dtype=bool)
     known[700 : 700 + gap] = False
-    noise = _Counted(Contaminated(0.05, 30.0), 1.0, known=True)
+    noise = _Counted(Contaminated(0.05, 30.0), 1.0, given=True)
     _Counted.calls = 0
     found = cleaned_residuals(parts, error, known, noise)
     assert _Counted.calls < samples / 5

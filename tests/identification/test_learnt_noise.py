@@ -78,7 +78,7 @@ def test_clean_residuals_have_hardly_any_outliers():
 def test_a_known_variance_stays():
     r = np.random.default_rng(6).normal(size=500)
     for influence in (Huber(), START):
-        assert Noise(influence, 9.0, known=True).refitted(r).R == 9.0
+        assert Noise(influence, 9.0, given=True).refitted(r).R == 9.0
 
 
 def test_another_influence_function_gets_the_median_absolute_deviation():

@@ -31,13 +31,13 @@ def window(residual, model, u):
 @pytest.mark.parametrize("change", [{"gain": 1.3}, {"gain": 2.0}, {"gain": -1.0}, {"a": np.poly([0.8, 0.6])}], ids=str)
 def test_the_residuals_of_another_plant_follow_the_inputs(change):
     for seed in range(20):
-        assert dependence(*window(*plant(seed, hold=1 + 7 * (seed % 2), **change))).found
+        assert dependence(*window(*plant(seed, hold=1 + 7 * (seed % 2), **change))).significant
 
 
 def test_the_residuals_of_a_right_model_do_not():
     for seed in range(100):
         quiet = plant(seed, hold=1 + 19 * (seed % 2), size=3.0 if seed % 3 else 1.0)
-        assert not dependence(*window(*quiet)).found
+        assert not dependence(*window(*quiet)).significant
 
 
 def test_coloured_noise_and_a_slow_input_look_alike_only_by_chance():
@@ -46,7 +46,7 @@ def test_coloured_noise_and_a_slow_input_look_alike_only_by_chance():
         rng = np.random.default_rng([29, seed])
         u = rng.choice([-1.0, 1.0], 20).repeat(20)
         residual = lfilter([1.0], [1.0, -0.8], rng.normal(size=400))
-        found.append(dependence(*window(residual, lfilter(B, A, u), u), whitening=(-0.8,)).found)
+        found.append(dependence(*window(residual, lfilter(B, A, u), u), whitening=(-0.8,)).significant)
     assert not any(found)
 
 
@@ -56,14 +56,14 @@ def test_windows_are_judged_each_for_itself():
     together = dependence(*(np.stack(part) for part in zip(*windows, strict=True)))
     alone = [dependence(*each) for each in windows]
     np.testing.assert_allclose(together.share, [one.share for one in alone])
-    np.testing.assert_array_equal(together.found, [False, True] * 3)
+    np.testing.assert_array_equal(together.significant, [False, True] * 3)
 
 
 def test_nothing_known_shows_nothing():
     residual, signals = window(*plant(1))
-    assert not dependence(np.full_like(residual, np.nan), signals).found
-    assert not dependence(np.zeros_like(residual), signals).found
-    assert not dependence(residual, np.ones_like(signals)).found
+    assert not dependence(np.full_like(residual, np.nan), signals).significant
+    assert not dependence(np.zeros_like(residual), signals).significant
+    assert not dependence(residual, np.ones_like(signals)).significant
 
 
 def broken(seed=1, length=1600, at=900):

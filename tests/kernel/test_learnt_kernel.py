@@ -11,7 +11,7 @@ from robust_filterpy.correction import copies as side_by_side
 from robust_filterpy.correction.copies import Scales
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import correct
-from robust_filterpy.kernel.learnt import Kept, begin, run
+from robust_filterpy.kernel.learnt import Rows, begin, run
 
 pytestmark = pytest.mark.skipif(not hasattr(kernel.extension(), "learnt_steps"), reason="the kernel is not built")
 OPTIONS = [
@@ -56,7 +56,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
     F, Q, R, m = problem.F, problem.Q, problem.R, zs.shape[1]
     copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
     state = begin(copies, memory)
-    kept = Kept(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), m)), log_likelihood=np.zeros(1))
+    rows = Rows(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), m)), log_likelihood=np.zeros(1))
     total = 0.0
     for k, z in enumerate(zs):
         H = dict(passed).get(k, problem.H)
@@ -64,12 +64,12 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
         found = correct(copies, memory, z, H, R, noise, process, M)
         copies, memory, total = found.copies, found.memory, total + found.log_density
         model = F[None], Q[None], H[None], R[None], None
-        assert run(state, zs, model, noise, process, kept, first=k, last=k + 1, M=M)
+        assert run(state, zs, model, noise, process, rows, first=k, last=k + 1, M=M)
         ours = side_by_side.Copies.unpacked(*state[:3])
         pairs = [
-            *zip(alive(copies), alive(ours), strict=True), (memory, state.learnt), (total, kept.log_likelihood[0]),
-            (found.weights, kept.weights[k]), *zip(side_by_side.merged(copies, process), state[4:6], strict=True),
-            (found.outlier_probabilities, kept.outlying[k]),
+            *zip(alive(copies), alive(ours), strict=True), (memory, state.learnt), (total, rows.log_likelihood[0]),
+            (found.weights, rows.weights[k]), *zip(side_by_side.merged(copies, process), state[4:6], strict=True),
+            (found.outlier_probabilities, rows.outlying[k]),
         ]  # fmt: skip
         for i, (theirs, mine) in enumerate(pairs):
             # P is a difference: what is rounding in it is a part of its largest number.
@@ -78,7 +78,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
             np.testing.assert_allclose(mine, theirs, rtol=1e-8, atol=rounding * size)
     if states is not None:
         states.append(copies.given)
-    return kept.weights, memory
+    return rows.weights, memory
 
 
 @pytest.mark.parametrize("noise, process", OPTIONS)
@@ -152,7 +152,7 @@ def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
         state = begin(copies, noise.start(2))
         before = [a.copy() for a in state]
         model = tuple(spoilt.get(name, getattr(problem, name))[None] for name in "FQHR")
-        assert run(state, spoilt.get("zs", zs), (*model, None), noise, process, Kept()) == 0
+        assert run(state, spoilt.get("zs", zs), (*model, None), noise, process, Rows()) == 0
         for was, now in zip(before, state, strict=True):
             np.testing.assert_array_equal(was, now)
 
@@ -165,7 +165,7 @@ def test_arrays_that_do_not_fit_are_refused():
     for wrong in (state._replace(learnt=noise.start(1)), state._replace(means=state.means[:-1]),
                   state._replace(P=state.P[:, ::-1])):  # fmt: skip
         with pytest.raises(ValueError, match="matching shapes"):
-            run(wrong, zs, model, noise, process, Kept())
+            run(wrong, zs, model, noise, process, Rows())
 
 
 @pytest.mark.pairwise(1)

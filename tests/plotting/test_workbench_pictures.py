@@ -143,6 +143,8 @@ def test_tuning_shows_the_likelihoods_and_rings_the_chosen():
     assert ring.get_xdata()[0] == found.best.values["Q"]
     assert ax.get_xlabel() == "Q"
     assert_beside_the_data(ax)
+    with pytest.warns(DeprecationWarning, match="tuned"):
+        assert_array_equal(plotting.workbench.plot_tuning(found=found).lines[0].get_ydata(), ax.lines[0].get_ydata())
     pairs = ParameterTracker(FIR(1, nk=0), start=0).tuned(
         y, u, over={"forgetting": [0.8, 0.9, 1.0], "Q": [0.0, 1e-3, 1.0]}
     )

@@ -71,7 +71,7 @@ def found_outliers(
     """Find the outliers in the output and in the noise of a model that has measured outputs in its regressor."""
     h, first, residual = response(model, p), model.first, model.residuals(p)
     wrong, counts = missing.copy(), np.ones(residual.size, dtype=bool)
-    R = noise.R if noise.known else None
+    R = noise.R if noise.given else None
     threshold = THRESHOLDS[1] if before is None else before.threshold
     if h.size == 1 or not noise.has_outliers:
         return Outliers(wrong, counts, threshold)
@@ -141,7 +141,7 @@ def _even(deviations: Array) -> float:
     # samples that stay is 0 if
     #     (1 - s) 2 t phi(t) = s (2 t^3/3 - 2 t)/sqrt(2 pi V),   exp(t^2/2) (t^2/3 - 1) = (1 - s)/s sqrt(V)
     # Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
-    mixture: Any = Noise(START, 1.0, known=True).settled(deviations).influence
+    mixture: Any = Noise(START, 1.0, given=True).settled(deviations).influence
     odds = (1.0 - mixture.contamination) / mixture.contamination * mixture.scale_ratio
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 

@@ -386,8 +386,8 @@ def _as_measured(noise: Noise, residual: Array, replaced: Array, measured: Any) 
     """Return the noise that the prediction will meet: of y as it was measured, outliers and all."""
     if not replaced.any():
         return noise
-    learnt = replace(noise, known=True).settled((residual + replaced)[measured])
-    return replace(learnt, known=noise.known)
+    learnt = replace(noise, given=True).settled((residual + replaced)[measured])
+    return replace(learnt, given=noise.given)
 
 
 def _own_fit(y: Array, residual: Array, rows: Any) -> float:

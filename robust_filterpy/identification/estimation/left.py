@@ -79,9 +79,9 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
     # Two neighbors together are surer of a plant that differs from the model less.
     for windows in (parts, np.hstack((parts[:-1], parts[1:]))):
         test = dependence(residual[windows], signals[windows], lags, whitening) if len(windows) else None
-        if test is None or not test.found.any():
+        if test is None or not test.significant.any():
             continue
-        where = windows[test.found]
+        where = windows[test.significant]
         first, last = int(where[0, 0]), int(where[-1, -1]) + 1
         text = (
             f"between samples {first} and {last} up to {100 * float(test.share.max()):.0f} % of what the model leaves "

@@ -237,7 +237,7 @@ def _maximised(
     for _ in range(turns):
         full = CompletedModel(model, outliers.wrong, weights)
         clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
-        if not (clear.any() or (noise.known and not isinstance(noise.influence, Contaminated))):
+        if not (clear.any() or (noise.given and not isinstance(noise.influence, Contaminated))):
             # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
             return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
         before = full.residuals(p)

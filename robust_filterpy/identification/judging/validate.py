@@ -223,7 +223,7 @@ class Score(NamedTuple):
 
 def _of_recording(noise: Noise, e: Array) -> Noise:
     """Return the noise that these residuals show: to the model's all that a wrong one leaves is wild."""
-    return noise if noise.known else replace(noise, R=max(mad_scale(e) ** 2, noise.least)).settled(e)
+    return noise if noise.given else replace(noise, R=max(mad_scale(e) ** 2, noise.least)).settled(e)
 
 
 def _portmanteau(c: Array, covariance: Array, full: Array) -> Portmanteau:

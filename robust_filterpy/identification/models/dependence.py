@@ -53,7 +53,7 @@ class Dependence(NamedTuple):
     chance: Array
 
     @property
-    def found(self) -> Any:
+    def significant(self) -> Any:
         """Whether the residuals follow the inputs, so that the dynamics are others than those of the model."""
         return (self.share > SHARE) & (self.chance < _CHANCE)
 

@@ -400,7 +400,7 @@ class Model(PolynomialSystem, Identified):
         -------
         recorded : PolynomialModel
             The level stands in the place of missing outputs.
-        known : ndarray of bool, shape (N,)
+        seen : ndarray of bool, shape (N,)
             Where y is measured.
 
         Raises
@@ -419,14 +419,14 @@ class Model(PolynomialSystem, Identified):
             )
         return model, seen
 
-    def without_outliers(self, recorded: PolynomialModel, known: Any) -> PolynomialModel:
+    def without_outliers(self, recorded: PolynomialModel, seen: Any) -> PolynomialModel:
         """Return a recording with the model's values for outliers and gaps, if its residuals hold past outputs.
 
         Parameters
         ----------
         recorded : PolynomialModel
             From `prepared`.
-        known : ndarray of bool, shape (N,)
+        seen : ndarray of bool, shape (N,)
             From there, too.
 
         Returns
@@ -437,7 +437,7 @@ class Model(PolynomialSystem, Identified):
         parts, first = self.parts, recorded.first
         if not recorded.na and parts.c.size == parts.d.size == 1:
             return recorded
-        cleaned = cleaned_residuals(parts, self._equation_error(recorded, known), known[first:], self.noise)
+        cleaned = cleaned_residuals(parts, self._equation_error(recorded, seen), seen[first:], self.noise)
         output = recorded.y.copy()
         output[first:] += (cleaned.weights - 1.0) * cleaned.residual
         return recorded.with_output(output)

@@ -109,7 +109,7 @@ class Noise:
         A `Contaminated` is learned with R; any other stays as it is.
     R : float
         Variance of the ordinary noise, in the unit of the residual squared.
-    known : bool, default False
+    given : bool, default False
         Whether R is given and stays as it is.
     least : float, optional
         R never becomes smaller than this, which keeps a recording without noise from dividing by 0.
@@ -117,14 +117,14 @@ class Noise:
 
     influence: Influence
     R: float
-    known: bool = False
+    given: bool = False
     least: float = np.finfo(float).tiny
 
     def refitted(self, residual: Array, steps: int = 5) -> Noise:
         """Return the noise that these residuals show, of a `Contaminated` after steps with its weak priors."""
         if isinstance(self.influence, Contaminated):
             return self._maximised(self.influence, residual, steps)
-        return self if self.known else replace(self, R=max(mad_scale(residual) ** 2, self.least))
+        return self if self.given else replace(self, R=max(mad_scale(residual) ** 2, self.least))
 
     def settled(self, residual: Array) -> Noise:
         """Return `refitted` after so many steps that more would hardly move it."""
@@ -137,7 +137,7 @@ class Noise:
     @property
     def is_rounding(self) -> bool:
         """Whether there is no noise: R is the least that it may be, but for the degrees of freedom."""
-        return not self.known and self.R <= 2.0 * self.least
+        return not self.given and self.R <= 2.0 * self.least
 
     @property
     def has_outliers(self) -> bool:
@@ -179,7 +179,7 @@ class Noise:
 
     def _maximised(self, mixture: Contaminated, residual: Array, steps: int) -> Noise:
         """Return the noise after some steps of expectation-maximization."""
-        contamination, ratio, R = maximised(residual, mixture, self.R, self.known, self.least, steps)
+        contamination, ratio, R = maximised(residual, mixture, self.R, self.given, self.least, steps)
         return replace(self, influence=Contaminated(contamination, ratio), R=R)
 
 
@@ -216,7 +216,7 @@ class Noises(NamedTuple):
 
     def learnt(self) -> Noises:
         """Return the same with the mixture in the place of each influence function."""
-        return self._replace(parts=tuple(Noise(START, one.R, one.known, one.least) for one in self.parts))
+        return self._replace(parts=tuple(Noise(START, one.R, one.given, one.least) for one in self.parts))
 
     def weights(self, residual: Array) -> Array:
         """Return psi(e)/e of each residual."""

@@ -260,7 +260,7 @@ class Summary:
         Probability of each interval.
     warning : str
         What makes the estimates doubtful; empty if nothing does.
-    found : str
+    findings : str
         What the recording has besides the model and its noise; empty if nothing.
     """
 
@@ -269,7 +269,7 @@ class Summary:
     rows: tuple[Estimate, ...]
     level: float
     warning: str
-    found: str = ""
+    findings: str = ""
 
     def to_text(self) -> str:
         """Return the table.
@@ -289,7 +289,7 @@ class Summary:
             short = f"{z:.1f}" if abs(z) < 1e6 else f"{z:.1e}"
             sure = f"{'held':>13}" if std == 0.0 else f"{std:>13.3g}{short:>11}{low:>14.5g}{high:>14.5g}"
             lines.append(f"{name:<12}{estimate:>14.5g}{sure}")
-        words = {"Found": self.found, "Doubtful": self.warning}
+        words = {"Found": self.findings, "Doubtful": self.warning}
         return "\n".join([*lines, "=" * _WIDTH, *(f"{name}: {text}" for name, text in words.items() if text)])
 
     def to_frame(self) -> Any:

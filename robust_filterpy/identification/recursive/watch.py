@@ -132,7 +132,7 @@ class Followed(NamedTuple):
         regressions = [dependence(residuals[w], signals[w], whitening=whitening_of(covariances)) for w in windows]
         shares = [max(float(one.share), 0.0) for one in regressions]
         after.usual[i] = *covariances, max(shares)
-        return after, float(np.mean(shares)) if np.mean([one.found for one in regressions]) > 0.5 else 0.0
+        return after, float(np.mean(shares)) if np.mean([one.significant for one in regressions]) > 0.5 else 0.0
 
     def looked(
         self,
@@ -191,7 +191,7 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     covariances = covariances if covariances[0] > 0.0 else now
     regression = dependence(residuals, signals, whitening=whitening_of(covariances))
     share = max(float(regression.share), 0.0)
-    if regression.found and share > SHARE + anyway:
+    if regression.significant and share > SHARE + anyway:
         return _ANOTHER.format(SPAN, 100 * share), usual
     moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
     if moved or (share > 0.5 * SHARE + anyway and usual[0]):

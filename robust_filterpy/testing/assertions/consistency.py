@@ -242,14 +242,14 @@ def _correlation(columns: list[Array], lag: int) -> tuple[float, float, int, int
     for column in columns:
         seen = ~np.isnan(column)
         e, k = np.where(seen, column, 0.0), np.arange(len(column))
-        neighbours, beside = np.zeros(len(e)), np.zeros(len(e), dtype=int)
+        neighbours, counts = np.zeros(len(e)), np.zeros(len(e), dtype=int)
         neighbours[lag:] += e[:-lag] if lag < len(e) else 0.0
         neighbours[: len(e) - lag] += e[lag:]
-        beside[lag:] += seen[:-lag] if lag < len(e) else 0
-        beside[: len(e) - lag] += seen[lag:]
-        use = seen & (beside > 0) & ((k // lag) % 2 == 0)
+        counts[lag:] += seen[:-lag] if lag < len(e) else 0
+        counts[: len(e) - lag] += seen[lag:]
+        use = seen & (counts > 0) & ((k // lag) % 2 == 0)
         ab, aa, bb = ab + neighbours[use] @ e[use], aa + neighbours[use] @ neighbours[use], bb + e[use] @ e[use]
-        pairs, samples = pairs + int(beside[use].sum()), samples + int(use.sum())
+        pairs, samples = pairs + int(counts[use].sum()), samples + int(use.sum())
         power, count = power + float(e @ e), count + int(seen.sum())
     if samples < 2 or aa == 0.0 or power == 0.0:
         return 0.0, 0.0, max(pairs, 1), 0
