@@ -90,3 +90,15 @@ def test_one_impossible_reading_is_a_missing_one_and_a_shock_that_acts_on_is_not
     model = quiet(y, u, ARX(2, 2))
     np.testing.assert_array_equal(model.theta, missing.theta)
     assert [one.kind for one in model.findings] == ["wild"]
+
+
+@pytest.mark.parametrize("noise", ["of the equation", "of the output", "slow"])
+def test_an_arx_that_coloured_noise_biases_is_said(noise):
+    rng, samples = np.random.default_rng([519, 4]), 800
+    a, b, u = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], rng.choice([-1.0, 1.0], samples)
+    white = np.where(rng.random(samples) < 0.05, 10.0, 1.0) * 0.2 * rng.normal(size=samples)
+    slow = 0.9 * lfilter([0.3], [1.0, -0.95], rng.normal(size=samples))
+    added = {"of the equation": lfilter([1.0], a, white), "of the output": 2.0 * white, "slow": slow + white}[noise]
+    model = identify(lfilter(b, a, u) + added, u, ARX(2, 2), trend="constant")
+    kinds = [one.kind for one in model.findings]
+    assert kinds == [] if noise == "of the equation" else "noise that follows itself" in kinds

@@ -1,4 +1,4 @@
-"""Where cancelling poles may be anywhere, P is that of models drawn from the likelihood."""
+"""Where cancelling poles may be anywhere, P is that of the likelihood at all places."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
 from robust_filterpy.identification import ARX, OutputError, identify
-from robust_filterpy.identification.estimation.profile import Place, Sections, wandered
+from robust_filterpy.identification.estimation.profile import Place, Sections, wandering
 
 
 @pytest.mark.parametrize(
@@ -24,39 +24,55 @@ def test_a_factor_with_a_root_outside_is_not_stable():
         assert not sections.are_stable(sections.values)
 
 
-def test_where_the_likelihood_says_nothing_every_stable_pair_is_as_likely():
-    sections = Sections.of([np.array([1.0, 0.0, 0.0])])
-    flat = wandered(lambda f: Place(0.0, f, lambda: np.zeros((2, 2))), np.zeros(2), np.eye(2), [sections])
+class Factors(Sections):
+    """Pairs that are the parameters themselves."""
+
+    def multiplied(self, values):
+        return values
+
+
+class Likelihood:
+    """A sum of normal densities of the factors of one polynomial, and a number that is known to a variance of 4."""
+
+    def __init__(self, centers, widths, shares=(1.0,)):
+        self.centers, self.shares = np.atleast_2d(centers), np.array(shares)
+        count = self.centers.shape[1]
+        self.inverse = np.diag(np.broadcast_to(1.0 / np.square(widths), count))
+        self.sections = Factors(((2,) * (count // 2),), self.centers[0])
+        self.p = self.best(self.centers[0]).p
+
+    def distances(self, f):
+        return np.log(self.shares) - 0.5 * np.einsum("ki,ij,kj->k", f - self.centers, self.inverse, f - self.centers)
+
+    def best(self, f):
+        spread = np.zeros((f.size + 1, f.size + 1))
+        spread[-1, -1] = 4.0
+        return Place(-float(np.logaddexp.reduce(self.distances(f))), np.append(f, 7.0), lambda: spread)
+
+    def curvature(self, p, sections, x):
+        share = np.exp(self.distances(x) - np.logaddexp.reduce(self.distances(x)))
+        return self.inverse @ (x - share @ self.centers), self.inverse, np.eye(x.size + 1)[:, :-1]
+
+
+def test_a_pair_of_which_the_likelihood_says_nothing_may_be_anywhere():
+    loss = Likelihood([0.1, 0.2, 0.0, 0.0], [0.01, 0.01, 1e6, 1e6])
     # Of the triangle with the corners (-2, 1), (2, 1) and (0, -1): mean squares 2/3 and 1/3.
-    assert_allclose(flat, np.diag([2.0 / 3.0, 1.0 / 3.0]), atol=0.05)
+    expected = np.diag([1e-4, 1e-4, 2.0 / 3.0, 1.0 / 3.0, 4.0])
+    assert_allclose(wandering(loss, loss.sections), expected, atol=0.05)
 
 
 def test_of_a_normal_likelihood_p_is_its_covariance_and_that_of_what_is_linear():
-    center, covariance = np.array([-1.2, 0.5, -0.6]), np.diag([0.02, 0.02, 0.02]) ** 2
-    inverse = np.linalg.inv(covariance)
-
-    def at(f):
-        return Place(0.5 * (f - center) @ inverse @ (f - center), np.append(f, 7.0), lambda: np.diag([0, 0, 0, 4.0]))
-
-    sections = Sections.of([np.append(1.0, center[:2]), np.append(1.0, center[2:])])
-    P = wandered(at, np.append(center, 7.0), covariance, [sections])
-    assert_allclose(P[:3, :3] / 0.02**2, np.eye(3), atol=0.35)
-    assert_allclose(P[3], [0.0, 0.0, 0.0, 4.0])
+    loss = Likelihood([-1.2, 0.5, -0.6, 0.1], 0.02)
+    P = wandering(loss, loss.sections)
+    assert_allclose(P[:4, :4] / 0.02**2, np.eye(4), atol=0.35)
+    assert_allclose(P[4], [0.0, 0.0, 0.0, 0.0, 4.0])
 
 
 def test_a_place_behind_a_barrier_counts_by_its_share():
-    places, width, shares = np.array([[-0.5, 0.2, 0.1, 0.1], [-0.35, 0.35, 0.25, -0.05]]), 0.03, np.array([0.6, 0.4])
-
-    def at(f):
-        distances = 0.5 * np.square((f - places) / width).sum(axis=1)
-        return Place(-np.logaddexp(*(np.log(shares) - distances)), f, lambda: np.zeros((4, 4)))
-
-    sections = Sections.of([np.append(1.0, places[0])])
-    P = wandered(at, places[0], width**2 * np.eye(4), [sections])
-    apart = (P.diagonal() - width**2) / (places[1] - places[0]) ** 2
-    # Draws follow each other: of the share of the other place some 25 count.
-    assert_allclose(apart, shares[1], atol=5.0 * np.sqrt(shares.prod() / 25.0))
-    assert (apart > 0.1).all()
+    centers, shares = np.array([[-0.5, 0.2, 0.1, 0.1], [0.7, 0.35, 0.25, -0.05]]), (0.6, 0.4)
+    loss = Likelihood(centers, 0.1, shares)
+    apart = (wandering(loss, loss.sections).diagonal()[:4] - 0.01) / (centers[1] - centers[0]) ** 2
+    assert_allclose(apart[0], shares[1], atol=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +100,7 @@ def test_the_pole_that_nothing_tells_has_no_narrow_interval(too_large):
     assert np.linalg.eigvalsh(model.P).min() >= -1e-9 * np.trace(model.P)
 
 
-def test_what_is_told_is_not_walked_from(too_large):
+def test_what_is_given_goes_nowhere(too_large):
     y, u, model = too_large
     held = identify(y, u, OutputError(4, 4), trend="constant", fixed={"a1": float(model.theta[0])}, progress=False)
     assert not held.sampled

@@ -129,9 +129,9 @@ def identify(
         Between which numbers others are, None or inf for no limit: ``{"b1": (0, None)}``. A parameter that ends at a
         bound is named by ``warning``.
     sampled : bool, default True
-        Whether P comes from models drawn from the likelihood where the loss is not quadratic and a pole that a zero
-        nearly cancels may be at other places, which takes seconds; False: from its profile, for a model that is one of
-        many. For structures of polynomials.
+        Whether P comes from models with poles at all places where the loss is not quadratic and a pole that a zero
+        nearly cancels may be at others, which takes a second; False: from its profile, for a model that is one of many.
+        For structures of polynomials.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.

@@ -15,7 +15,8 @@ from robust_filterpy.identification.estimation.beside import Beside, Search, Set
 from robust_filterpy.identification.estimation.cleaning import cleaned
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.left import parts_of, wraps
-from robust_filterpy.identification.estimation.trend import LAGS_OF_IMPULSES
+from robust_filterpy.identification.estimation.prediction_error import colour_of
+from robust_filterpy.identification.estimation.trend import LAGS_OF_IMPULSES, PRICE
 from robust_filterpy.identification.models.dependence import driven
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.results import Finding
@@ -96,7 +97,22 @@ def _left(search: Search, problem: Problem, best: Beside, model: Model) -> tuple
     )
     acting = driven(structure, model.theta, output, problem.u)[:, None]
     direct = min(nk for _, nk in structure.inputs) == 0
-    return search.left(best, output[:, None], residual[:, None], problem.rest, direct, meaning, acting, clear[:, None])
+    more = _slow_noise(model, clear)
+    left = search.left(best, output[:, None], residual[:, None], problem.rest, direct, meaning, acting, clear[:, None])
+    return (*left, *more)
+
+
+def _slow_noise(model: Model, residual: Array) -> tuple[Finding, ...]:
+    """Find out whether what a model with measured outputs in its regressor leaves follows itself."""
+    e = np.nan_to_num(residual)
+    gain = 2.0 * colour_of(model.noise.psi(e)).gain
+    if not model.structure.na or model.noise.is_rounding or gain < PRICE * np.log(e.size):
+        return ()
+    text = (
+        f"what {model.structure} leaves follows itself, and so does its regressor, which holds y: its parameters are "
+        "biased by that, further than their standard deviations say; OutputError and BoxJenkins are not, or more a's"
+    )
+    return (Finding("noise that follows itself", text, gain, (0, e.size)),)
 
 
 def _judged(model: Model, y: Array, u: Array, predicted: Array, several: bool) -> tuple[Array, Array]:

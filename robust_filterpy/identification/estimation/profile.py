@@ -7,15 +7,12 @@ rises more slowly than a quadratic, the axis becomes as long as the farther of t
 2. Other ends that are nearly as likely count by their odds.
 
 With two pairs of poles or more, those that nearly cancel may do so at other places nearly as well, and there the other
-poles differ, too. No neighborhood of the estimate tells that. So poles are drawn with the probability that the
-likelihood gives them, by the steps of Metropolis and Hastings (Robert and Casella, Monte Carlo Statistical Methods,
-2004, chapter 7): all poles move a little, one pair moves a little, or one pair jumps to any place within the unit
-circle. What is linear in the residuals is at its best for these poles, with its own covariance there. P is the mean
-square distance from the estimate.
-
-One walk alone stays in one place for thousands of steps. So there are several, each through a flatter likelihood than
-the one before, and neighbors exchange their places with the probability that leaves both as they should be
-(replica exchange; Geyer, Computing Science and Statistics 23, 1991). Only the first counts.
+poles differ, too. No neighborhood of the estimate tells that. So one pair, or several but not all, is put at places all
+over the unit circle, and from each the likeliest model near by is found: what the pair explains elsewhere, the rest
+following it. The likelihood there is taken for normal (Laplace's method), times a normal density for the place of the
+pair, as wide as its share of the circle, and, so that a flat likelihood counts no more than the circle holds, one
+around the estimate for the rest. P is the mean square distance from the estimate in the mixture of all places; of
+several choices of pairs that with the largest likelihood in all: the others miss some of it.
 
 Before the recording each pair is as likely at one place as at another, as coefficients of its factor (1 + a/q + b/q^2);
 what is linear has a density as wide as the recording, so that the least loss alone weighs the poles (Zellner's prior).
@@ -24,9 +21,11 @@ what is linear has a density as wide as the recording, so that the least loss al
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.stats import qmc
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
@@ -34,18 +33,12 @@ from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.uncertainty import principal_axes
 
-# Of so many steps in all the first share only leads away from where the walks begin.
-_STEPS: Final = 10000
-_BEGINNING: Final = 0.2
-# A walk at temperature T is through the likelihood to the power 1/T, where what lies between two places is no barrier.
-_TEMPERATURES: Final = (1.0, 2.0, 4.0, 8.0)
-# How often a pair jumps; a small step is of all poles as often as of one pair.
-_JUMPS: Final = 0.4
-# Small steps have sizes of 10 to these powers, in standard deviations by linearization (none of which counts as more
-# than the second number), or for one pair in units of the third.
-_SIZES: Final = (-1.5, 0.5)
+# So many places of each choice of pairs, from each of which so many steps lead to the likeliest model near by.
+_PLACES: Final = 64
+_STEPS: Final = 2
+_SHORTER: Final = (1.0, 0.3, 0.1)
+# A factor that is not put anywhere is within so much of where it is, in standard deviations of its coefficients.
 _WIDEST: Final = 0.5
-_OF_A_PAIR: Final = 0.3
 # Two standard deviations away the loss has risen by 2, or is bent if it is off by more than this share of it.
 _FAR: Final = 2.0
 _BENT: Final = 0.2
@@ -54,8 +47,6 @@ _FARTHEST: Final = 16.0
 _HALVINGS: Final = 6
 # Ends so much less likely than the best count.
 _CLOSE: Final = 4.0
-# A walk may begin at an end that is less likely still, since it leaves it.
-_WORTH_A_WALK: Final = 10.0
 # Weights of the residuals and what is linear take turns.
 _TURNS: Final = 2
 
@@ -126,61 +117,68 @@ class Sections(NamedTuple):
         return all(_is_inside(values[place]) for place in self.places)
 
 
-def wandered(at: Callable[[Array], Place], p: Array, covariance: Array, begins: list[Sections]) -> Array:
-    """Return the mean square distance of the free parameters from the estimate."""
-    # Always the same draws, so that a recording gives the same P twice.
-    rng = np.random.default_rng(0)
-    sections = begins[0]
-    values = [begins[k % len(begins)].values for k in range(len(_TEMPERATURES))]
-    places = [at(sections.multiplied(each)) for each in values]
-    small, turns = _steps_of(sections, covariance), _STEPS // len(_TEMPERATURES)
-    total, counted, square = np.zeros((p.size, p.size)), 0, _square(places[0], p)
-    for turn in range(turns):
-        before = places[0]
-        for k, temperature in enumerate(_TEMPERATURES):
-            new = _next(values[k], temperature**0.5 * small, sections, rng)
-            there = at(sections.multiplied(new)) if sections.are_stable(new) else None
-            if there is not None and temperature * np.log(rng.random()) < places[k].loss - there.loss:
-                values[k], places[k] = new, there
-        for k in range(turn % 2, len(places) - 1, 2):
-            colder, hotter = (1.0 / temperature for temperature in _TEMPERATURES[k : k + 2])
-            if np.log(rng.random()) < (places[k].loss - places[k + 1].loss) * (colder - hotter):
-                values[k : k + 2] = values[k : k + 2][::-1]
-                places[k : k + 2] = places[k : k + 2][::-1]
-        square = square if places[0] is before else _square(places[0], p)
-        if turn >= _BEGINNING * turns:
-            total, counted = total + square, counted + 1
-    return total / counted
+def wandering(loss: _Loss, sections: Sections) -> Array:
+    """Return the mean square distance of the free parameters from the estimate, pairs of poles being anywhere."""
+    x, places = sections.values, sections.places
+    wide = np.full(x.size, _WIDEST)
+    choices = [()] + [which for k in range(1, len(places)) for which in combinations(range(len(places)), k)]
+    mixtures = []
+    for which in choices:
+        moved = np.concatenate([np.arange(x.size)[places[i]] for i in which] or [np.zeros(0, dtype=int)])
+        degrees = [places[i].stop - places[i].start for i in which]
+        # As large as the region of stable factors is: 2 for a single root, 4 for a pair.
+        share = float(np.prod([2.0 * degree for degree in degrees])) / _PLACES
+        width = wide.copy()
+        width[moved] = 0.5 * share ** (1.0 / max(moved.size, 1))
+        near = []
+        for values in _anywhere(degrees) if which else [x[moved]]:
+            center = x.copy()
+            center[moved] = values
+            near.append(_near(loss, sections, center, width, _STEPS if which else 0))
+        # The density of places is even, that of the rest is not divided by its integral.
+        size = np.log(share if which else 1.0) + (x.size - moved.size) * np.log(_WIDEST * np.sqrt(2.0 * np.pi))
+        weights = [one + size for one, _ in near]
+        total = float(np.logaddexp.reduce(weights))
+        shares = np.exp(np.array(weights) - total)
+        mixtures.append((total, sum(part * square for part, (_, square) in zip(shares, near, strict=True))))
+    return np.asarray(max(mixtures, key=lambda one: one[0])[1])
 
 
-def _next(x: Array, small: Array, sections: Sections, rng: np.random.Generator) -> Array:
-    """Return where the walk may go next; the way back is as likely."""
-    new, kind = x.copy(), rng.random()
-    place = sections.places[rng.integers(len(sections.places))]
-    if kind < _JUMPS:
-        new[place] = _anywhere(place.stop - place.start, rng)
-        return new
-    size = 10.0 ** rng.uniform(*_SIZES)
-    if kind < 0.5 * (1.0 + _JUMPS):
-        return np.asarray(new + size * small @ rng.normal(size=x.size))
-    new[place] += _OF_A_PAIR * size * rng.normal(size=place.stop - place.start)
-    return new
+def _anywhere(degrees: list[int]) -> Array:
+    """Return stable factors of these degrees that cover all of them evenly, a row each."""
+    drawn, columns = qmc.Sobol(sum(degrees), seed=0).random(_PLACES), []
+    for degree in degrees:
+        first, drawn = drawn[:, 0], drawn[:, 1:]
+        if degree == 1:
+            columns.append(2.0 * first - 1.0)
+            continue
+        last, drawn = 2.0 * np.sqrt(drawn[:, 0]) - 1.0, drawn[:, 1:]
+        columns += [(2.0 * first - 1.0) * (1.0 + last), last]
+    return np.column_stack(columns)
 
 
-def _steps_of(sections: Sections, covariance: Array) -> Array:
-    """Return a root of the covariance of the factors, times the usual 2.4 over the root of their number."""
-    x, tiny = sections.values, 1e-6
-    moved = [sections.multiplied(x + tiny * e) - sections.multiplied(x - tiny * e) for e in np.eye(x.size)]
-    inverse = np.linalg.pinv(np.array(moved).T / (2.0 * tiny))
-    values, vectors = np.linalg.eigh(inverse @ covariance @ inverse.T)
-    lengths = np.minimum(np.sqrt(np.maximum(values, 0.0)), _WIDEST)
-    return np.asarray(2.4 / np.sqrt(x.size) * vectors * lengths)
-
-
-def _square(place: Place, p: Array) -> Array:
-    """Return the mean square distance from p at one place."""
-    apart = place.p - p
-    return np.outer(apart, apart) + place.spread()
+def _near(loss: _Loss, sections: Sections, center: Array, width: Array, steps: int) -> tuple[float, Array]:
+    """Return the log of the integral of the likelihood around some factors, and the mean square distance there."""
+    x, prior = center, width**-2.0
+    best = loss.best(sections.multiplied(x))
+    cost = best.loss
+    for turn in range(steps + 1):
+        slope, H, follows = loss.curvature(best.p, sections, x)
+        H, slope = H + np.diag(prior), slope + prior * (x - center)
+        step = np.linalg.solve(H, slope) if turn < steps else np.zeros(x.size)
+        for part in _SHORTER if turn < steps else ():
+            new = x - part * step
+            if sections.are_stable(new):
+                there = loss.best(sections.multiplied(new))
+                lower = there.loss + 0.5 * float(prior @ (new - center) ** 2)
+                if lower < cost:
+                    x, best, cost = new, there, lower
+                    break
+        else:
+            break
+    apart = best.p - loss.p
+    square = np.outer(apart, apart) + best.spread() + follows @ np.linalg.solve(H, follows.T)
+    return 0.5 * float(np.log(prior).sum() - np.linalg.slogdet(H)[1]) - cost, square
 
 
 def _is_inside(values: Array) -> bool:
@@ -188,14 +186,6 @@ def _is_inside(values: Array) -> bool:
     if values.size == 1:
         return bool(abs(values[0]) < 1.0)
     return bool(abs(values[1]) < 1.0 and abs(values[0]) < 1.0 + values[1])
-
-
-def _anywhere(degree: int, rng: np.random.Generator) -> Array:
-    """Return a stable factor, any of them as likely as any other."""
-    while True:
-        values = rng.uniform(-1.0, 1.0, degree) * (2.0, 1.0)[2 - degree :]
-        if _is_inside(values):
-            return np.asarray(values)
 
 
 def profiled(
@@ -227,10 +217,8 @@ def profiled(
         and sections.are_stable(sections.values)
         and not held[loss.polynomial].any()
     ):
-        begins = [sections, *(Sections.of(loss.polynomials(end)) for excess, end in others if excess < _WORTH_A_WALK)]
-        stage("models drawn from the likelihood, for their covariance")
-        begins = [each for each in begins if each.are_stable(each.values)]
-        return wandered(loss.best, p, own, begins), "sampled likelihood"
+        stage("models of pairs of poles anywhere, for their covariance")
+        return wandering(loss, sections), "sampled likelihood"
     longer = axes * np.maximum(reach, 1.0)[:, None]
     wider = longer.T @ longer
     total = 1.0 + sum(np.exp(-excess) for excess, _ in close)
@@ -288,6 +276,25 @@ class _Loss(NamedTuple):
         places = self.model.structure.polynomials
         standing = sorted((places.f, places.c, places.d), key=lambda place: place.start)
         return [np.append(1.0, p[place]) for place in standing if place.stop > place.start]
+
+    def curvature(self, p: Array, sections: Sections, x: Array) -> tuple[Array, Array, Array]:
+        """Return slope and curvature of the loss by factors, what is linear at its best, and by them all of p."""
+        tiny, k = 1e-6, x.size
+        moved = [sections.multiplied(x + tiny * e) - sections.multiplied(x - tiny * e) for e in np.eye(k)]
+        follows = np.zeros((p.size, k))
+        follows[self.bent] = np.array(moved).T / (2.0 * tiny)
+        residual, jacobian = self.model.residuals(p)[self.rows], self.model.jacobian(p)[self.rows]
+        X = np.column_stack((jacobian @ follows, jacobian[:, self.linear]))
+        size = np.linalg.norm(X, axis=0)
+        size[size == 0.0] = 1.0
+        weighted = X / size * self.noise.weights(residual)[:, None]
+        square = X.T @ weighted / size[:, None] + 1e-12 * np.diag(np.arange(size.size) >= k)
+        slope = weighted.T @ residual
+        least = np.linalg.solve(square[k:, k:], square[k:, :k])
+        scale, own = self.counted / self.noise.variance, size[:k]
+        curvature = (square[:k, :k] - square[:k, k:] @ least) * np.outer(own, own)
+        follows[self.linear] = -least * own / size[k:, None]
+        return scale * own * (slope[:k] - least.T @ slope[k:]), scale * curvature, follows
 
     def at(self, bent: Array) -> float:
         """Return the least loss for these C, D and F, infinite where they are not stable."""

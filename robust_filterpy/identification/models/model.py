@@ -232,7 +232,7 @@ class Model(PolynomialSystem, Identified):
         Whether P is that of the likelihood: the loss is not quadratic within two standard deviations, or another end is
         nearly as likely.
     sampled : bool
-        Whether P is then that of models drawn from the likelihood, rather than of its profile: two pairs of poles or
+        Whether P is then that of the likelihood at all places, rather than of its profile: two pairs of poles or
         more, where one that nearly cancels may be at other places.
     colour : float
         How many times as large standard deviations are as those of white residuals: what is left follows itself, and

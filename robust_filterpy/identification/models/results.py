@@ -30,7 +30,7 @@ class Finding(NamedTuple):
     ----------
     kind : str
         "fill value", "stuck", "copy", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "wraps",
-        "closed loop".
+        "closed loop", "noise that follows itself".
     text : str
         In words, with time and size.
     evidence : float
