@@ -287,6 +287,12 @@ class FilterSubject:
         """Make a filter that has filtered this many ordinary measurements, or none."""
         return self.advance(self.new(model), self.recording(model, age) if age else np.empty((0, 0)), model)
 
+    def predicted(self, model: StateModel, age: int = 0) -> tuple[Any, Array, Array]:
+        """Make a filter of this age that has just predicted; return it, its x and its P."""
+        kf = self.aged(model, age)
+        kf.predict()
+        return (kf, *runs.state(kf))
+
     def many(self, contamination: Kinds = "none", count: int = RUNS) -> tuple[list[Scenario], list[FilterRun]]:
         """Run new filters over independent recordings of one system."""
         model = self.model()

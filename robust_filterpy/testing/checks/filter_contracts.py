@@ -355,11 +355,9 @@ def nan_is_a_sensor_that_is_not_there(subject: FilterSubject) -> None:
 def innovation_and_its_covariance_are_shown(subject: FilterSubject) -> None:
     """kf.y = z - H x_prior and kf.S = H P_prior H' + R after update(z), where shown; R as learned, if it is."""
     model = subject.model()
-    kf = subject.aged(model, 2)
+    kf, x, P = subject.predicted(model, 2)
     if not hasattr(kf, "y") or not hasattr(kf, "S"):
         raise not_applicable("shows no y or S")
-    kf.predict()
-    x, P = state(kf)
     learnt = getattr(kf, "R_learnt", None)
     S = model.with_(R=model.R if learnt is None else learnt).innovation_covariance(P)
     z = model.H @ x + 0.3 * np.sqrt(S.diagonal())
@@ -376,11 +374,9 @@ def innovation_and_its_covariance_are_shown(subject: FilterSubject) -> None:
 def likelihood_is_the_gaussian_density_of_the_innovation(subject: FilterSubject) -> None:
     """log_likelihood = -(y' S^-1 y + log det S + m log 2 pi)/2, of the Kalman filter."""
     model = subject.model()
-    kf = subject.aged(model, 3)
+    kf, x, P = subject.predicted(model, 3)
     if not hasattr(kf, "log_likelihood"):
         raise not_applicable("has no log_likelihood")
-    kf.predict()
-    x, P = state(kf)
     S = model.innovation_covariance(P)
     z = model.H @ x + np.sqrt(S.diagonal())
     runs.measure(kf, z, model)

@@ -35,14 +35,10 @@ def prediction_moves_the_state_by_F(subject: FilterSubject) -> None:
 def prediction_moves_the_covariance_by_F(subject: FilterSubject) -> None:
     """P_prior of two covariances P_1 and P_2 differ by F (P_1 - P_2) F'."""
     model = subject.model()
-    pairs = []
-    for P in (model.P, model.P + np.diag(np.arange(1.0, 5.0))):
-        kf = subject.new(model.with_(P=P))
-        kf.predict()
-        pairs.append((P, state(kf)[1]))
-    (P1, one), (P2, two) = pairs
-    wanted, got = model.F @ (P2 - P1) @ model.F.T, two - one
-    _compare(got, wanted, "F P F'", _alike(got, model.F.T @ (P2 - P1) @ model.F, "F' P F"))
+    more = np.diag(np.arange(1.0, 5.0))
+    one, two = (subject.predicted(model.with_(P=P))[2] for P in (model.P, model.P + more))
+    got, wanted = two - one, model.F @ more @ model.F.T
+    _compare(got, wanted, "F P F'", _alike(got, model.F.T @ more @ model.F, "F' P F"))
 
 
 @promise(PROMISES, "prediction")
@@ -57,10 +53,8 @@ def prediction_adds_Q_once(subject: FilterSubject) -> None:
         got = state(kf)[1] - P
         ratio = float(np.trace(got) / np.trace(model.Q))
         _compare(got, model.Q, "Q", f"; the variances added after {age} steps are {ratio:.3g} times those of Q")
-    less, more = subject.new(model), subject.new(model.with_(Q=3.0 * model.Q))
-    less.predict()
-    more.predict()
-    got, wanted = state(more)[1] - state(less)[1], 2.0 * model.Q
+    less, more = (subject.predicted(one)[2] for one in (model, model.with_(Q=3.0 * model.Q)))
+    got, wanted = more - less, 2.0 * model.Q
     _compare(got, wanted, "Q where F is not I", _alike(got, model.F @ wanted @ model.F.T, "F Q F'"))
 
 
@@ -90,9 +84,7 @@ def control_input_moves_the_prediction(subject: FilterSubject) -> None:
 def measurement_at_its_prediction_moves_nothing(subject: FilterSubject) -> None:
     """A measurement z = H x leaves x as it is: the innovation is z - H x."""
     model = subject.model()
-    kf = subject.new(model.with_(x=3.0 * model.x))
-    kf.predict()
-    x, P = state(kf)
+    kf, x, P = subject.predicted(model.with_(x=3.0 * model.x))
     runs.measure(kf, model.H @ x, model)
     _require_near(kf.x, x, P, "z = H x moved the state by {} of its standard deviations: y is not z - H x")
 
