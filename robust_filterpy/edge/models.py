@@ -260,31 +260,6 @@ def _control(B: Any, n: int) -> Array | None:
     return _checks.finite("B", control.reshape(n, -1), (n, control.size // n))
 
 
-#: What each field of the two structures is.
-_MEANT: Final = {
-    "F": "theta(k+1) = F theta(k) + w(k)",
-    "Q": "covariance of a step of theta",
-    "alpha_sq": "1/forgetting: P is multiplied by it at each sample",
-    "windup": "trace from which on P grows no more",
-    "R": "variance of the ordinary noise",
-    "R_memory": "number of samples that R remembers",
-    "R_mean": "mean of min(e^2, 4) where R is right",
-    "R_rounding": "steps of the sensor; R is what they make at least",
-    "readings": "what is known of the steps of y",
-    "centre": "taken off y, so that the constant is small",
-    "theta": "the parameters",
-    "P": "their covariance, symmetric",
-    "R_samples": "how many samples R stands on",
-    "outputs": "outputs, then disturbances, as they stand in phi, with their minus sign",
-    "measured": "the same, as they were measured",
-    "inputs": "inputs",
-    "residuals": "residuals",
-    "undisturbed": "what the inputs alone did, with its minus sign",
-    "prefiltered": "past phi through 1/F",
-    "gradients": "derivatives of past predictions",
-}
-
-
 def described_tracker(tracker: ParameterTracker, name: str) -> Described:
     """Return what the C of a tracker is made of, or raise."""
     kf = tracker.filter
@@ -308,7 +283,7 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
         ("real", "psi", "prediction", "correction", "mend", "repeats", "tracker"), "tracker", "tracker",
         {
             **choice_values(choices, name), **_values(tracker, model, start),
-            "model_fields": _declared(model, name), "state_fields": _declared(start, name),
+            **{f"has_{field}": np.size(value) for field, value in (model | start).items()},
         },
         {**model, **influence_fields(choices)}, {**start, "enabled": int(tracker.enabled)},
     )  # fmt: skip
@@ -343,12 +318,6 @@ def _start(tracker: ParameterTracker) -> dict[str, Any]:
         start["readings"] = state["readings"]
     past = ("outputs", "measured", "inputs", "residuals", "undisturbed", *(("prefiltered", "gradients") * filtered))
     return start | {name: state[name] for name in past if state[name].size}
-
-
-def _declared(table: dict[str, Any], name: str) -> str:
-    """Return the fields of a table as C declares them."""
-    sizes = {field: "" if np.ndim(value) == 0 else f"[{np.size(value)}]" for field, value in table.items()}
-    return "\n".join(f"    {name}_real {field}{size}; /* {_MEANT[field]} */" for field, size in sizes.items())
 
 
 def _values(tracker: ParameterTracker, model: dict[str, Any], start: dict[str, Any]) -> dict[str, Any]:
