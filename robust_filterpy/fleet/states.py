@@ -148,9 +148,12 @@ class States(Mapping[Any, dict[str, Array]]):
         (since,) = seconds(np.array([time], dtype=object), said)
         if said:
             raise ValueError(said[0])
-        remaining = np.flatnonzero(~(self.columns["time"][:, 0] < since))
-        keys = [self.name(i) for i in remaining.tolist()]
-        return States(self.label, keys, {name: column[remaining] for name, column in self.columns.items()}, self.odd)
+        return self.of_rows(np.flatnonzero(~(self.columns["time"][:, 0] < since)), self.odd)
+
+    def of_rows(self, rows: np.ndarray, odd: Mapping[Any, Any]) -> States:
+        """Return the states in some rows."""
+        keys = [self.name(i) for i in rows.tolist()]
+        return States(self.label, keys, {name: column[rows] for name, column in self.columns.items()}, odd)
 
     def _places(self) -> dict[Any, int]:
         """Return the row of each key."""
@@ -340,6 +343,4 @@ def _without(states: States, rows: Sequence[int], kinds: Sequence[str]) -> State
     odd = {}
     for i in rows:
         odd[states.keys_of_rows[i]] = {**states.row(i), _state.LABEL: _state.spelt(kinds[i] or "", _state.FORMAT)}
-    remaining = np.setdiff1d(np.arange(len(states.keys_of_rows)), rows)
-    keys = [states.keys_of_rows[i] for i in remaining.tolist()]
-    return States(states.label, keys, {name: column[remaining] for name, column in states.columns.items()}, odd)
+    return states.of_rows(np.setdiff1d(np.arange(len(states.keys_of_rows)), rows), odd)

@@ -273,12 +273,15 @@ def words(name: str, verdict: Verdict) -> str:
 def of_all(layout: Layout, moment: Moment) -> dict[str, Verdict]:
     """Return the verdict about each sensor, and about the "motion"."""
     verdicts = dict.fromkeys((*layout.names, "motion"), described("healthy"))
-    if moment.watch is not None:
-        for verdict, party in zip(_of_sensors(moment.watch), layout.parties, strict=True):
+    watch = moment.watch
+    if watch is not None:
+        for s, (fault, since, party) in enumerate(zip(watch.fault, watch.since, layout.parties, strict=True)):
+            kind, stamp = FAULTS[int(fault)], None if since is None else Clock.stamp(since)
+            size = float(watch.size[s]) if kind in ("biased", "drifting", "noisier") else float("nan")
+            verdict = described(kind, stamp, float(watch.odds[s]), size)
             verdicts.update({name: _shared(verdict, name, party) for name in party})
-        if moment.watch.model_since is not None:
-            since = Clock.stamp(moment.watch.model_since)
-            verdicts["motion"] = described("model is wrong", since, moment.watch.model)
+        if watch.model_since is not None:
+            verdicts["motion"] = described("model is wrong", Clock.stamp(watch.model_since), watch.model)
     return {**verdicts, **_of_doubt(layout.names, moment.doubt)}
 
 
@@ -299,15 +302,3 @@ def _of_doubt(names: tuple[str, ...], doubt: Any) -> dict[str, Verdict]:
         return {names[doubt.sensor]: described("undecided", since, p)}
     verdicts = {names[doubt.off]: described("false", since, p)} if doubt.off >= 0 else {}
     return {**verdicts, "motion": described("jumped", since, p)} if doubt.moved else verdicts
-
-
-def _of_sensors(watch: Watch) -> list[Verdict]:
-    """Return the verdict about each sensor."""
-    verdicts = []
-    for s, fault in enumerate(watch.fault.astype(int)):
-        sized = FAULTS[fault] in ("biased", "drifting", "noisier")
-        since = None if watch.since[s] is None else Clock.stamp(watch.since[s])
-        verdicts.append(
-            described(FAULTS[fault], since, float(watch.odds[s]), float(watch.size[s]) if sized else float("nan"))
-        )
-    return verdicts
