@@ -1,0 +1,24 @@
+"""A stored state of a fusion that is watched, with a doubt, is read and goes on to the same numbers."""
+
+from pathlib import Path
+
+import numpy as np
+
+from robust_filterpy.fusion import Fusion, Reacquisition, Sensor, constant_velocity
+
+
+def test_a_fusion_goes_on_from_a_stored_state():
+    stored = dict(np.load(Path(__file__).with_name("stored_fusion.npz")))
+    x, P = stored.pop("then_x"), stored.pop("then_P")
+    sensors = {"gps": Sensor([1.0, 0.0], R=1.0), "speed": Sensor([0.0, 1.0])}
+    options = {"P0": np.eye(2), "watch": True, "reacquire": Reacquisition()}
+    fusion = Fusion(constant_velocity(1, q=0.1), sensors, 4.0, **options)
+    fusion.restore(stored)
+    assert all(np.array_equal(part, stored[name], equal_nan=True) for name, part in fusion.state().items())
+    # 113 numbers say what is in doubt, after one that says whether something is.
+    assert len(stored["moments"]) == 13 and stored["moments"][-1, -114] == 1.0
+    fusion.observe("gps", 12.0, 24.0)
+    fusion.observe("speed", 12.0, 2.0)
+    estimate = fusion.estimate(13.0)
+    np.testing.assert_allclose(estimate.x, x, rtol=1e-9)
+    np.testing.assert_allclose(estimate.P, P, rtol=1e-9)
