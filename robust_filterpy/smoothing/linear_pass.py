@@ -141,9 +141,9 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> float:
         x = _times(F, x) + c
         P = F @ P @ _t(F) + q[:, k, None, None] * (G @ _t(G))
         for v in range(H.shape[-2]):
-            one = H[..., v : v + 1, :]
-            sharpest = max(sharpest, float((d[:, k, v, None, None] * (one @ P @ _t(one))).max(initial=0.0)))
-            x, P = _corrected(x, P, one, model.z[:, k, v : v + 1], d[:, k, v : v + 1], o[:, k, v : v + 1])
+            h = H[..., v, :]
+            sharpest = max(sharpest, float((d[:, k, v] * (h * _times(P, h)).sum(axis=-1)).max(initial=0.0)))
+            x, P = _corrected(x, P, h, model.z[:, k, v], d[:, k, v], o[:, k, v])
         means[:, k], covariances[:, k] = x, P
     s, L = np.zeros((series, n)), np.zeros((series, n, n))
     later = np.zeros((series, n)), np.zeros((series, n, n))
@@ -174,14 +174,13 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> float:
     return sharpest
 
 
-def _corrected(x: Array, P: Array, H: Array, z: Array | float, d: Array, o: Array) -> tuple[Array, Array]:
-    """Return the filtered mean and covariance: with M = (I + d H P H')^-1 the gain P H' M d, in Joseph's form."""
-    m, n = H.shape[-2:]
-    PH = P @ _t(H)
-    PHM = PH @ np.linalg.inv(np.eye(m) + d[:, :, None] * (H @ PH))
-    x = x + _times(PHM, d * (z - _times(H, x)) + o)
-    C = np.eye(n) - PHM @ (d[:, :, None] * H)
-    P = C @ P @ _t(C) + (PHM * d[:, None, :]) @ _t(PHM)
+def _corrected(x: Array, P: Array, h: Array, z: Array | float, d: Array, o: Array) -> tuple[Array, Array]:
+    """Return mean and covariance after one component: with M = 1/(1 + d h'P h) the gain P h M d, in Joseph's form."""
+    Ph = _times(P, h)
+    gain = Ph / (1.0 + d * (h * Ph).sum(axis=-1))[:, None]
+    x = x + gain * (d * (z - (h * x).sum(axis=-1)) + o)[:, None]
+    C = np.eye(h.shape[-1]) - (gain * d[:, None])[..., None] * h[..., None, :]
+    P = C @ P @ _t(C) + d[:, None, None] * gain[..., None] * gain[..., None, :]
     return x, 0.5 * (P + _t(P))
 
 
@@ -192,7 +191,7 @@ def _combined(x: Array, P: Array, y: Array, Y: Array) -> tuple[Array, Array]:
         pivot = np.maximum(Y[:, j, j], 0.0)
         row = np.divide(Y[:, j], pivot[:, None], out=np.zeros_like(y), where=pivot[:, None] > 0.0)
         potential = np.where(pivot > 0.0, y[:, j], 0.0)
-        x, P = _corrected(x, P, row[:, None], 0.0, pivot[:, None], potential[:, None])
+        x, P = _corrected(x, P, row, 0.0, pivot, potential)
         Y = Y - pivot[:, None, None] * row[:, :, None] * row[:, None]
         y = y - row * potential[:, None]
     return x, P

@@ -80,11 +80,11 @@ class Trajectory:
         H, z, R = np.empty((steps, model.m, model.n)), np.empty((steps, model.m)), np.empty((steps, model.m, model.m))
         for k in range(steps):
             there = model.transition(k, self.x[k], self.P[k])
-            F[k], c[k] = there.A, model.difference(there.value, self.x[k + 1])
+            F[k], c[k] = there.A, np.ravel(model.residual_x(there.value, self.x[k + 1]))
             Q[k] = self.Q[k % len(self.Q)] + there.rest
             z[k], seen = model.measurement(k, self.x[k + 1], self.P[k + 1])
             H[k], R[k] = seen.A, self.R[k % len(self.R)] + seen.rest
-        x0 = model.difference(self.prior, self.x[0])
+        x0 = np.ravel(model.residual_x(self.prior, self.x[0]))
         return problem(*(a[None] for a in (F, Q, c, H, R, z, x0, self.P0)))
 
     def advanced(self, smooth: Smooth) -> tuple[Model, Array]:
@@ -92,13 +92,16 @@ class Trajectory:
         step, P = np.vstack([smooth.x0, smooth.x[0]]), np.concatenate([smooth.P0, smooth.P[0]])
         variance = np.diagonal(P, axis1=1, axis2=2)
         moved = np.sqrt(np.mean(step**2 / np.maximum(variance, 1e-12 * variance.max())))
-        self.x = np.array([self.model.moved(x, dx) for x, dx in zip(self.x, step, strict=True)])
+        added = getattr(self.model.kf, "state_add", np.add)
+        self.x = np.array([np.ravel(added(x, dx)) for x, dx in zip(self.x, step, strict=True)])
         self.P = P
         return self.recording().model, np.array([moved])
 
 
 class Extended:
     """An extended Kalman filter with its recording."""
+
+    residual_x = staticmethod(np.subtract)
 
     def __init__(
         self, kf: Any, zs: list[Any], Rs: Any, us: Any, functions: tuple[Any, Any, Any, Any, Callable[..., Any]]
@@ -108,14 +111,6 @@ class Extended:
         self.HJacobian, self.Hx, args, hx_args, self.residual = functions
         self.args, self.hx_args = (a if isinstance(a, tuple) else (a,) for a in (args, hx_args))
         self.n, self.m, self.shape = kf.dim_x, kf.dim_z, np.shape(kf.x)
-
-    def difference(self, a: Array, b: Array) -> Array:
-        """Return a - b."""
-        return a - b
-
-    def moved(self, x: Array, dx: Array) -> Array:
-        """Return x + dx."""
-        return x + dx
 
     def transition(self, k: int, x: Array, P: Array) -> Tangent:
         """Return what predict_x makes of x, and F, which it may set."""
@@ -154,14 +149,6 @@ class SigmaPoints:
             self.Wm = self.Wc = np.full(2 * self.n, 0.5 / self.n)
             self.x_mean = self.z_mean = None
             self.residual_x = np.subtract
-
-    def difference(self, a: Array, b: Array) -> Array:
-        """Return a - b by the filter's residual_x."""
-        return np.ravel(self.residual_x(a, b))
-
-    def moved(self, x: Array, dx: Array) -> Array:
-        """Return x + dx by the filter's state_add."""
-        return np.ravel(getattr(self.kf, "state_add", np.add)(x, dx))
 
     def transition(self, k: int, x: Array, P: Array) -> Tangent:
         """Return the regression of fx on x."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,15 +26,11 @@ class Recording(NamedTuple):
     """Which columns of G are not zero, (series, steps, r)."""
 
 
-def linear_recording(
-    kf: Any, zs: Any, Fs: Any = None, Qs: Any = None, Hs: Any = None, Rs: Any = None, Bs: Any = None, us: Any = None
-) -> Recording:
-    """Return the problem of a linear filter and a recording."""
-    recording = finite(read(kf, zs, Fs, Qs, Hs, Rs, Bs, us))
+def linear_recording(kf: Any, zs: Any, *each: Any) -> Recording:
+    """Return the problem of a linear filter and a recording; each: Fs, Qs, Hs, Rs, Bs, us."""
+    recording = finite(read(kf, zs, *each))
     if getattr(kf, "alpha", 1.0) != 1.0:
-        raise ValueError(
-            f"alpha: expected 1, got {kf.alpha}; a fading memory is no model to smooth by, raise Q instead"
-        )
+        raise ValueError(f"alpha: expected 1, got {kf.alpha}; fading memory is no model to smooth by; raise Q")
     z, F, Q, H, R, c, x, P = (part[None] for part in recording[:8])
     return problem(F, Q, c, H, R, z, x, P)
 
@@ -80,18 +77,15 @@ def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Arr
 
 def _scalings(R: Array, observed: Array) -> Array:
     """Return T of the observed block of R at each step, zero elsewhere; computed once for each block that occurs."""
-    blocks: dict[tuple[bytes, bytes], Array] = {}
-    series, steps, m = observed.shape
-    if observed.all():
-        series, steps = R.shape[:2]
-    scalings = np.zeros((series, steps, m, m))
-    for s in range(series):
-        for k in range(steps):
-            R_k, part = R[s % len(R), k % R.shape[1]], observed[s, k]
-            key = R_k.tobytes(), part.tobytes()
-            if key not in blocks:
-                pick, blocks[key] = np.ix_(part, part), np.zeros((m, m))
-                if part.any():
-                    blocks[key][pick] = standardize(R_k[pick], "innovation")[0]
-            scalings[s, k] = blocks[key]
-    return scalings
+    (series, steps), m = R.shape[:2] if observed.all() else observed.shape[:2], R.shape[-1]
+
+    @cache
+    def scaling(R_k: bytes, part: bytes) -> Array:
+        there, T = np.frombuffer(part, dtype=bool), np.zeros((m, m))
+        if there.any():
+            pick = np.ix_(there, there)
+            T[pick] = standardize(np.frombuffer(R_k).reshape(m, m)[pick], "innovation")[0]
+        return T
+
+    pairs = [(R[s % len(R), k % R.shape[1]], observed[s, k]) for s in range(series) for k in range(steps)]
+    return np.array([scaling(R_k.tobytes(), part.tobytes()) for R_k, part in pairs]).reshape(series, steps, m, m)
