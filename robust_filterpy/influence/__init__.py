@@ -1,8 +1,7 @@
 """Influence functions psi and what follows from them.
 
 * `functions`: psi, psi', rho and weights of arrays, in the protocol of `statsmodels.robust.norms`.
-* `huber_tuning`: threshold <-> contamination <-> efficiency of Huber's psi.
-* `information`: E[psi'], in closed form or by quadrature.
+* `information`: threshold <-> contamination <-> efficiency of Huber's psi; E[psi'] of any.
 * `regression`: a linear regression by Huber's weights, and a scale that outliers do not move.
 
 Imports from below: `robust_filterpy._checks` alone.

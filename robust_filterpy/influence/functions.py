@@ -15,15 +15,14 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from robust_filterpy._checks import Array, fraction, positive, real
-from robust_filterpy.influence.huber_tuning import (
+from robust_filterpy.influence.information import (
+    LOG_SQRT_2PI,
     efficient_threshold,
     huber_log_normalizer,
     minimax_threshold,
     normal_efficiency,
     outlier_odds,
 )
-
-_LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @runtime_checkable
@@ -70,7 +69,7 @@ class _Base:
 
     def log_normalizer(self, dim: int) -> float:
         """Return log of the integral of exp(-rho(|e|)) over R^dim, the Gaussian's where that diverges."""
-        return dim * _LOG_SQRT_2PI
+        return dim * LOG_SQRT_2PI
 
 
 @dataclass(frozen=True)
@@ -277,16 +276,14 @@ class Hampel(_Base):
     def rho(self, e: ArrayLike) -> Array:
         """Return the integral of psi from 0; the shape of e."""
         r = np.minimum(np.abs(np.asarray(e, dtype=float)), self.c)
-        inner = np.minimum(r, self.a)
-        falling = np.maximum(r - self.b, 0.0)
-        flat = inner * (r - inner)
-        return np.asarray(0.5 * inner**2 + flat - 0.5 * self.a * falling**2 / (self.c - self.b))
+        inner, falling = np.minimum(r, self.a), np.maximum(r - self.b, 0.0)
+        return np.asarray(0.5 * inner**2 + inner * (r - inner) - 0.5 * self.a * falling**2 / (self.c - self.b))
 
     def psi(self, e: ArrayLike) -> Array:
         """Return the three-part function; the shape of e."""
-        e = np.asarray(e, dtype=float)
-        r = np.minimum(np.abs(e), self.c)
-        return np.asarray(np.copysign(np.minimum(np.minimum(r, self.a), self._falling(r)), e))
+        r = np.minimum(np.abs(np.asarray(e, dtype=float)), self.c)
+        falling = self.a * (self.c - r) / (self.c - self.b)
+        return np.asarray(np.copysign(np.minimum(np.minimum(r, self.a), falling), e))
 
     def psi_deriv(self, e: ArrayLike) -> Array:
         """Return 1, 0, -a/(c - b), 0 on the four parts; the shape of e."""
@@ -298,10 +295,6 @@ class Hampel(_Base):
         """Return psi(e)/e, 1 at 0; the shape of e."""
         r = np.abs(np.asarray(e, dtype=float))
         return np.asarray(np.where(r <= self.a, 1.0, self.psi(r) / np.maximum(r, self.a)))
-
-    def _falling(self, r: Array) -> Array:
-        """Return the line that reaches a at b and 0 at c."""
-        return self.a * (self.c - r) / (self.c - self.b)
 
 
 @dataclass(frozen=True)

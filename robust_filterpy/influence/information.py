@@ -1,12 +1,69 @@
-"""E[psi']: the information that an average sample carries, in closed form or by quadrature."""
+"""What an influence function is worth: threshold <-> contamination <-> efficiency of Huber's, E[psi'] of any.
+
+In closed form for Huber's function and its density; by quadrature for the others.
+"""
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy import special
+
+LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+def outlier_odds(k: float) -> float:
+    """Return eps/(1 - eps) for which k is minimax."""
+    density = math.exp(-0.5 * k * k) / math.sqrt(2.0 * math.pi)
+    return max(2.0 * density / k - 2.0 * float(special.ndtr(-k)), 0.0)
+
+
+def normal_efficiency(k: float) -> float:
+    """Return (E psi')^2 / E psi^2 under the standard normal."""
+    if k > 38.0:
+        return 1.0
+    inside = 2.0 * float(special.ndtr(k)) - 1.0
+    density = math.exp(-0.5 * k * k) / math.sqrt(2.0 * math.pi)
+    return inside**2 / (inside - 2.0 * k * density + 2.0 * k * k * float(special.ndtr(-k)))
+
+
+@lru_cache(maxsize=256)
+def minimax_threshold(contamination: float) -> float:
+    """Invert `outlier_odds`; k runs over many decades, so the search is over log k."""
+    from scipy.optimize import brentq
+
+    odds = contamination / (1.0 - contamination)
+    if odds < 1e-290:
+        return math.inf
+    return math.exp(brentq(lambda s: math.log(outlier_odds(math.exp(s)) / odds), -700.0, math.log(36.0), xtol=1e-15))
+
+
+@lru_cache(maxsize=256)
+def efficient_threshold(efficiency: float) -> float:
+    """Invert `normal_efficiency`."""
+    from scipy.optimize import brentq
+
+    if efficiency >= normal_efficiency(8.0):
+        return math.inf
+    return float(brentq(lambda k: normal_efficiency(k) - efficiency, 1e-9, 8.0, xtol=1e-14))
+
+
+@lru_cache(maxsize=256)
+def huber_log_normalizer(k: float, dim: int) -> float:
+    """Return log of the radial integral in closed form by incomplete gamma functions."""
+    half = 0.5 * dim
+    if math.isinf(k):
+        return dim * LOG_SQRT_2PI
+    sphere = math.log(2.0) + half * math.log(math.pi) - special.gammaln(half)
+    core = math.log(special.gammainc(half, 0.5 * k * k)) + special.gammaln(half) + (half - 1.0) * math.log(2.0)
+    # log(exp(k^2/2) Gamma(dim, k^2)/k^dim); for integer dim the upper incomplete gamma is a finite sum.
+    terms = -special.gammaln(np.arange(dim) + 1.0) + 2.0 * np.arange(dim) * math.log(k)
+    tail = special.gammaln(dim) - 0.5 * k * k + special.logsumexp(terms) - dim * math.log(k)
+    return float(sphere + np.logaddexp(core, tail))
 
 
 @np.errstate(under="ignore")
@@ -52,7 +109,7 @@ def expected_information(influence: Any, noise: Any = None) -> float:
         raise TypeError(f"noise: expected a scipy.stats distribution with pdf and cdf, got {noise!r}")
     if hasattr(influence, "from_contamination"):
         return float(noise.cdf(influence.threshold) - noise.cdf(-influence.threshold))
-    return _integral(lambda e: influence.psi_deriv(e) * noise.pdf(e), _corners(influence))
+    return _integral(lambda e: influence.psi_deriv(e) * noise.pdf(e), influence)
 
 
 @np.errstate(under="ignore")
@@ -64,13 +121,15 @@ def expected_joint_information(influence: Any, dim: int) -> float:
     return _under_chi(influence, dim)
 
 
+@lru_cache(maxsize=64)
 def _under_normal(influence: Any) -> float:
     """Return E[psi'(e)] for e standard normal."""
     from scipy import stats
 
-    return _integral(lambda e: influence.psi_deriv(e) * stats.norm.pdf(e), _corners(influence))
+    return _integral(lambda e: influence.psi_deriv(e) * stats.norm.pdf(e), influence)
 
 
+@lru_cache(maxsize=64)
 def _under_chi(influence: Any, dim: int) -> float:
     """Average psi' along the vector and psi(r)/r across it, each clipped to [0, 1] as the filter does."""
     from scipy import stats
@@ -80,26 +139,16 @@ def _under_chi(influence: Any, dim: int) -> float:
         across = np.clip(influence.weights(r), 0.0, 1.0)
         return (along + (dim - 1) * across) / dim * stats.chi.pdf(r, dim)
 
-    return _integral(share, _corners(influence), positive_only=True)
+    return _integral(share, influence, positive_only=True)
 
 
-def _corners(influence: Any) -> tuple[float, ...]:
-    """Return where psi' jumps, as far as the influence function tells."""
-    return tuple(getattr(influence, "corners", ()))
-
-
-def _integral(function: Any, corners: tuple[float, ...], positive_only: bool = False) -> float:
-    """Integrate over the line, or its positive half, piece by piece between corners."""
+def _integral(function: Any, influence: Any, positive_only: bool = False) -> float:
+    """Integrate over the line, or its positive half, piece by piece between the corners of an influence function."""
     from scipy.integrate import quad
 
-    inner = sorted({0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, *corners})
+    inner = sorted({0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, *getattr(influence, "corners", ())})
     edges = [*inner, np.inf]
     if not positive_only:
         edges = [-e for e in reversed(edges)][:-1] + edges
-    return sum(
-        quad(lambda e: float(function(np.array([e]))[0]), low, high, limit=200)[0] for low, high in pairwise(edges)
-    )
-
-
-_under_normal = lru_cache(maxsize=64)(_under_normal)
-_under_chi = lru_cache(maxsize=64)(_under_chi)
+    pieces = (quad(lambda e: float(function(np.array([e]))[0]), *ends, limit=200)[0] for ends in pairwise(edges))
+    return sum(pieces)
