@@ -1,8 +1,7 @@
 """What is wrong when a filter does badly, in words.
 
 * `findings`: `diagnose`, the symptoms and their likely cause.
-* `recording`: what a filter met, as arrays.
-* `statistics`: figures of the innovations with the bands they should lie in.
+* `recording`: what a filter met, as arrays; figures of its innovations with the bands they should lie in.
 * `search`: changed models, and the one that explains a recording best.
 
 Imports from below: `influence`, `correction`.

@@ -17,10 +17,10 @@ from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array, fraction
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import FOLLOWS, SMALL, STOPPED, pointer
-from robust_filterpy.diagnostics import search, statistics
-from robust_filterpy.diagnostics.recording import FilterRecord, is_saver, of_filter, of_saver, of_tracker
+from robust_filterpy.diagnostics import recording as statistics
+from robust_filterpy.diagnostics import search
+from robust_filterpy.diagnostics.recording import Band, FilterRecord, is_saver, of_filter, of_saver, of_tracker
 from robust_filterpy.diagnostics.search import Repair
-from robust_filterpy.diagnostics.statistics import Band
 
 # The search for causes looks at so many samples.
 _SEARCHED = 4000

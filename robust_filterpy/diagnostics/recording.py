@@ -1,4 +1,4 @@
-"""What a filter did with a recording, as arrays: from a filter, a Saver or a tracker."""
+"""What a filter did with a recording, as arrays; figures of its innovations, and what a right model makes them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import copy
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
@@ -187,3 +188,186 @@ def _model(epochs: dict[str, list[Any]], y: Array, z: Array, m: int) -> LinearMo
     offset[1:] = prior[1:] - np.einsum("kij,kj->ki", F[1:], post[:-1])
     alpha = np.array([float(a) for a in epochs.get("alpha", np.ones(N))])
     return LinearModel(F, Q, H, R, alpha**2, offset, prior[0], P[0])
+
+
+# Correlations that tell whether innovations are white.
+_LAGS = 10
+# Where angles, hours and counters begin anew.
+_PERIODS = (360.0, 2.0 * math.pi, 180.0, math.pi, 400.0, 24.0, *(2.0**bits for bits in (8, 10, 12, 16, 32)))
+
+
+class Band(NamedTuple):
+    """Hold a mean of the normalized innovation squared, what it should be, and a 99 % band around that."""
+
+    mean: float
+    expected: float
+    lower: float
+    upper: float
+
+
+def of_sensor(e: Array, clipped: Array) -> tuple[float, ...]:
+    """Return share of clipped, longest run, that by chance, share beyond 3, scale, outliers, correlation, its p-value.
+    """
+    share = clipped.mean() if len(e) else np.nan
+    run, by_chance = longest_run(clipped), expected_run(np.nan_to_num(share), len(e))
+    beyond = np.mean(np.abs(e) > 3) if len(e) else np.nan
+    return float(share), run, by_chance, float(beyond), *bulk(e), *whiteness(e)
+
+
+def normalized(recording: FilterRecord) -> Array:
+    """Return y_i / sqrt(S_ii), shape (N, m): the innovation of each sensor in its own standard deviations."""
+    variance = np.einsum("kii->ki", recording.S)
+    return recording.y / np.sqrt(np.where(variance > 0, variance, np.nan))
+
+
+def bulk(e: Array) -> tuple[float, float]:
+    """Return the scale of the ordinary values by the median, and the share of outliers among them."""
+    # The median of |e| belongs to a higher quantile of the ordinary values the more outliers there are.
+    size = np.abs(e[~np.isnan(e)])
+    if not len(size):
+        return math.nan, math.nan
+    share = 0.0
+    scale = float(np.median(size) / stats.norm.ppf(0.75))
+    for _ in range(20):
+        beyond = float(np.mean(size > 3.0 * scale)) if scale else 0.0
+        share = min(max(beyond - 0.0027, 0.0) / (1 - 0.0027), 0.45)
+        scale = float(np.median(size) / stats.norm.ppf(0.5 + 0.25 / (1.0 - share)))
+    return scale, share
+
+
+def expected_clipped(recording: FilterRecord) -> tuple[Array, Array]:
+    """Return the share of clipped samples of each sensor without outliers, and with all outliers clipped; or NaN."""
+    k, m, contamination = threshold(recording.influence), recording.y.shape[1], recording.contamination
+    if recording.influence is None and recording.clipped.any():
+        # Weights of noise that is learned have no threshold.
+        return np.full(m, np.nan), np.full(m, np.nan)
+    if recording.grouping == "joint":
+        low = np.full(m, stats.chi2.sf(k * k, m))
+    else:
+        spread = np.ones(m)
+        if recording.scaling != "innovation":
+            # Under another scaling e has not unit variance: T S T'.
+            ratio = recording.e / np.where(recording.y == 0, np.nan, recording.y)
+            deviation = np.sqrt(np.einsum("kii->ki", recording.S)) * np.abs(ratio)
+            spread = np.array([np.nanmedian(column) if (column == column).any() else 1.0 for column in deviation.T])
+        low = 2.0 * stats.norm.sf(k / spread)
+    return low, (1.0 - contamination) * low + (contamination if math.isfinite(k) else 0.0)
+
+
+def longest_run(flags: np.ndarray) -> int:
+    """Return the length of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def expected_run(share: float, samples: int) -> float:
+    """Return the longest run of independent events that 99 % of recordings stay below."""
+    if share <= 0.0 or samples == 0:
+        return 0.0
+    if share >= 1.0:
+        return float(samples)
+    # About samples * (1 - share) runs begin; each reaches length L with probability share^L.
+    return min(max(math.log(0.01 / (samples * (1 - share))) / math.log(share), 1.0), float(samples))
+
+
+def whiteness(e: Array) -> tuple[float, float]:
+    """Return the lag-one autocorrelation and the p-value of Ljung and Box, outliers cut at two deviations."""
+    e = e[~np.isnan(e)]
+    scale = bulk(e)[0]
+    if len(e) <= 2 * _LAGS or not scale > 0:
+        return math.nan, math.nan
+    e = np.clip(e / scale, -2.0, 2.0)
+    centred = e - e.mean()
+    power = float(centred @ centred)
+    if power == 0.0:
+        return math.nan, math.nan
+    r = np.array([centred[j:] @ centred[:-j] for j in range(1, _LAGS + 1)]) / power
+    N = len(e)
+    statistic = N * (N + 2) * float(np.sum(r**2 / (N - np.arange(1, _LAGS + 1))))
+    return float(r[0]), float(stats.chi2.sf(statistic, _LAGS))
+
+
+def unclipped_nis(recording: FilterRecord) -> Band:
+    """Return the mean of y' S^-1 y over the samples of which nothing is clipped, and what it should be."""
+    # What is left after clipping has the moments of a truncated normal (joint: chi-square) distribution.
+    k, m = threshold(recording.influence), recording.y.shape[1]
+    if not math.isfinite(k) or recording.scaling != "innovation":
+        k = 3.0
+    whole, is_joint = ~np.isnan(recording.y).any(axis=1), recording.grouping == "joint"
+    eigenvalues, vectors = np.linalg.eigh(recording.S[whole])
+    with np.errstate(all="ignore"):
+        turned = np.einsum("kji,kj->ki", vectors, recording.y[whole]) / np.sqrt(eigenvalues)
+        e = np.einsum("kij,kj->ki", vectors, turned)
+        values = (e * e).sum(axis=1)
+        inside = values <= k * k if is_joint else (np.abs(e) <= k).all(axis=1)
+    values = values[inside & (eigenvalues > 0).all(axis=1)]
+    if is_joint:
+        within = stats.chi2.cdf(k * k, m)
+        first = m * stats.chi2.cdf(k * k, m + 2) / within
+        second = m * (m + 2) * stats.chi2.cdf(k * k, m + 4) / within
+        variance = second - first**2
+    else:
+        within, density = 2 * stats.norm.cdf(k) - 1, stats.norm.pdf(k)
+        one = 1 - 2 * k * density / within
+        variance = m * (3 - 2 * (k**3 + 3 * k) * density / within - one**2)
+        first = m * one
+    half = stats.norm.ppf(0.995) * math.sqrt(variance / len(values)) if len(values) else math.nan
+    mean = float(np.mean(values)) if len(values) else math.nan
+    return Band(mean, float(first), float(first - half), float(first + half))
+
+
+def saturated(z: Array) -> float | None:
+    """Return the value at which a sensor sticks at the end of its range, None if it does not."""
+    # The extreme value comes back, with neighbors in time, far more often than the second extreme one: a coarse sensor
+    # repeats every value.
+    z = z[~np.isnan(z)]
+    values, counts = np.unique(z, return_counts=True)
+    if len(values) < 20:
+        return None
+    least = max(5, 0.01 * len(z))
+    for end, inner in ((0, slice(1, 6)), (-1, slice(-6, -1))):
+        if counts[end] >= least and counts[end] > 5 * counts[inner].max() and longest_run(z == values[end]) >= 2:
+            return float(values[end])
+    return None
+
+
+def frozen(z: Array) -> int:
+    """Return the length of the longest run of one and the same value if the sensor is otherwise alive, else 0."""
+    z = z[~np.isnan(z)]
+    if len(z) < 20:
+        return 0
+    same = np.diff(z) == 0
+    run = longest_run(same) + 1
+    alive = 1.0 - float(same.sum() - (run - 1)) / len(same)
+    return run if run >= 10 and alive > 0.9 else 0
+
+
+def breaks_loose(z: Array, value: float) -> bool:
+    """Tell a sensor that was frozen at its extreme value: once, and what comes next is far from it."""
+    # A signal that saturates comes back the way it went.
+    z = z[~np.isnan(z)]
+    at = np.flatnonzero(z == value)
+    if len(at) != at[-1] - at[0] + 1 or at[-1] == len(z) - 1:
+        return False
+    steps = np.abs(np.diff(z))
+    return bool(abs(z[at[-1] + 1] - value) > 5.0 * np.median(steps[steps > 0]))
+
+
+def wraps(z: Array) -> float | None:
+    """Return the period at which an angle or a counter begins anew, None if it does not.
+
+    Where it jumps by more than half of a period it lies near both ends of the range, and without the period it moves
+    there as it moves elsewhere.
+    """
+    z = z[~np.isnan(z)]
+    for period in _PERIODS:
+        for low in (0.0, -0.5 * period):
+            inside = z[(z >= low) & (z <= low + period)]
+            steps = np.diff(inside)
+            jumps = np.abs(steps) > 0.5 * period
+            if len(inside) < max(20, 0.95 * len(z)) or not jumps.any() or np.ptp(inside) < 0.9 * period:
+                continue
+            moves = np.abs(steps - period * np.round(steps / period))
+            if np.quantile(moves, 0.9) < 0.1 * period and moves[jumps].mean() < 3.0 * moves[~jumps].mean():
+                return period
+    return None

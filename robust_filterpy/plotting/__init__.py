@@ -3,7 +3,6 @@
 * `figures`: one function a picture of a filter's or a tracker's run; a result draws its own by ``result.plot()``.
 * `responses`: a model's frequency response, poles and zeros.
 * `workbench`: pictures of structures, models and their comparison.
-* `sources`: batch results, a Saver or a tracker's run as arrays.
 
 `LOOKS` has color and line style of the filters that pictures compare: "Kalman", "gate", "Huber", "Tukey", "learnt"
 (noise learned on the way) and "told" (which knows what nobody can). ``ax.plot(t, x, **LOOKS["Huber"])``.

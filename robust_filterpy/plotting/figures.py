@@ -16,7 +16,6 @@ from robust_filterpy import _checks
 from robust_filterpy.diagnostics.recording import is_saver
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.plotting import _style as style
-from robust_filterpy.plotting import sources
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,14 +64,14 @@ def plot_states(
     -----
     The axis shows what the states and the truth do; an outlier among zs beyond it is left outside.
     """
-    paths = sources.paths(source, covariances, ("states", states), ("x", names), sigmas, t)
-    real: Any = {} if truth is None else sources.rows("truth", truth)
+    paths = style.paths(source, covariances, ("states", states), ("x", names), sigmas, t)
+    real: Any = {} if truth is None else style.rows("truth", truth)
     N, n = paths.mean.shape
     if truth is not None:
         if len(real) != N or real.shape[1] not in (1, n):
             raise ValueError(f"truth: expected shape {(N,)} or {(N, n)}, got {np.shape(truth)}")
         real = dict(enumerate(real.T)) if real.shape[1] == n else {paths.which[0]: real[:, 0]}
-    seen = None if zs is None else sources.column("zs", zs, N)
+    seen = None if zs is None else style.column("zs", zs, N)
     ax = style.one_axes(ax)
     for place, i in enumerate(paths.which):
         paths.draw(ax, place)
@@ -122,23 +121,23 @@ def plot_innovations(
     """
     width = _checks.positive("sigmas", sigmas)
     label = "clipped"
-    if sources.is_run(source):
+    if style.is_run(source):
         y, covariances, clipped = np.asarray(source.residual)[:, None], None, np.asarray(source.weights) < 1.0
         label = "weight below 1"
     elif is_saver(source):
-        y, there = sources.kept(source, "y"), source.__dict__
-        clipped = sources.kept(source, "clipped") if "clipped" in there else None
+        y, there = style.kept(source, "y"), source.__dict__
+        clipped = style.kept(source, "clipped") if "clipped" in there else None
         if "weights" in there:
-            y = np.where(np.isnan(sources.kept(source, "weights")), np.nan, y)
-        covariances = sources.kept(source, "S").reshape(len(y), y.shape[1], -1)
+            y = np.where(np.isnan(style.kept(source, "weights")), np.nan, y)
+        covariances = style.kept(source, "S").reshape(len(y), y.shape[1], -1)
     else:
-        y = sources.rows("source", source)
-    marked = np.zeros(y.shape, bool) if clipped is None else sources.rows("clipped", clipped) > 0
+        y = style.rows("source", source)
+    marked = np.zeros(y.shape, bool) if clipped is None else style.rows("clipped", clipped) > 0
     if marked.shape != y.shape:
         raise ValueError(f"clipped: expected shape {y.shape}, that of the innovations, got {marked.shape}")
-    deviation = None if covariances is None else sources.deviation("covariances", covariances, y.shape[1], len(y))
-    (i,) = sources.chosen("component", component, y.shape[1])
-    time = sources.time(t, len(y), source)
+    deviation = None if covariances is None else style.deviation("covariances", covariances, y.shape[1], len(y))
+    (i,) = style.chosen("component", component, y.shape[1])
+    time = style.time(t, len(y), source)
     ax = style.one_axes(ax)
     hit = marked[:, i]
     if deviation is not None:
@@ -175,15 +174,15 @@ def plot_weights(
     ValueError
         If lengths do not fit.
     """
-    if sources.is_run(source):
+    if style.is_run(source):
         weights = np.asarray(source.weights)[:, None]
     elif is_saver(source):
-        weights = sources.kept(source, "weights")
+        weights = style.kept(source, "weights")
     else:
-        weights = sources.rows("source", source)
-    time = sources.time(t, len(weights), source)
-    names = sources.all_names(names, weights.shape[1], "z")
-    which = sources.chosen("components", components, weights.shape[1])
+        weights = style.rows("source", source)
+    time = style.time(t, len(weights), source)
+    names = style.all_names(names, weights.shape[1], "z")
+    which = style.chosen("components", components, weights.shape[1])
     ax = style.one_axes(ax)
     for place, i in enumerate(which):
         marker, colour = style.MARKERS[place % 6], style.COLOURS[place % 6]
@@ -228,7 +227,7 @@ def plot_parameters(
     Axes that were empty show the paths; the band of the first samples, where P is large, may reach beyond.
     """
     named = names if names is not None else getattr(source, "names", ()) or None
-    paths = sources.paths(source, covariances, ("parameters", parameters), ("theta", named), sigmas, t)
+    paths = style.paths(source, covariances, ("parameters", parameters), ("theta", named), sigmas, t)
     N, n = paths.mean.shape
     real = None if truth is None else _checks.numbers("truth", truth)
     if real is not None and real.shape not in ((n,), (N, n)):
@@ -275,11 +274,11 @@ def plot_fit(
     The fit is `robust_filterpy.experiments.fit_percent` over the samples that are there.
     """
     source: Any = simulated if hasattr(simulated, "index") else measured
-    if sources.is_run(simulated):
+    if style.is_run(simulated):
         simulated = simulated.prediction  # type: ignore[union-attr]
     y = _checks.numbers("measured", measured).ravel()
-    model = sources.column("simulated", simulated, len(y))
-    time = sources.time(t, len(y), source)
+    model = style.column("simulated", simulated, len(y))
+    time = style.time(t, len(y), source)
     seen = ~np.isnan(y) & ~np.isnan(model)
     label = "simulated"
     # The fit of a constant output is undefined.

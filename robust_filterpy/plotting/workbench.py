@@ -17,7 +17,6 @@ from robust_filterpy.identification.judging.select import Selection
 from robust_filterpy.identification.judging.validate import Validation, Validations
 from robust_filterpy.identification.recursive.tuned import TunedTracker
 from robust_filterpy.plotting import _style as style
-from robust_filterpy.plotting import sources
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -164,7 +163,7 @@ def plot_comparison(
     if _checks.count("output", output) >= y.shape[1]:
         raise ValueError(f"output: expected 0 to {y.shape[1] - 1}, got {output}")
     y = y[:, output]
-    time = sources.time(t, y.size, comparison)
+    time = style.time(t, y.size, comparison)
     ax = style.one_axes(ax, (8.5, 3.6))
     for place, row in enumerate(comparison.rows):
         label = f"{row.name}, fit {row.fit:.1f} %"

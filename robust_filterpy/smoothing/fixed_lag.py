@@ -14,8 +14,7 @@ from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
-from robust_filterpy.smoothing.linear_pass import Smooth, Weighting, smoothing_pass
-from robust_filterpy.smoothing.recording import Recording, problem
+from robust_filterpy.smoothing.linear_pass import Recording, Smooth, Weighting, problem, smoothing_pass
 from robust_filterpy.smoothing.rules import Belief, Learnt, Mixture
 from robust_filterpy.smoothing.smoother import measurement_rule, process_rule
 from robust_filterpy.smoothing.sweeps import Rule, reweighted

@@ -22,8 +22,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.filters.conversion import robust
 from robust_filterpy.filters.nonlinear_mixin import innovation_of
 from robust_filterpy.filters.shell import Shell
-from robust_filterpy.smoothing.linear_pass import Model, Smooth
-from robust_filterpy.smoothing.recording import Recording, problem
+from robust_filterpy.smoothing.linear_pass import Model, Recording, Smooth, problem
 
 
 class Tangent(NamedTuple):
@@ -101,7 +100,7 @@ class Trajectory:
 class Extended:
     """An extended Kalman filter with its recording."""
 
-    residual_x = staticmethod(np.subtract)
+    residual_x: Any = staticmethod(np.subtract)
 
     def __init__(
         self, kf: Any, zs: list[Any], Rs: Any, us: Any, functions: tuple[Any, Any, Any, Any, Callable[..., Any]]

@@ -31,8 +31,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.filters.series import filter_series
 from robust_filterpy.influence.functions import Linear
-from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting
-from robust_filterpy.smoothing.recording import Recording
+from robust_filterpy.smoothing.linear_pass import Model, Recording, Smooth, Weighting
 from robust_filterpy.smoothing.sweeps import MEDIAN_SQUARE, Fit, by_others
 
 # What is said: variances wrong by more than this, and by so many standard deviations.

@@ -18,9 +18,9 @@ from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
 from robust_filterpy.filters.series import series_arguments
 from robust_filterpy.influence.functions import Influence, Linear
+from robust_filterpy.smoothing.linear_pass import Recording, linear_recording, problem
 from robust_filterpy.smoothing.nonlinear import is_nonlinear, nonlinear_trajectory
 from robust_filterpy.smoothing.readings import doubted_stretches, log_probability, misfits
-from robust_filterpy.smoothing.recording import Recording, linear_recording, problem
 from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
 from robust_filterpy.smoothing.sweeps import Rule, reweighted
 

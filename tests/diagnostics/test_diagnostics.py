@@ -20,7 +20,8 @@ from robust_filterpy import (
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
 )
-from robust_filterpy.diagnostics import diagnose, statistics
+from robust_filterpy.diagnostics import diagnose
+from robust_filterpy.diagnostics import recording as statistics
 from robust_filterpy.identification import ARX, ParameterTracker
 from robust_filterpy.influence import Linear
 

@@ -5,7 +5,7 @@ import pytest
 from support import by_night
 
 from robust_filterpy import RobustKalmanFilter, diagnose
-from robust_filterpy.diagnostics import statistics
+from robust_filterpy.diagnostics import recording as statistics
 
 
 def level(x=0.0, P=1.0, Q=0.01):

@@ -19,7 +19,7 @@ from scipy import stats
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.diagnostics.statistics import bulk
+from robust_filterpy.diagnostics.recording import bulk
 from robust_filterpy.testing.assertions.contracts import at_least_one, band, fail, probability, times
 from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, as_runs
 
