@@ -147,11 +147,8 @@ class Diagnosis:
                 f"{self.autocorrelation[i]:+.2f} (p={self.whiteness[i]:.2g})"
             )
             lines.append(wrapped(text))
-        nis = self.nis
-        lines.append(
-            f"  normalized innovation squared of unclipped samples {nis.mean:.2f} "
-            f"(expected {nis.lower:.2f} to {nis.upper:.2f})"
-        )
+        mean, expected = self.nis.mean, f"(expected {self.nis.lower:.2f} to {self.nis.upper:.2f})"
+        lines.append(f"  normalized innovation squared of unclipped samples {mean:.2f} {expected}")
         sections = [_SECTIONS[cause] for cause in self.causes if cause in _SECTIONS]
         if sections:
             lines.append(wrapped(f"Remedies: {pointer(*sections)}.", "  "))

@@ -40,7 +40,6 @@ class FilterRecord:
     y: Array  # (N, m)
     S: Array  # (N, m, m)
     e: Array  # (N, m), T y by the filter's own scaling
-    weights: Array  # (N, m)
     clipped: Array  # (N, m), bool
     influence: Any
     scaling: str
@@ -143,7 +142,7 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
     # Any where noise is learned, none of a psi that is made for no share of outliers.
     contamination = 1.0 if learns else getattr(influence, "contamination", 0.0)
     return FilterRecord(
-        np.where(absent, np.nan, z), y, S, np.where(absent, np.nan, e), weights, clipped & ~absent, influence,
+        np.where(absent, np.nan, z), y, S, np.where(absent, np.nan, e), clipped & ~absent, influence,
         getattr(kf, "scaling", "innovation"), getattr(kf, "grouping", "component"), contamination,
         learns or isinstance(influence, Contaminated), _model(epochs, y, z, m),
     )  # fmt: skip

@@ -127,11 +127,8 @@ def _hypotheses(stretch: Stretch, suspects: np.ndarray) -> _Bank:
         kinds = {_BIASED: (1.0,), _DRIFTING: (1.0,), _STUCK: (1.0, _STILL), _SPIKY: tuple(stretch.scales[1:])}
         kinds[_NOISY] = tuple(f * f for f in _NOISIER)
         for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
-            rows += [
-                (c, fault, k, factor, math.log(_FAULT * width / len(factors)))
-                for fault, factors in kinds.items()
-                for factor in factors
-            ]
+            for fault, factors in kinds.items():
+                rows += [(c, fault, k, factor, math.log(_FAULT * width / len(factors))) for factor in factors]
     rows[1:] = sorted(rows[1:], key=lambda row: row[2])
     return _Bank(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
 
@@ -154,11 +151,8 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
     x[0, :n], P[0, :n, :n] = stretch.x, stretch.P
     owner, onset = bank.component.astype(int), bank.onset.astype(int)
     root, began = np.sqrt(stretch.r)[np.maximum(owner, 0)], stretch.seconds[onset]
-    carries, drifts, stuck = (
-        np.isin(bank.fault, [_BIASED, _DRIFTING, _STUCK]),
-        bank.fault == _DRIFTING,
-        bank.fault == _STUCK,
-    )
+    drifts, stuck = bank.fault == _DRIFTING, bank.fault == _STUCK
+    carries = drifts | stuck | (bank.fault == _BIASED)
     noisy, slack = np.isin(bank.fault, [_STUCK, _NOISY]), np.where(bank.component < 0, bank.factor, 1.0)
     # A drift is as large as a bias would be when it has come to the end.
     length = stretch.seconds[-1] - began

@@ -71,11 +71,9 @@ def plot_bode(
             decibels = 20.0 * np.log10(magnitude)
         for ax, lines in ((axes[0], decibels), (axes[1], np.degrees(phase))):
             with_band(ax, responses[name].omega, lines, name, place, _band_label(responses[name].level))
-    axes[0].set_ylabel("magnitude [dB]")
-    axes[1].set_ylabel("phase [degrees]")
     unit = "sample" if None in periods.values() else "s"
-    for ax in axes:
-        ax.set_xscale("log")
+    for ax, label in zip(axes, ("magnitude [dB]", "phase [degrees]"), strict=True):
+        ax.set(xscale="log", ylabel=label)
         ax.grid(True, which="both", color="0.9", linewidth=0.5)
     positive = np.concatenate([response.omega[response.omega > 0.0] for response in responses.values()])
     if np.ptp(positive) > 0.0:
@@ -217,13 +215,12 @@ def _response(name: str, model: Any, omega: Any, level: float, output: int) -> F
 
 def _of_input(name: str, response: FrequencyResponse, which: int) -> tuple[Any, Any]:
     """Return magnitude and phase of one input, each with its band, shape (3, n)."""
-    several = np.ndim(response.response) > 1
-    inputs = len(response.response) if several else 1
+    inputs = len(response.response) if np.ndim(response.response) > 1 else 1
     if _checks.count("which", which) >= inputs:
         raise ValueError(f"which: expected an input below {inputs} of {name}, got {which}")
-    fields = ("magnitude", "magnitude_lower", "magnitude_upper"), ("phase", "phase_lower", "phase_upper")
-    curves = [np.array([getattr(response, field) for field in names]) for names in fields]
-    magnitude, phase = (values[:, which] if several else values for values in curves)
+    ends, names = ("", "_lower", "_upper"), ("magnitude", "phase")
+    curves = (np.array([getattr(response, name + end) for end in ends]) for name in names)
+    magnitude, phase = (values.reshape(3, inputs, -1)[:, which] for values in curves)
     return magnitude, phase
 
 

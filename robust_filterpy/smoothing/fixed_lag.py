@@ -15,9 +15,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Grouping
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.linear_pass import Recording, Smooth, Weighting, problem, smoothing_pass
-from robust_filterpy.smoothing.rules import Belief, Learnt, Mixture
-from robust_filterpy.smoothing.smoother import measurement_rule, process_rule
-from robust_filterpy.smoothing.sweeps import Rule, reweighted
+from robust_filterpy.smoothing.rules import Belief, Learnt, Mixture, Rule, rule_of
+from robust_filterpy.smoothing.sweeps import reweighted
 
 __all__ = ["FixedLagSmoother"]
 
@@ -179,7 +178,8 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
 
     def _rules(self, observed: Array, driven: Array) -> tuple[Rule, Rule]:
         """Return what is made of residuals, with what was learned so far."""
-        rules = measurement_rule(self._influence, self._joint, observed), process_rule(self._process, driven)
+        measurement = rule_of("influence", self._influence, self._joint, observed)
+        rules = measurement, rule_of("process", self._process, True, driven)
         for rule, belief, mixture in zip(
             rules, getattr(self, "_beliefs", ()), getattr(self, "_mixtures", ()), strict=False
         ):

@@ -143,8 +143,7 @@ def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: 
 
 def _bursts(large: np.ndarray) -> list[list[int]]:
     """Return the rows of outliers that may have one offset: where they begin and end."""
-    steps = len(large)
-    rows: list[list[int]] = _rows(large).tolist()
+    steps, rows = len(large), _rows(large).tolist()
     return [[begin, end] for begin, end in rows if 0 < begin and end < steps and end - begin <= _LASTS * steps]
 
 

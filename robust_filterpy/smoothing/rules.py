@@ -336,6 +336,9 @@ class Learnt:
         return Belief(*discounted).joined(first, self._each[:, :1])
 
 
+Rule = Ordinary | Psi | Learnt
+
+
 def psi_weights(influence: Any, e: Array, joint: bool) -> Array:
     """Return psi(e)/e of each component, or of the length over the last axis, shape of e, checked."""
     at = np.linalg.norm(e, axis=-1, keepdims=True) if joint else e
@@ -348,9 +351,12 @@ def psi_weights(influence: Any, e: Array, joint: bool) -> Array:
     return np.broadcast_to(np.clip(weights, 0.0, None), e.shape)
 
 
-def checked_influence(name: str, influence: Any) -> Any:
-    """Return an influence function or raise TypeError naming the argument."""
+def rule_of(name: str, influence: Any, joint: bool, counted: Array) -> Rule:
+    """Return what is made of residuals by what an argument says: learned noise for None."""
+    if influence is None:
+        return Learnt(joint, counted)
     try:
-        return Choices(influence).influence
+        choices = Choices(influence)
     except TypeError as error:
         raise TypeError(str(error).replace("influence:", f"{name}:", 1)) from None
+    return Ordinary(counted) if choices.is_linear else Psi(choices.influence, joint, counted)

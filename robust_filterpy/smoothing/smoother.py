@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,14 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.correction.options import GROUPINGS, Choices, Grouping
+from robust_filterpy.correction.options import GROUPINGS, Grouping
 from robust_filterpy.filters.series import series_arguments
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.linear_pass import Recording, linear_recording, problem
 from robust_filterpy.smoothing.nonlinear import is_nonlinear, nonlinear_trajectory
 from robust_filterpy.smoothing.readings import doubted_stretches, log_probability, misfits
-from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi, checked_influence
-from robust_filterpy.smoothing.sweeps import Rule, reweighted
+from robust_filterpy.smoothing.rules import Learnt, Psi, Rule, rule_of
+from robust_filterpy.smoothing.sweeps import reweighted
 
 __all__ = ["Smoothed", "smooth", "smooth_series"]
 
@@ -183,12 +183,9 @@ def smooth(
         smoothed = _smoothed(recording, influence, process, grouping, max_sweeps)
     if filled.any():
         smoothed.weights[0][filled] = 0.0
-    x = smoothed.x[0] if np.ndim(kf.x) == 1 else smoothed.x[0][..., None]
-    return Smoothed(
-        x, smoothed.P[0], smoothed.weights[0], smoothed.process_weights[0], smoothed.contamination[0],
-        smoothed.scale_ratio[0], float(smoothed.process_contamination[0]), float(smoothed.process_scale_ratio[0]),
-        bool(smoothed.converged[0]), smoothed.sweeps, smoothed.message,
-    )  # fmt: skip
+    arrays = {name: part for name, part in vars(smoothed).items() if isinstance(part, np.ndarray)}
+    first = {name: part[0].item() if part.ndim == 1 else part[0] for name, part in arrays.items()}
+    return replace(smoothed, **first | {"x": first["x"] if np.ndim(kf.x) == 1 else first["x"][..., None]})
 
 
 def smooth_series(
@@ -290,10 +287,9 @@ def _read_otherwise(
             row = ends[np.searchsorted(ends, np.argmax(stretch), side="right") - 1 :]
             words = f"samples {row[0]} to {row[1] - 1} are left out, all in a row"
             best, odd[s] = probability, "; ".join([words, *filter(None, of_other)])
-            for field in fields(Smoothed):
-                whole = getattr(smoothed, field.name)
+            for name, whole in vars(smoothed).items():
                 if isinstance(whole, np.ndarray):
-                    whole[s] = getattr(other, field.name)[0]
+                    whole[s] = getattr(other, name)[0]
 
 
 def _alone(recording: Recording, s: int) -> Recording:
@@ -325,8 +321,9 @@ def _searched(
     recording: Recording, influence: Any, process: Any, joint: bool, limit: int, trajectory: Any = None
 ) -> tuple[Smoothed, list[str]]:
     """Return what one search finds, and what of Q and R is odd."""
-    measurement = measurement_rule(influence, joint, recording.observed)
-    doubt = process_rule(process, recording.driven)
+    measurement = rule_of("influence", influence, joint, recording.observed)
+    # The parts of a step of the process are ordinary or large together.
+    doubt = rule_of("process", process, True, recording.driven)
     fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
     weights = measurement.weights
     x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
@@ -354,27 +351,9 @@ def _searched(
     return smoothed, misfits(recording.model, fit, weights)
 
 
-def measurement_rule(influence: Any, joint: bool, observed: Array) -> Rule:
-    """Return what is made of residuals: learnt noise for None."""
-    if influence is None:
-        return Learnt(joint, observed)
-    influence = checked_influence("influence", influence)
-    return Ordinary(observed) if Choices(influence).is_linear else Psi(influence, joint, observed)
-
-
-def process_rule(process: Any, driven: Array) -> Rule:
-    """Return what is made of the process noise, whose parts are ordinary or large together."""
-    if process is None:
-        return Learnt(True, driven)
-    process = checked_influence("process", process)
-    return Ordinary(driven) if Choices(process).is_linear else Psi(process, True, driven)
-
-
 def _learnt(rule: Rule, series: int) -> tuple[Array, Array]:
     """Return contamination and ratio of a rule, (series, kinds), NaN if it learns none."""
-    if rule.mixture is None:
-        return np.full((series, 1), np.nan), np.full((series, 1), np.nan)
-    return rule.mixture.contamination, rule.mixture.ratio
+    return rule.mixture or (np.full((series, 1), np.nan),) * 2
 
 
 def _together(contamination: Any, ratio: Any) -> Contaminated | None:

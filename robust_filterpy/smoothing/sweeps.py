@@ -13,9 +13,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting, smoothing_pass
-from robust_filterpy.smoothing.rules import Learnt, Ordinary, Psi
-
-Rule = Ordinary | Psi | Learnt
+from robust_filterpy.smoothing.rules import Ordinary, Rule
 
 # By how much linearizations may still move the estimate, in its standard deviations; where several optima may be, no
 # end is asked for that is nearer than the second.
