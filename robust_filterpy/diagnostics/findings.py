@@ -271,13 +271,14 @@ def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> lis
     """Return what is wrong: first what the measurements themselves show, then what a repair explains."""
     findings, z = [], recording.z.copy()
     for i in range(z.shape[1]):
-        limit, run = statistics.saturated(z[:, i]), statistics.frozen(z[:, i])
-        if limit is not None and not (run and statistics.breaks_loose(z[:, i], limit)):
+        read = z[~np.isnan(z[:, i]), i]
+        limit, run = statistics.saturated(read), statistics.frozen(read)
+        if limit is not None and not (run and statistics.breaks_loose(read, limit)):
             share = float(np.mean(z[:, i] == limit))
             text = f"z[{i}] saturates: {share:.0%} of its samples are exactly {limit:.6g}, the end of its range."
             findings.append(Finding("saturation", i, limit, math.nan, text + " Pass them as NaN (missing)."))
             z[z[:, i] == limit, i] = np.nan
-        elif recording.model is not None and (period := statistics.wraps(z[:, i])) is not None:
+        elif recording.model is not None and (period := statistics.wraps(read)) is not None:
             text = f"z[{i}] wraps at {period:.6g}, which a linear filter takes for a jump: pass it unwrapped, by"
             text += f" numpy.unwrap(z, period={period:.6g}), or take a filter with a residual function."
             findings.append(Finding("wrapping", i, period, math.nan, text))

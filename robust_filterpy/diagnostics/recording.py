@@ -319,7 +319,6 @@ def saturated(z: Array) -> float | None:
     """Return the value at which a sensor sticks at the end of its range, None if it does not."""
     # The extreme value comes back, with neighbors in time, far more often than the second extreme one: a coarse sensor
     # repeats every value.
-    z = z[~np.isnan(z)]
     values, counts = np.unique(z, return_counts=True)
     if len(values) < 20:
         return None
@@ -332,7 +331,6 @@ def saturated(z: Array) -> float | None:
 
 def frozen(z: Array) -> int:
     """Return the length of the longest run of one and the same value if the sensor is otherwise alive, else 0."""
-    z = z[~np.isnan(z)]
     if len(z) < 20:
         return 0
     same = np.diff(z) == 0
@@ -344,7 +342,6 @@ def frozen(z: Array) -> int:
 def breaks_loose(z: Array, value: float) -> bool:
     """Tell a sensor that was frozen at its extreme value: once, and what comes next is far from it."""
     # A signal that saturates comes back the way it went.
-    z = z[~np.isnan(z)]
     at = np.flatnonzero(z == value)
     if len(at) != at[-1] - at[0] + 1 or at[-1] == len(z) - 1:
         return False
@@ -358,7 +355,6 @@ def wraps(z: Array) -> float | None:
     Where it jumps by more than half of a period it lies near both ends of the range, and without the period it moves
     there as it moves elsewhere.
     """
-    z = z[~np.isnan(z)]
     for period in _PERIODS:
         for low in (0.0, -0.5 * period):
             inside = z[(z >= low) & (z <= low + period)]

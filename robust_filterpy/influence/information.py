@@ -112,26 +112,14 @@ def expected_information(influence: Any, noise: Any = None) -> float:
     return _integral(lambda e: influence.psi_deriv(e) * noise.pdf(e), influence)
 
 
+@lru_cache(maxsize=64)
 @np.errstate(under="ignore")
 def expected_joint_information(influence: Any, dim: int) -> float:
     """Return the mean of tr(D)/dim for psi applied to the length of a standard normal vector in R^dim."""
-    # One component alone is not joined to anything: it counts as under grouping "component".
+    # psi' along the vector and psi(r)/r across it, each clipped to [0, 1] as the filter does. One component alone is not
+    # joined to anything: it counts as under grouping "component".
     if dim == 1:
         return expected_information(influence)
-    return _under_chi(influence, dim)
-
-
-@lru_cache(maxsize=64)
-def _under_normal(influence: Any) -> float:
-    """Return E[psi'(e)] for e standard normal."""
-    from scipy import stats
-
-    return _integral(lambda e: influence.psi_deriv(e) * stats.norm.pdf(e), influence)
-
-
-@lru_cache(maxsize=64)
-def _under_chi(influence: Any, dim: int) -> float:
-    """Average psi' along the vector and psi(r)/r across it, each clipped to [0, 1] as the filter does."""
     from scipy import stats
 
     def share(r: np.ndarray) -> np.ndarray:
@@ -140,6 +128,14 @@ def _under_chi(influence: Any, dim: int) -> float:
         return (along + (dim - 1) * across) / dim * stats.chi.pdf(r, dim)
 
     return _integral(share, influence, positive_only=True)
+
+
+@lru_cache(maxsize=64)
+def _under_normal(influence: Any) -> float:
+    """Return E[psi'(e)] for e standard normal."""
+    from scipy import stats
+
+    return _integral(lambda e: influence.psi_deriv(e) * stats.norm.pdf(e), influence)
 
 
 def _integral(function: Any, influence: Any, positive_only: bool = False) -> float:
