@@ -116,8 +116,8 @@ def expected_information(influence: Any, noise: Any = None) -> float:
 @np.errstate(under="ignore")
 def expected_joint_information(influence: Any, dim: int) -> float:
     """Return the mean of tr(D)/dim for psi applied to the length of a standard normal vector in R^dim."""
-    # psi' along the vector and psi(r)/r across it, each clipped to [0, 1] as the filter does. One component alone is not
-    # joined to anything: it counts as under grouping "component".
+    # psi' along the vector and psi(r)/r across it, each clipped to [0, 1] as the filter does. One component alone
+    # counts as under grouping "component".
     if dim == 1:
         return expected_information(influence)
     from scipy import stats
