@@ -12,7 +12,7 @@ from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import settled
 
-__all__ = ["Part", "Parts", "log_density"]
+__all__ = ["Part", "Parts", "as_arrays", "log_density"]
 
 
 class Part(NamedTuple):
@@ -46,11 +46,16 @@ class Parts(NamedTuple):
         left = tuple(p for p in earlier if p.start < part.start or p.start + p.number > end)
         return cls(before, sensors, (*left, part), settings)
 
+    @property
+    def first(self) -> Any:
+        """The correction before all of them."""
+        return self.before.first if type(self.before) is Parts else self.before
+
     def as_arrays(self) -> Correction:
         """Return them next to each other."""
-        last: Any = _arrays(self.before)
+        last: Any = as_arrays(self.before)
         for part in self.parts:
-            last = embed_block(last, _arrays(part.correction), part.start, self.sensors)
+            last = embed_block(last, as_arrays(part.correction), part.start, self.sensors)
         if self.settings is None:
             return last  # type: ignore[no-any-return]
         seen = np.where(np.isnan(last.weights), np.nan, last.y)
@@ -69,6 +74,6 @@ def log_density(y: Array, S: Array, choices: Choices, memory: Array | None, skip
     return correct(nothing.ravel(), nothing, y, none, S, choices, widths, skip).log_density
 
 
-def _arrays(correction: Any) -> Any:
+def as_arrays(correction: Any) -> Any:
     """Return a correction as arrays, or None."""
     return correction if correction is None or isinstance(correction, Correction) else correction.as_arrays()

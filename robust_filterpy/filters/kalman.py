@@ -506,35 +506,54 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         ``log_likelihood`` is that of all blocks, so that after the last one it is that of the whole measurement; under
         ``noise=`` that of the last block.
         """
-        x, P = state_of(self)
-        n, m, k = len(x), self.dim_z, int(np.size(z_i))
+        m, k = self.dim_z, int(np.size(z_i))
         start = _checks.count("start", start)
         part = slice(start, start + k)
         if k < 1 or start + k > m:
             raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
-        H = _checks.matrix("H", self.H, (m, n), f"dim_z={m}, dim_x={n}")[part] if H_i is None else H_i
-        H = _checks.matrix("H_i", np.reshape(H, (1, -1)) if k == 1 else H, (k, n), f"{k} number(s) in z_i, dim_x={n}")
-        R = noise_covariance(
-            _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R_i is None else R_i, R_i, k
-        )
-        values = measured(z_i, k, missing=True)
-        # A part tells nothing of how long the whole has been refused.
-        before = self._prior(k, first=start)
-        before = before._replace(carried=None) if self.noise is None else before
-        correction, carried = regardless(self._corrected, x, P, values, H, np.ascontiguousarray(R), None, before)
+        shown, S, SI, kept, z = self._record(), self._S, self._SI, self._kept, np.ravel(self.z).tolist()
         settings = None if self.noise is not None else (self._choices, self._whole_memory(), self._inverse is not None)
-        parts = Parts.of(self._record(), m, Part(start, k, correction), settings)
-        self._learn(correction.memory, k, first=start)
-        z = np.array([None] * m) if np.size(self.z) != m else np.ravel(self.z).copy()
-        z[part] = values
+        if H_i is None and self._correct_part(z_i, R_i, part):
+            correction, values = self._record(), self.z
+        else:
+            correction, values = self._corrected_part(z_i, R_i, H_i, part)
+        # A part tells nothing of how long the whole has been refused.
+        self._kept = self._kept if self.noise is not None else kept
+        z = z if len(z) == m else [None] * m
+        z[part] = np.ravel(values).tolist()
+        self.z = np.array(z, dtype=object if None in z else float).reshape((m, 1) if np.ndim(self.x) == 2 else m)
         # S and SI stay what they were, as in filterpy.
-        S, SI = self.S, self.SI
-        self.x, self.P, self._last = correction.x.reshape(x.shape), correction.P, parts
-        if self.noise is not None:
-            self._kept, self._outlier_probability = carried, getattr(correction, "outlier_probability", 0.0)
-        self.z = (z if None in z.tolist() else z.astype(float)).reshape((m, 1) if x.ndim == 2 else m)
-        self._y, self._K, self.S, self.SI = None, None, S, SI
+        self._last, self._S, self._SI = Parts.of(shown, m, Part(start, k, correction), settings), S, SI
+
+    def _correct_part(self, z: Any, R: Any, part: slice) -> bool:
+        """Correct by a part of the measurement by the kernel, which tells sensors by their rows of H."""
+        H, own = self.H, np.asarray(self.R)
+        m, step = self.dim_z, self._linear_step()
+        if step is None or not (type(H) is np.ndarray and H.ndim == 2 and len(H) == m):
+            return False
+        if len({row.tobytes() for row in H}) < m or (R is None and np.shape(own) != (m, m)):
+            return False
+        return bool(step(self, z, own[part, part] if R is None else R, H[part], None))
+
+    def _corrected_part(self, z: Any, R: Any, H: Any, part: slice) -> tuple[Any, Array]:
+        """Correct by a part of the measurement by the definition; return the correction and the readings."""
+        x, P = state_of(self)
+        n, m, k = len(x), self.dim_z, part.stop - part.start
+        rows = _checks.matrix("H", self.H, (m, n), f"dim_z={m}, dim_x={n}")[part] if H is None else H
+        rows = _checks.matrix(
+            "H_i", np.reshape(rows, (1, -1)) if k == 1 else rows, (k, n), f"{k} number(s) in z_i, dim_x={n}"
+        )
+        own = _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R is None else R
+        noise = noise_covariance(own, R, k)
+        values = measured(z, k, missing=True)
+        before = self._prior(k, first=part.start)
+        before = before._replace(carried=None) if self.noise is None else before
+        last, self._kept = regardless(self._corrected, x, P, values, rows, np.ascontiguousarray(noise), None, before)
+        self._learn(last.memory, k, first=part.start)
+        self.x, self.P = last.x.reshape(x.shape), last.P
+        self._outlier_probability, self._y, self._K = getattr(last, "outlier_probability", 0.0), None, None
         self._as_posterior()
+        return last, values
 
     def _whole_memory(self) -> Array | None:
         """Return the memory of all sensors of z under scaling "learnt", None where nothing is learned."""

@@ -17,7 +17,7 @@ from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._insistence import is_near, jump_of, watched
-from robust_filterpy.filters._parts import log_density
+from robust_filterpy.filters._parts import Parts, as_arrays, log_density
 from robust_filterpy.filters.driver import require_finite_correction
 from robust_filterpy.filters.notices import EVERY, Share, judges, look_at_signs, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
@@ -227,15 +227,20 @@ class Shell(StateMixin):
             return False
         return bool(_extension.predict(self, u, None, None, None) if moves else _extension.predict_covariance(self))
 
+    def _linear_step(self) -> Any:
+        """Return the kernel's correction by a linear sensor, None where it is not this filter's."""
+        if _extension is None or not self._by_kernel:
+            return None
+        return _extension.correct if self._policy.noise is None else _extension.correct_mixture
+
     def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
         """Correct by a linear sensor."""
-        if _extension is None or not self._by_kernel:
+        step = self._linear_step()
+        if step is None or (self._policy.patience is not None and M is not None):
             return False
         if self._policy.noise is not None:
-            return self._watched(_extension.correct_mixture, z, R, H, M)
-        if self._policy.patience is not None and M is not None:
-            return False
-        return self._counted(_extension.correct, z, R, H, M, R=R)
+            return self._watched(step, z, R, H, M)
+        return self._counted(step, z, R, H, M, R=R)
 
     def _stepped(
         self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any,
@@ -377,6 +382,8 @@ class Shell(StateMixin):
     def _emptied(self) -> _Emptied | None:
         """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""
         last = self._record()
+        if type(last) is Parts:
+            last = self._arrays()
         return last if last is None or type(last) is _Emptied else _Emptied(last)
 
     def _log_density(self, y: Array, S: Array) -> float:
@@ -393,6 +400,8 @@ class Shell(StateMixin):
         if type(self._last) is np.ndarray:
             self._last = correction_of(self._last, self.x_post, self.P_post)
         elif self._last is not None and type(self._last) is not Correction:
+            if type(self._last) is Parts:
+                self._S, self._SI = self.S, self.SI
             self._last = self._last.as_arrays()
         return self._last  # type: ignore[no-any-return]
 
@@ -415,7 +424,11 @@ class Shell(StateMixin):
         """Return y, S, SI or K of the last correction."""
         if name == "y":
             return self._shown("y", 0.0)
-        last: Any = self._arrays()
+        if name != "K" and type(self._last) is Parts:
+            # As in filterpy, they are those of the correction before.
+            last: Any = as_arrays(self._last.first)
+        else:
+            last = self._arrays()
         if name == "SI":
             return last.inverse if self._inverse is None else self._inverse(last.S)  # type: ignore[no-any-return]
         return getattr(last, name)  # type: ignore[no-any-return]

@@ -22,7 +22,7 @@ OPTIONS = {
 }
 WAYS = {
     "H": {"H": np.array([[1.0, 0.1], [0.3, 1.0]])}, "a row of H": {"H": np.array([[1.0, 0.2]]), "R": 0.3},
-    "R": {"R": np.array([[0.4, 0.1], [0.1, 0.3]])}, "M": {}, "F and Q": {},
+    "R": {"R": np.array([[0.4, 0.1], [0.1, 0.3]])}, "M": {}, "F and Q": {}, "part by part": {},
 }  # fmt: skip
 
 
@@ -44,12 +44,18 @@ def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, b
             given = WAYS[way]
             if way == "M":
                 kf.update_correlated(z)
+            elif way == "part by part":
+                kf.update(z) if k % 3 == 2 else [kf.update_sequential(i, z[i]) for i in (0, 1) if z[i] == z[i]]
             elif way == "a row of H" and k % 2:
                 kf.update(z[0] if z[0] == z[0] else 1.0, **given)
             else:
                 kf.update(z, **({} if way == "a row of H" else given))
-            lags = getattr(kf._last, "lags", ())
-            rows.append([*np.ravel(kf.x), *np.ravel(kf.P), kf.log_likelihood, kf.outlier_probability, *lags])
+            lags = np.nansum(getattr(kf._last, "lags", 0.0))
+            shown = [*np.ravel(kf.y), *np.ravel(kf.S), *np.ravel(kf.SI), *np.ravel(kf.K), *np.ravel(kf.weights)]
+            shown += [float(z) for z in np.ravel(kf.z)]
+            rows.append([*np.ravel(kf.x), *np.ravel(kf.P), kf.log_likelihood, kf.outlier_probability, lags])
+            if way == "part by part":
+                rows[-1] += shown
         found.append((np.array(rows), kf._memory, *kf._other_sensors.values()))
     for ours, theirs in zip(*found, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-11)
