@@ -134,8 +134,16 @@ def export_c(
             f"path: expected a name that the kernel does not use, got {source.name!r}, which makes {min(taken)}; "
             f"use my_{source.name}"
         )
-    for file, text in zip(exported, texts, strict=True):
-        file.write_text(text, encoding="ascii")
+    # Both or none, where a disk is full: a header and a source of two models compile.
+    parts = [file.with_name(f"{file.name}.part") for file in exported]
+    try:
+        for part, text in zip(parts, texts, strict=True):
+            part.write_text(text, encoding="ascii")
+        for part, file in zip(parts, exported, strict=True):
+            part.replace(file)
+    finally:
+        for part in parts:
+            part.unlink(missing_ok=True)
     return exported
 
 

@@ -124,7 +124,7 @@ def _expected(influence: Any, grouping: str, m: int) -> float:
 
 #: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
 #: many signs must be kept: a fair coin does that once in six hundred thousand periods.
-_PERIOD, _FIRST, _LAST, _KEPT = 240, 9, 57, 40
+PERIOD, _FIRST, LAST, _KEPT = 240, 9, 57, 40
 
 
 class CorrelatedInnovationsWarning(RobustFilterWarning):
@@ -154,28 +154,23 @@ class Signs:
 
     def is_decided(self) -> bool:
         """Return whether too many have changed, of each sensor, for the rest of a period to tell anything."""
-        return all(pairs - same > _LAST - _FIRST - _KEPT for same, pairs in zip(self.same, self.pairs, strict=True))
+        return all(pairs - same > LAST - _FIRST - _KEPT for same, pairs in zip(self.same, self.pairs, strict=True))
 
     def keeper(self) -> int | None:
         """Return a sensor whose innovations nearly all keep their sign, None if there is none."""
         return next((i for i, count in enumerate(self.same) if count >= _KEPT), None)
 
 
-def judges(updates: int) -> bool:
-    """Return whether the update of this number may give a warning."""
-    return updates % _PERIOD == _LAST
-
-
 def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Signs | None:
     """Count the signs of a correction's innovations now and then, and warn if they hardly ever change."""
-    place = updates % _PERIOD
-    if not _FIRST <= place <= _LAST or (signs is not None and place != _FIRST and signs.is_decided()):
+    place = updates % PERIOD
+    if not _FIRST <= place <= LAST or (signs is not None and place != _FIRST and signs.is_decided()):
         return signs
     y = _lags_of(last).tolist()
     if signs is None or place == _FIRST or len(signs.last) != len(y):
         signs = Signs(len(y))
     signs.count(y)
-    if place == _LAST:
+    if place == LAST:
         _judge(kf, signs, "")
     return signs
 
@@ -183,10 +178,10 @@ def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Sign
 def look_at_recording(kf: Any, y: Array, first: int, variances: Callable[[list[int]], Array]) -> None:
     """Look at a recording as `look_at_signs` does."""
     seen = np.flatnonzero(~np.isnan(y).all(axis=1))
-    for begin in range(0, len(seen), _PERIOD):
+    for begin in range(0, len(seen), PERIOD):
         signs = Signs(y.shape[1])
-        window = seen[begin + _FIRST - 1 : begin + _LAST].tolist()
-        if len(window) > _LAST - _FIRST:
+        window = seen[begin + _FIRST - 1 : begin + LAST].tolist()
+        if len(window) > LAST - _FIRST:
             for one in lags(y[window], variances(window)).tolist():
                 signs.count(one)
             _judge(kf, signs, f": step {first + window[-1]}")

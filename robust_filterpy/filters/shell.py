@@ -19,7 +19,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._insistence import is_near, jump_of, watched
 from robust_filterpy.filters._parts import Parts, as_arrays, log_density
 from robust_filterpy.filters.driver import require_finite_correction
-from robust_filterpy.filters.notices import EVERY, Share, judges, look_at_signs, look_for_repeats, look_for_stuck
+from robust_filterpy.filters.notices import EVERY, LAST, PERIOD, Share, look_at_signs, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
@@ -255,7 +255,7 @@ class Shell(StateMixin):
 
     def _watched(self, step: Any, *given: Any) -> bool:
         """Take a correction under ``noise=``, and look now and then at the signs of innovations."""
-        before = snapshot(self) if judges(self._updates + 1) else None
+        before = snapshot(self) if self._updates % PERIOD == LAST - 1 else None
         if not step(self, *given):
             return False
         self._updates += 1

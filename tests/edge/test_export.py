@@ -294,6 +294,20 @@ def test_the_same_model_gives_the_same_file(tmp_path, make):
     assert max(len(line) for text in texts[0] for line in text.splitlines()) <= 120
 
 
+def test_a_full_disk_leaves_the_files_of_the_model_before(tmp_path):
+    resource = pytest.importorskip("resource")
+    before = [path.read_text() for path in export_c(plain(), tmp_path / "cart")]
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
+    try:
+        with pytest.raises(OSError, match=r"large|space"):
+            export_c(plain(3), tmp_path / "cart")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cart.c", "cart.h"]
+    assert [(tmp_path / name).read_text() for name in ("cart.c", "cart.h")] == before
+
+
 class OwnHuber(Huber):
     def psi(self, e):
         return 0.5 * super().psi(e)
