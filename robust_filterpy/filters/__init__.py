@@ -12,7 +12,7 @@
 * `conversion`: a robust filter made of an existing one.
 * `shell`, `nonlinear_mixin`: what these classes share: options, steps by the kernel, what a correction shows.
 * `states`: what a filter holds and has learned, put away and taken up again.
-* `problem`: a recording of a linear filter, read once.
+* `problem`: a recording of a linear filter, read once, and `batch_filter`.
 * `snapshot`: a call that is refused has not happened.
 * `notices`: what a filter says once.
 

@@ -1,16 +1,22 @@
-"""A recording of a linear filter, read once: from a filter and lists, as `batch_filter` takes them, to arrays."""
+"""A recording of a linear filter: read once, from a filter and lists, to arrays; taken by filterpy's batch_filter."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import _checks
-from robust_filterpy._arrays import control_term, measurement_rows, stack, state_of
-from robust_filterpy._checks import Array
+from robust_filterpy._arrays import control_term, measurement_rows, process_noise, stack, state_of
+from robust_filterpy._checks import Array, all_covariances, entries, shown
+from robust_filterpy.filters.driver import run
+from robust_filterpy.filters.notices import look_at_recording, look_for_repeats, look_for_stuck
+from robust_filterpy.filters.policies import ordinary_noise
+from robust_filterpy.filters.shell import Shell
+from robust_filterpy.filters.snapshot import unchanged_if_refused
+from robust_filterpy.kernel.series import Rows
 
-__all__ = ["Problem", "finite", "read"]
+__all__ = ["Problem", "RecordingMixin", "finite", "read"]
 
 
 class Problem(NamedTuple):
@@ -73,11 +79,9 @@ def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
     """Return B u of each step, (N or 1, n); None in us or Bs is no input, or the filter's own B."""
     if us is None:
         return np.zeros((1, n))
-    us, Bs = _checks.entries("us", us), _checks.entries("Bs", Bs)
+    us, Bs = entries("us", us), entries("Bs", Bs)
     for name, values in (("us", us), ("Bs", Bs)):
-        if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
-            got = len(values) if hasattr(values, "__len__") else _checks.shown(values)
-            raise ValueError(f"{name}: expected an entry for each of the {steps} measurements, got {got}")
+        _require_entries(name, values, steps, "measurements")
     if B is None and Bs is None:
         raise ValueError("us: expected no inputs for a filter without B; set kf.B")
     matrices: Any
@@ -94,3 +98,154 @@ def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
     if not np.isfinite(terms).all():
         raise ValueError("us: expected finite numbers, got NaN or infinity")
     return terms
+
+
+class RecordingMixin(Shell):
+    """Advance a linear filter through a recording: by the compiled loops where they can, else by its own methods."""
+
+    __slots__: tuple[str, ...] = ()
+
+    predict: Callable[..., None]
+    update: Callable[..., None]
+    _alpha_sq: float
+
+    def _filter_recording(
+        self, given: dict[str, Any], update_first: bool, saver: Any, by_kernel: bool, scales: Array | None
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return what `RobustKalmanFilter.batch_filter` does; whatever is raised, the filter is then as it was."""
+        if saver is not None and not callable(getattr(saver, "save", None)):
+            raise TypeError(
+                f"saver: expected an object with save(), such as filterpy.common.Saver(kf), got {type(saver).__name__}"
+            )
+        given = {name: entries(name, values) for name, values in given.items()}
+        columns = _columns(given)
+        n, dim_x = len(given["zs"]), self.dim_x
+        shape = (n, dim_x) if np.ndim(self.x) == 1 else (n, dim_x, 1)
+        means, means_p = np.zeros(shape), np.zeros(shape)
+        covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
+        rows = self._read(**given) if by_kernel and n else None
+        # The filter's own are the last step and the last with a measurement: what they leave in it stays.
+        own: Iterable[int] = range(n)
+        if rows is not None:
+            shown = Rows(*(a.reshape(n, -1) for a in (means, covariances, means_p, covariances_p)))
+            shown = shown._replace(weights=np.full(rows.zs.shape, np.nan), scale=scales)
+            seen = np.flatnonzero(~np.isnan(rows.zs).all(axis=1))
+            own = sorted({*seen[-1:].tolist(), n - 1})
+        k = 0
+        with unchanged_if_refused(self):
+            for stop in own:
+                if rows is not None and k < stop:
+                    self._run(rows, shown, bool(update_first), k, stop)
+                k = stop
+                z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
+                try:
+                    if update_first:
+                        self.update(z, R=R, H=H)
+                        means[k], covariances[k] = self.x, self.P
+                    self.predict(u=u, B=B, F=F, Q=Q)
+                    means_p[k], covariances_p[k] = self.x, self.P
+                    if not update_first:
+                        self.update(z, R=R, H=H)
+                        means[k], covariances[k] = self.x, self.P
+                    if scales is not None:
+                        scales[k] = self.process_scale
+                    if saver is not None:
+                        saver.save()
+                except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+                    error.args = (f"step {k}: {error}", *error.args[1:])
+                    raise
+                k += 1
+            return means, covariances, means_p, covariances_p
+
+    def _read(self, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any) -> Problem | None:
+        """Return a recording as arrays, None if the call is for the filter's own methods."""
+        kf: Any = self
+        # Sensors of an H that is passed are identified by its rows, which the filter's own methods look up.
+        if Hs is not None and self._policy.learns:
+            return None
+        try:
+            # As in filterpy, without a B there is no input.
+            rows = read(kf, zs, Fs, Qs, Hs, Rs, Bs, None if kf.B is None and Bs is None else us)
+            if Hs is None and rows.H.shape[1] != self.dim_z:
+                return None
+            symmetric = _symmetric(rows.Q) and _symmetric(rows.R) and _symmetric(rows.P[None])
+            if not (symmetric and all_covariances(rows.R) and (Qs is None or all_covariances(rows.Q))):
+                return None
+            if Qs is None:
+                process_noise(kf.Q, None, len(rows.x))
+        except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError):
+            # Let the filter's own methods say what is wrong, and at which step.
+            return None
+        return rows
+
+    def _run(self, rows: Problem, shown: Rows, update_first: bool, first: int, last: int) -> None:
+        """Take steps of a recording at once."""
+        policy, (x, P), m = self._policy, state_of(self), rows.zs.shape[1]
+        memory = self._prior(m).memory
+        state = policy.standing(self._kept, x.ravel(), P, memory)
+        run(
+            policy, state, rows.zs, rows[1:6], shown, of=type(self).__name__, first=first, last=last,
+            alpha_sq=float(self._alpha_sq), update_first=update_first,
+        )  # fmt: skip
+        # What else a step leaves in the filter, the filter's own next step sets anew.
+        self.x, self.P = state.x.reshape(x.shape).copy(), state.P.copy()
+        self._kept = policy.carried_of(self._kept, state)
+        if policy.noise is None and policy.learns:
+            look_for_repeats(self, state.learnt, memory)
+        self._learn(state.learnt, len(state.learnt))
+        weights: Any = shown.weights
+        if policy.noise is None:
+            if self._choices.scaling == "innovation":
+                self._look_back(weights[first:last], _innovations(rows, shown, update_first, first, last))
+            return
+        look_for_stuck(self, weights[first:last], first)
+        if self._counts_clipped:
+            H, R = (np.broadcast_to(a, (len(rows.zs), *a.shape[1:]))[first:last] for a in (rows.H, rows.R))
+            covariances: Any = shown.covariances_p
+
+            def variances(some: list[int]) -> Array:
+                """Return those of the innovations of some steps, with the noise as it is learned at the end."""
+                P = covariances[first:last][some].reshape(-1, *self.P.shape)
+                noise = ordinary_noise(R[some], state.learnt)
+                return np.diagonal(H[some] @ P @ H[some].swapaxes(1, 2) + noise, axis1=1, axis2=2)
+
+            look_at_recording(self, _innovations(rows, shown, update_first, first, last), first, variances)
+
+
+def _innovations(rows: Problem, shown: Rows, update_first: bool, first: int, last: int) -> Array:
+    """Return the innovations of steps that have been taken, but for what was missing."""
+    means: Any = shown.means_p[first:last]  # type: ignore[index]
+    if update_first:
+        # A step's prediction comes after its correction, and the next corrects it.
+        means = np.concatenate([means[:1], means[:-1]])
+    H = np.broadcast_to(rows.H, (len(rows.zs), *rows.H.shape[1:]))[first:last]
+    return rows.zs[first:last] - np.einsum("kij,kj->ki", H, means)
+
+
+def _require_entries(name: str, values: Any, steps: int, of: str) -> None:
+    """Raise unless there is an entry for each step, or nothing at all."""
+    if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
+        got = len(values) if hasattr(values, "__len__") else shown(values)
+        raise ValueError(f"{name}: expected an entry for each of the {steps} {of}, got {got}")
+
+
+def _columns(given: dict[str, Any]) -> list[Any]:
+    """Return the columns, each with an entry for every step, or None."""
+    try:
+        n = len(given["zs"])
+    except TypeError:
+        raise TypeError(f"zs: expected a sequence of measurements, got {shown(given['zs'])}") from None
+    columns = []
+    for name, values in given.items():
+        _require_entries(name, values, n, "measurements in zs")
+        columns.append(values)
+    # An iterator reads what has a length but no places, such as the values of a dictionary or a data frame's column.
+    return [
+        None if column is None else column if isinstance(column, np.ndarray) else list(column) for column in columns
+    ]
+
+
+def _symmetric(stack: Array) -> bool:
+    """Return whether every matrix is symmetric to rounding, since the loops look at one half."""
+    transposed = stack.transpose(0, 2, 1)
+    return bool((np.abs(stack - transposed) <= 1e-13 * (np.abs(stack) + np.abs(transposed))).all())
