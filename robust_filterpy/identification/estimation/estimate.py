@@ -273,15 +273,9 @@ class Units(NamedTuple):
 
 
 def _as_model(
-    problem: Problem,
-    model: Any,
-    end: End,
-    unit: float,
-    missing: Any,
-    replaced: Array,
-    held: Any,
+    problem: Problem, model: Any, end: End, unit: float, missing: Any, replaced: Array, held: Any,
     others: list[tuple[float, Array]],
-) -> Model:
+) -> Model:  # fmt: skip
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     # The end's parameters are those of this recording, its noise is that of an output in the unit.
     structure, n, p, rows = model.structure, model.structure.n_theta, end.p, end.rows

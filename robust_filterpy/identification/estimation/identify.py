@@ -32,64 +32,27 @@ __all__ = ["identify"]
 
 @overload
 def identify(
-    y: ArrayLike,
-    u: ArrayLike | None,
-    structure: Structure,
-    *,
-    influence: Influence | None = None,
-    offset: bool = True,
-    R: float | None = None,
-    trend: str | None = None,
-    groups: ArrayLike | None = None,
-    fixed: Mapping[str, float] | None = None,
-    bounds: Mapping[str, Any] | None = None,
-    sampled: bool = True,
+    y: ArrayLike, u: ArrayLike | None, structure: Structure, *, influence: Influence | None = None, offset: bool = True,
+    R: float | None = None, trend: str | None = None, groups: ArrayLike | None = None,
+    fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None, sampled: bool = True,
     progress: bool | None = None,
-) -> Model: ...
-
-
+) -> Model: ...  # fmt: skip
 @overload
 def identify(
-    y: ArrayLike,
-    u: ArrayLike | None,
-    structure: StateSpace,
-    *,
-    influence: Influence | None = None,
-    trend: str | None = None,
-    groups: ArrayLike | None = None,
-    progress: bool | None = None,
-) -> StateSpaceModel: ...
-
-
+    y: ArrayLike, u: ArrayLike | None, structure: StateSpace, *, influence: Influence | None = None,
+    trend: str | None = None, groups: ArrayLike | None = None, progress: bool | None = None,
+) -> StateSpaceModel: ...  # fmt: skip
 @overload
 def identify(
-    y: ArrayLike,
-    u: ArrayLike | None,
-    structure: GreyBox,
-    *,
-    influence: Influence | None = None,
-    trend: str | None = None,
-    t: ArrayLike | None = None,
-    progress: bool | None = None,
-) -> GreyBoxModel: ...
-
-
+    y: ArrayLike, u: ArrayLike | None, structure: GreyBox, *, influence: Influence | None = None,
+    trend: str | None = None, t: ArrayLike | None = None, progress: bool | None = None,
+) -> GreyBoxModel: ...  # fmt: skip
 def identify(
-    y: Any,
-    u: Any,
-    structure: Structure | StateSpace | GreyBox,
-    *,
-    influence: Influence | None = None,
-    offset: bool = True,
-    R: float | None = None,
-    trend: str | None = None,
-    groups: ArrayLike | None = None,
-    t: ArrayLike | None = None,
-    fixed: Mapping[str, float] | None = None,
-    bounds: Mapping[str, Any] | None = None,
-    sampled: bool = True,
-    progress: bool | None = None,
-) -> Model | StateSpaceModel | GreyBoxModel:
+    y: Any, u: Any, structure: Structure | StateSpace | GreyBox, *, influence: Influence | None = None,
+    offset: bool = True, R: float | None = None, trend: str | None = None, groups: ArrayLike | None = None,
+    t: ArrayLike | None = None, fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None,
+    sampled: bool = True, progress: bool | None = None,
+) -> Model | StateSpaceModel | GreyBoxModel:  # fmt: skip
     """Find the model of a recording with outliers, from nothing but the recording.
 
     Minimises the robust loss of the prediction errors from several starts that need no guess, the noise learned on the

@@ -60,15 +60,9 @@ class Optimum(NamedTuple):
 
 
 def minimised(
-    model: Any,
-    p: Array,
-    noise: _Noise,
-    rows: Array,
-    clear: Array,
-    most_steps: int = _MOST_STEPS,
-    limits: Limits | None = None,
-    precision: float = 0.0,
-) -> Optimum:
+    model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, most_steps: int = _MOST_STEPS,
+    limits: Limits | None = None, precision: float = 0.0,
+) -> Optimum:  # fmt: skip
     """Minimise the loss of the residuals from p on."""
     unknown = model if isinstance(model, CompletedModel) else None
     residual, damping = model.residuals(p), 1e-3

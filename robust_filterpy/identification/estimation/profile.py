@@ -189,16 +189,9 @@ def _is_inside(values: Array) -> bool:
 
 
 def profiled(
-    model: PolynomialModel,
-    p: Array,
-    noise: Noise,
-    rows: Any,
-    P: Array,
-    held: Any,
-    others: list[tuple[float, Array]],
-    sampled: bool,
-    colour: float = 1.0,
-) -> tuple[Array, str]:
+    model: PolynomialModel, p: Array, noise: Noise, rows: Any, P: Array, held: Any, others: list[tuple[float, Array]],
+    sampled: bool, colour: float = 1.0,
+) -> tuple[Array, str]:  # fmt: skip
     """Return the covariance of the free parameters, wider where the loss bends, and how it was found."""
     loss = _Loss.of(model, p, noise, rows, held, colour)
     places = np.flatnonzero(loss.bent)

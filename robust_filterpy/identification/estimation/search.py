@@ -192,15 +192,9 @@ def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
 
 
 def _searched(
-    model: PolynomialModel,
-    p: Array,
-    noise: Noise,
-    missing: Any,
-    starts: tuple[str, ...],
-    effort: _Effort,
-    limits: Limits | None = None,
-    before: Outliers | None = None,
-) -> End:
+    model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], effort: _Effort,
+    limits: Limits | None = None, before: Outliers | None = None,
+) -> End:  # fmt: skip
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
     stage(f"search from: {starts[0]}")
     p = p if limits is None else limits.start(model, p)

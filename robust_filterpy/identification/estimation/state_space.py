@@ -274,15 +274,9 @@ def _weigh(fit: _Found, measured: Any) -> None:
 
 
 def _in_units(
-    fit: _Found,
-    T: Array,
-    units: Units,
-    recording: Recording,
-    spans: Any,
-    measured: Any,
-    rest: Array,
+    fit: _Found, T: Array, units: Units, recording: Recording, spans: Any, measured: Any, rest: Array,
     structure: StateSpace,
-) -> StateSpaceModel:
+) -> StateSpaceModel:  # fmt: skip
     """Return the model in another basis, for the recordings as they were measured."""
     one, n, p = fit.model.matrices(fit.q), fit.model.order, fit.model.outputs
     inverse = np.linalg.inv(T)

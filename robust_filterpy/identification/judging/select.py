@@ -77,22 +77,17 @@ class Grid(NamedTuple):
             if values is not None and name not in arguments:
                 raise ValueError(f"{name}: expected none for {kind.__name__}, which has {', '.join(arguments)}")
         first = next(name for name in ("na", "nf", "nb") if name in arguments)
-        leading = _range(first, _or(given[first], range(1, 5)), first == "nb")
-        ranges: dict[str, tuple[int, ...] | None] = {first: leading}
+        usual = {first: range(1, 5), "nk": range(9), "nd": range(3)} | ({"nc": range(3)} if kind is BoxJenkins else {})
+        ranges: dict[str, tuple[int, ...] | None] = {}
+        for name in (first, *(other for other in arguments if other != first)):
+            values = usual.get(name) if given[name] is None else given[name]
+            absent = name in ("nb", "nk") and not has_input
+            ranges[name] = (0,) if absent else None if values is None else _range(name, values, name == "nb")
         if has_input and "nb" not in arguments:
             raise ValueError(f"u: expected None for {kind.__name__}, which has no input; take ARX or ARMAX")
         if not has_input and "nb" in arguments and kind not in (ARX, ARMAX):
             raise ValueError(f"u: expected an input for {kind.__name__}, got None; without one take ARX or ARMAX")
-        for name in arguments:
-            if name in ("nb", "nk") and not has_input:
-                ranges[name] = (0,)
-            elif name == "nk":
-                ranges[name] = _range(name, _or(given[name], range(9)), 0)
-            elif name == "nd" or (name == "nc" and kind is BoxJenkins):
-                ranges[name] = _range(name, _or(given[name], range(3)), 0)
-            elif name != first:
-                ranges[name] = None if given[name] is None else _range(name, given[name], name == "nb")
-        if "nb" in ranges and ranges["nb"] is None and 0 in leading:
+        if "nb" in ranges and ranges["nb"] is None and 0 in (ranges[first] or ()):
             raise ValueError(
                 f"nb: expected the numbers of b's to try where {first} holds 0, got None; say nb=range(1, 5)"
             )
@@ -174,11 +169,6 @@ class Grid(NamedTuple):
         most = {name: (values or next(iter(self.ranges.values())) or (0,))[-1] for name, values in self.ranges.items()}
         delayed = [lag + most.get(name.replace("nk", "nb"), 1) - 1 for name, lag in most.items() if name[:2] == "nk"]
         return max(most.get("na", 0), most.get("nb", 1) - 1 if not delayed else 0, *delayed, 0)
-
-
-def _or(values: Any, default: range) -> Any:
-    """Return values, or the default of those that were not given."""
-    return default if values is None else values
 
 
 def _range(name: str, values: Any, least: int) -> tuple[int, ...]:
@@ -354,19 +344,11 @@ _WILD: Final = 10.0
 
 
 def select_structure(
-    y: ArrayLike,
-    u: ArrayLike | None,
-    kind: Kind = OutputError,
-    na: Iterable[int] | None = None,
-    nb: Iterable[int] | None = None,
-    nc: Iterable[int] | None = None,
-    nd: Iterable[int] | None = None,
-    nf: Iterable[int] | None = None,
-    nk: Iterable[int] | None = None,
-    criterion: str = "bic",
-    held_out: float | None = None,
-    progress: bool | None = None,
-) -> Selection:
+    y: ArrayLike, u: ArrayLike | None, kind: Kind = OutputError, na: Iterable[int] | None = None,
+    nb: Iterable[int] | None = None, nc: Iterable[int] | None = None, nd: Iterable[int] | None = None,
+    nf: Iterable[int] | None = None, nk: Iterable[int] | None = None, criterion: str = "bic",
+    held_out: float | None = None, progress: bool | None = None,
+) -> Selection:  # fmt: skip
     """Find the orders and the delay of a recording with outliers.
 
     Parameters
@@ -564,7 +546,11 @@ class _Comparison:
             trend: Any = self.settled.after(first - before)._replace(begin=self.beginning(structure))
             model = identify(y, u, structure, trend=trend, sampled=False, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
-        likelihood = self._cleaned_likelihood(model) if structure.na + structure.nd else self._log_likelihood(residual)
+        if structure.na + structure.nd:
+            # Of residuals of the cleaned output, less what the outliers cost.
+            likelihood = model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
+        else:
+            likelihood = likelihood_of_mixture(residual[~np.isnan(residual)], self.wild)
         price = _CRITERIA[self.criterion](self.samples)
         breaks = PRICE * math.log(self.samples) * len(self.settled.trend.breaks)
         value = -2.0 * likelihood + price * (structure.n_theta + 1) + breaks
@@ -579,14 +565,6 @@ class _Comparison:
                 held_out = held_out[0], np.asarray(model.simulate(self.rest[1], start="continued"))
         self.tried[orders] = _Tried(row, model, residual, output, held_out)
         self.bar.update()
-
-    def _log_likelihood(self, residual: Array) -> float:
-        """Return the log-likelihood of residuals of which no outlier touches another one."""
-        return likelihood_of_mixture(residual[~np.isnan(residual)], self.wild)
-
-    def _cleaned_likelihood(self, model: Model) -> float:
-        """Return the log-likelihood of residuals of the cleaned output, less what the outliers cost."""
-        return model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
 
     def tried_on_rest(self, fitted: int) -> dict[Structure, float]:
         """Return how the best structure of each number of parameters fits what it has not seen, in percent."""

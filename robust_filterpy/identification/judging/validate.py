@@ -211,7 +211,8 @@ class Score(NamedTuple):
         covariance, entering = np.zeros(gram.shape), np.zeros((Z.shape[1], self.J.shape[2]))
         for i, ratio in enumerate(self.slope[j] / self.slope):
             W = (Z if i == j else 0.0) - np.sqrt(ratio) * (self.basis[:, i] @ shadow)
-            covariance += variances[i] * (W.T @ (W if i != j or kernel.size == 1 else _smeared(W, kernel)))
+            own = W if i != j or kernel.size == 1 else fftconvolve(W, kernel[:, None], mode="same", axes=0)
+            covariance += variances[i] * (W.T @ own)
             entering += self.slope[i] * (W.T @ self.J[:, i])
         covariance += entering @ self.P @ entering.T
         variance = variances[j]
@@ -254,11 +255,6 @@ def covariances(v: Array, lags: int) -> Array:
     rho = np.array([v[lag:] @ v[: v.size - lag] for lag in range(lags + 1)]) / max(v @ v, np.finfo(float).tiny)
     rho *= 1.0 - np.arange(lags + 1) / (lags + 1)
     return np.concatenate((rho[:0:-1], rho))
-
-
-def _smeared(W: Array, kernel: Array) -> Array:
-    """Return Gamma W for noise with these autocorrelations."""
-    return np.asarray(fftconvolve(W, kernel[:, None], mode="same", axes=0))
 
 
 def _directions(J: Array) -> Array:
@@ -490,14 +486,9 @@ def validate(
     level: float = 0.99, steps: int = 10, t: ArrayLike | None = None,
 ) -> Validations: ...  # fmt: skip
 def validate(
-    model: Model | StateSpaceModel | GreyBoxModel | control.TransferFunction,
-    y: ArrayLike,
-    u: ArrayLike | None = None,
-    lags: int = 20,
-    level: float = 0.99,
-    steps: int = 10,
-    t: ArrayLike | None = None,
-) -> Validation | Validations:
+    model: Model | StateSpaceModel | GreyBoxModel | control.TransferFunction, y: ArrayLike,
+    u: ArrayLike | None = None, lags: int = 20, level: float = 0.99, steps: int = 10, t: ArrayLike | None = None,
+) -> Validation | Validations:  # fmt: skip
     """Test what a model leaves in its residuals, and how well it predicts.
 
     Parameters

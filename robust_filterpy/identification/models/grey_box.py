@@ -113,16 +113,9 @@ class GreyResiduals:
     """
 
     def __init__(
-        self,
-        f: Callable[..., Any],
-        h: Callable[..., Any],
-        recordings: list[GreyRecording],
-        p: Scale,
-        x: Scale,
-        starts: Array,
-        free_start: bool,
-        linear: bool,
-    ) -> None:
+        self, f: Callable[..., Any], h: Callable[..., Any], recordings: list[GreyRecording], p: Scale, x: Scale,
+        starts: Array, free_start: bool, linear: bool,
+    ) -> None:  # fmt: skip
         """Find out whether f takes columns, and how many steps it needs."""
         self._f, self._h, self.recordings, self.p, self.x = f, h, recordings, p, x
         self.starts, self.free_start, self.linear = starts, free_start, linear

@@ -6,6 +6,7 @@ stable: polynomials here, states in `state_space`. Bands and regions of all are 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -44,33 +45,20 @@ class System(Estimated):
 
     R: Any
 
-    def _ways(self, thetas: Array, delays: Any, output: int) -> Any:
-        """Return what goes from each input to an output at each q^-1, for rows of parameters: (rows, n_inputs, n)."""
-        raise NotImplementedError
-
-    def _steps(self, thetas: Array, length: int, output: int) -> Array:
-        """Return an output after a unit step of each input, for rows of parameters, shape (rows, n_inputs, length)."""
-        raise NotImplementedError
-
-    def _density(self, thetas: Array, delays: Any, output: int) -> Array:
-        """Return the logarithm of the noise's density, for rows [theta, logarithm of a factor of each R]."""
-        raise NotImplementedError
-
-    def _poles(self, theta: Array) -> Any:
-        """Return the poles of parameters."""
-        raise NotImplementedError
-
-    def _zeros(self, theta: Array, input: int | None, output: int | None) -> Any:
-        """Return the zeros of parameters."""
-        raise NotImplementedError
-
-    def _stable(self, theta: Array) -> bool:
-        """Tell whether the way from the inputs to y is stable for other parameters."""
-        raise NotImplementedError
-
-    def _realized(self, what: str, dead: bool = True) -> tuple[Realization, Any]:
-        """Return the matrices, with dead times as states or these apart in samples, or raise where there are none."""
-        raise NotImplementedError
+    # What a kind of system says; theta may stand in rows, and q^-1 is given at some frequencies.
+    _ways: Callable[..., Any]
+    """(thetas, q^-1, output): what goes from each input to an output, (rows, n_inputs, n)."""
+    _steps: Callable[..., Array]
+    """(thetas, length, output): an output after a unit step of each input, (rows, n_inputs, length)."""
+    _density: Callable[..., Array]
+    """(thetas, q^-1, output): logarithm of the noise's density, of rows [theta, logarithm of a factor of each R]."""
+    _poles: Callable[[Array], Any]
+    _zeros: Callable[..., Any]
+    """(theta, input, output)."""
+    _stable: Callable[[Array], bool]
+    """Whether the way from the inputs to y is stable for other parameters."""
+    _realized: Callable[..., tuple[Realization, Any]]
+    """(what, dead): the matrices, with dead times as states or these apart in samples, or raise if there are none."""
 
     def _require(self, what: str) -> None:
         """Raise unless there is an input to what is asked for."""

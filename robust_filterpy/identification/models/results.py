@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +15,6 @@ from robust_filterpy._checks import Array, count, numbers, real
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
-
-if TYPE_CHECKING:
-    pass
 
 _WIDTH: Final = 78
 # Times whose steps differ by less than this share are equally far apart.
@@ -439,6 +437,8 @@ class Identified(Estimated):
     colour: float
     findings: tuple[Finding, ...]
     warning: str
+    # (y, u, t, steps): the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone.
+    _run: Callable[..., tuple[TimeAxis, Any, Any]]
 
     @property
     def R(self) -> Any:
@@ -541,10 +541,6 @@ class Identified(Estimated):
         """
         _, measured, output = self._run(y, u, t, 0)
         return fit_percent(np.where(np.isnan(output), np.nan, measured), np.nan_to_num(output))
-
-    def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
-        """Return the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone."""
-        raise NotImplementedError
 
     @property
     def _facts(self) -> dict[str, str]:

@@ -59,9 +59,7 @@ def measured_output(y: Any) -> Array:
         output = output.ravel()
     if output.ndim != 1 or output.size == 0:
         raise ValueError(f"y: expected a recording of shape (N,), N >= 1, got shape {output.shape}")
-    if np.isinf(output).any():
-        raise ValueError(f"y: expected finite numbers or NaN (missing), got inf in sample {np.isinf(output).argmax()}")
-    return np.clip(output, -LARGEST, LARGEST)
+    return _measured(output)
 
 
 def measured_outputs(y: Any, n_outputs: int) -> Array:
@@ -71,10 +69,14 @@ def measured_outputs(y: Any, n_outputs: int) -> Array:
     if output.ndim != 2 or output.shape[1] != n_outputs or len(output) == 0:
         mend = "; use y.T" if output.ndim == 2 and output.shape[0] == n_outputs else ""
         raise ValueError(f"y: expected shape (N, {n_outputs}), N >= 1, got shape {output.shape}{mend}")
+    return _measured(output)
+
+
+def _measured(output: Array) -> Array:
+    """Return outputs as far as their squares are numbers, or raise if one is infinite."""
     if np.isinf(output).any():
-        raise ValueError(
-            f"y: expected finite numbers or NaN (missing), got inf in sample {np.isinf(output).any(axis=1).argmax()}"
-        )
+        k = np.isinf(output).reshape(len(output), -1).any(axis=1).argmax()
+        raise ValueError(f"y: expected finite numbers or NaN (missing), got inf in sample {k}")
     return np.clip(output, -LARGEST, LARGEST)
 
 

@@ -95,9 +95,7 @@ class BankResult(_Recorded):
     actuators: tuple[Any, ...] = ()
     index: Any = None
 
-    def __str__(self) -> str:
-        """Return what fits a screen."""
-        return brief(self)
+    __str__ = brief
 
     def to_frame(self) -> Any:
         """Return all columns as a pandas DataFrame, a row for each sample that was kept.
@@ -232,26 +230,13 @@ class TrackerBank(track.Following):
     _name = "TrackerBank"
 
     def __init__(
-        self,
-        n: int,
-        structure: Structure,
-        *,
-        theta: ArrayLike | None = None,
-        P: ArrayLike | None = None,
-        Q: ArrayLike = 0.0,
-        R: ArrayLike | None = None,
-        F: ArrayLike | None = None,
-        forgetting: ArrayLike | None = None,
-        start: int | None = None,
-        offset: bool | None = None,
-        regressor: Regressor | None = None,
-        R_memory: int = 150,
-        gradient: Gradient | Sequence[Gradient] = "filtered",
-        guard: Guard | Sequence[Guard] = "halve",
-        influence: Influence | Sequence[Influence] | None = None,
-        scaling: Scaling | Sequence[Scaling] | None = None,
+        self, n: int, structure: Structure, *, theta: ArrayLike | None = None, P: ArrayLike | None = None,
+        Q: ArrayLike = 0.0, R: ArrayLike | None = None, F: ArrayLike | None = None, forgetting: ArrayLike | None = None,
+        start: int | None = None, offset: bool | None = None, regressor: Regressor | None = None, R_memory: int = 150,
+        gradient: Gradient | Sequence[Gradient] = "filtered", guard: Guard | Sequence[Guard] = "halve",
+        influence: Influence | Sequence[Influence] | None = None, scaling: Scaling | Sequence[Scaling] | None = None,
         information: Information | Sequence[Information] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Set up n filters and a memory at rest; so many arguments, since they are those of a `ParameterTracker`."""
         self.n = n = _checks.count("n", n, 1)
         if not isinstance(structure, Structure):

@@ -200,21 +200,13 @@ def load(kf: RobustKalmanFilter, theta: Array, P: Array, R: float) -> None:
 
 def is_plain(kf: Any, n: int) -> bool:
     """Tell whether a filter of n parameters is our own as it comes: the kernel then gives the numbers of `update`."""
-    return bool(
-        type(kf) is RobustKalmanFilter
-        # Not one whose methods somebody has wrapped.
-        and "predict" not in vars(kf)
-        and "update" not in vars(kf)
-        and kf.policy.noise is None
-        and kf.policy.patience is None
-        and kf.inv is np.linalg.inv
-        and is_array(kf.F, (n, n))
-        and is_array(kf.Q, (n, n))
-        and is_array(kf.P, (n, n))
-        and is_array(kf.R, (1, 1))
-        and (is_array(kf.x, (n,)) or is_array(kf.x, (n, 1)))
-        and 0.0 < kf.R.item() < math.inf
-    )
+    # Not one whose methods somebody has wrapped.
+    ours = type(kf) is RobustKalmanFilter and not {"predict", "update"} & vars(kf).keys() and kf.inv is np.linalg.inv
+    if not (ours and kf.policy.noise is None and kf.policy.patience is None):
+        return False
+    square = all(is_array(getattr(kf, name), (n, n)) for name in "FQP")
+    x_fits = is_array(kf.x, (n,)) or is_array(kf.x, (n, 1))
+    return square and x_fits and is_array(kf.R, (1, 1)) and 0.0 < kf.R.item() < math.inf
 
 
 def settings(kf: RobustKalmanFilter) -> dict[str, Array]:

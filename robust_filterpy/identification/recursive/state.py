@@ -52,15 +52,9 @@ class Form(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        structure: Structure,
-        layout: Layout,
-        has_offset: bool,
-        cleans: bool,
-        judges: bool,
-        gradient: Any,
+        cls, structure: Structure, layout: Layout, has_offset: bool, cleans: bool, judges: bool, gradient: Any,
         guard: Any,
-    ) -> Form:
+    ) -> Form:  # fmt: skip
         """Return the form of n actuators, gradient and guard being arrays (n,) of words."""
         places = np.arange(layout.n)
         own = np.delete(places, structure.constant_place) if has_offset else places

@@ -50,18 +50,13 @@ class Following:
     _now: State
     _regressor: Regressor
     _initial: dict[str, Array]
+    # Takes over a state, or raises, and nothing has changed then; what the user may have set of Q, F and forgetting.
+    _go_back: Callable[[Any], None]
+    _set_by_hand: Callable[[], dict[str, Any]]
 
     def _standing(self) -> State:
         """Return where they stand, samples that wait for a look among it."""
         return self._now
-
-    def _go_back(self, state: Any) -> None:
-        """Take over a state, or raise; nothing has changed then."""
-        raise NotImplementedError
-
-    def _set_by_hand(self) -> dict[str, Any]:
-        """Return what the user may have set of Q, F and forgetting."""
-        raise NotImplementedError
 
     def _named(self, which: list[int]) -> str:
         """Return some actuators as a message begins with them."""

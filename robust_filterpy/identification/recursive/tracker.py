@@ -45,10 +45,10 @@ from robust_filterpy.kernel.series import plain
 def _matrix(name: str, doc: str) -> Any:
     """Return a property that reads and writes the part of one of the filter's matrices that is theta's."""
 
-    def read(self: Standing) -> Array:
+    def read(self: ParameterTracker) -> Array:
         return np.array(getattr(self._filter, name), dtype=float)[np.ix_(self.form.own, self.form.own)]
 
-    def write(self: Standing, value: ArrayLike) -> None:
+    def write(self: ParameterTracker, value: ArrayLike) -> None:
         own, kf = self.form.own, self._shown()
         whole = setup.embedded(getattr(kf, name), own, setup.checked_values(len(own), **{name: value})[name])
         setattr(kf, name, whole)
@@ -57,13 +57,268 @@ def _matrix(name: str, doc: str) -> Any:
     return property(read, write, doc=doc)
 
 
-class Standing(track.Following, PolynomialSystem):
-    """What a filter with the parameters as its state, and a state of the recursion, say of the model."""
+#: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
+START = 400
 
-    _filter: Any
-    _asked: bool
-    _used: Any
-    dt: float | None
+_NONE: Final = np.empty(0)
+# So many parameters are printed with a line for each.
+_SHOWN: Final = 12
+
+
+class ParameterTracker(track.Following, PolynomialSystem):
+    """Follow the parameters of a linear model, sample by sample, through outliers.
+
+    A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
+
+        theta(k+1) = F theta(k) + w(k)            w ~ N(0, Q)                             (8)-(10)
+        y(k)       = phi(k)' theta(k) + v(k)      v mostly N(0, R), sometimes an outlier  (14)-(17)
+
+    Parameters
+    ----------
+    structure : Structure or Model
+        What phi is made of: ARX(..), OutputError(..), .. or what `identify` found, to go on from there. Its theta, P, R
+        and constant are then where the tracker begins unless they are given, R is followed, and the memory holds the
+        end of the recording.
+    filter : RobustKalmanFilter, AdaptiveKalmanFilter or filterpy's KalmanFilter, or the class of one, optional
+        With dim_x = structure.n_theta (one more with an offset) and dim_z = 1.
+        ``filter=filterpy.kalman.KalmanFilter`` is the baseline without robustness, the same as ``influence=Linear()``;
+        an object of it is copied and stays as it is. Default: a `RobustKalmanFilter`.
+    theta : array_like, shape (n,), or float, optional
+        Parameters to start from, a number standing for all of them. Default: found by the start; 0 with ``start=0``, or
+        what filter has.
+    P : array_like, shape (n, n), or float, optional
+        Their covariance; a number p stands for p I. Default: found by the start; 100 I with ``start=0``, or what filter
+        has.
+    Q : array_like, shape (n, n), or float, optional
+        Covariance W of a step of theta (8). Default: 0, parameters that stand still, or what filter has.
+    R : float, optional
+        Variance of the ordinary noise, in the unit of y squared; outliers are judged by it. Default: found from the
+        data and followed, or what a filter object has. Setting the attribute fixes it.
+    F : array_like, shape (n, n), optional
+        Transition matrix C of (9). Default: the identity, or what filter has.
+    start : int, optional
+        How many samples the tracker may look at before it takes a stand: it makes a model of the first eighth, quarter,
+        half and all of them by `identify`, and goes on from there. Default: 400, or 0 if theta, P or a filter object is
+        given. 0: the recursion begins at once, as in the paper.
+    offset : bool, optional
+        Whether there is a constant besides theta, for outputs that are not measured from their rest. Default: with a
+        start yes, except for a LinearRegression, whose columns are the caller's.
+    regressor : {"measured", "cleaned"}
+        Which outputs an ARX, ARMAX, AR, ARMA or BoxJenkins has in its regressor: those measured, or the prediction in
+        the place of those further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin),
+        unless the outputs as measured explain the next sample. Default: "cleaned" with a start, "measured" with
+        ``start=0``, as in the paper. For other structures the difference is that under "cleaned" a sensor that is stuck
+        counts as missing.
+    R_memory : int, default 150
+        Number of samples that an R which is followed remembers.
+    forgetting : float, optional
+        Forgetting factor in (0, 1] as in recursive least squares, instead of Q or with it: P is divided by it at
+        each sample (filterpy's alpha is its -1/2 power).
+    gradient : {"filtered", "pseudolinear"}
+        What the gain of an OutputError (ARMAX) model is computed from: phi filtered by 1/A_hat (1/C_hat), the
+        derivative of the prediction, or phi itself as in the paper. In a BoxJenkins what the inputs do goes through
+        D_hat/(C_hat F_hat), the rest through 1/C_hat. See Notes. No difference for other structures.
+    guard : {"halve", "reject", "none"}
+        What to do with a step of theta that makes A (ARMAX: C; BoxJenkins: F or C) unstable: halve it until it does
+        not, stay at the old theta, or take it. See Notes. No difference for other structures.
+    influence, scaling, information : optional
+        Choices of the `RobustKalmanFilter`; not together with filter.
+
+    Attributes
+    ----------
+    structure : Structure
+        As given.
+    filter : RobustKalmanFilter
+        The filter; Q, R, F and forgetting are read from it and written to it. Its x, P and R are always those of the
+        last sample; what it shows of its last correction (y, S, K, weights, ..) is made when this attribute is read,
+        and from then on with each sample, which costs more: ask for it only if you want that.
+    form : Form
+        What its recursion is, for what takes the recursion elsewhere (C, a fleet).
+    enabled : bool
+        False freezes theta and P, while predictions go on.
+    offset : float
+        Constant of the equation, as in `Model`; `level` is what it means for y.
+    dt : float or None
+        Sampling period in s, as the index of the first recording that has one says; may be set.
+
+    Raises
+    ------
+    ValueError
+        If a shape, a number or an option does not fit, or the model to start from is unstable.
+    TypeError
+        If structure or filter is of the wrong kind; no other filter, nor a subclass of filterpy's, is taken.
+
+    Warns
+    -----
+    LostTrackerWarning
+        Once, if the start found no model or one that leaves what follows the inputs (the structure does not fit), most
+        samples look like outliers, the guard acts all the time, R wanders, or an offset is not modeled. Whenever
+        residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
+        stuck, or stay off zero, since the level of y has moved: a tracker that found its model itself, or has it from
+        `identify`, then starts anew; where over 480 samples only the gain is another, it goes on with that.
+    StuckSensorWarning
+        Once, if y repeats its last value to the last bit, more than three standard deviations from the prediction,
+        though it seldom does and its noise is white: it then counts as missing for as long as it does. Also if the
+        start's own samples hold a value as `identify` says.
+
+    Notes
+    -----
+    In print (20) has v(k-1) where u(k-1) belongs, and (17) and Table 1 exchange the two variances. Table 1 as it
+    stands is ``scaling="unit", gradient="pseudolinear", guard="none", R=1, start=0``.
+
+    Gradient. The pseudo-linear form converges only where 1/A (ARMAX: 1/C) is strictly positive real. Median over 400
+    runs of the mean \\|theta_hat - theta\\| over samples 500-1000, a = [-1.5, .7], b = [1, .5], u = +-1 white, nominal
+    noise .5, outliers 10 times that, from theta = 0, P = I, Q = 1e-6 I; "Kalman" has the variance of the mixture,
+    "labels" which samples are outliers, "student" is ``influence=StudentT(4)``:
+
+    ============= ======= ======= ======= ======= ======= ======= ======= =======
+    .             filtered                        pseudolinear
+    ------------- ------------------------------- -------------------------------
+    contamination Kalman  robust  labels  student Kalman  robust  labels  student
+    ============= ======= ======= ======= ======= ======= ======= ======= =======
+    0             .024    .024    .024    .024    .066    .077    .066    .080
+    .1            .074    .029    .028    .027    .166    .100    .077    .101
+    .2            .099    .035    .031    .030    .257    .127    .095    .124
+    .3            .118    .045    .033    .035    .302    .178    .116    .177
+    ============= ======= ======= ======= ======= ======= ======= ======= =======
+
+    Student's t has its price after a jump of theta: over the next 200 samples its error is some 5 to 10 % above that
+    of Huber's function, the default, and up to a third above it where R is given ten times too small.
+
+    On the plant of section 4, of which 1000 samples tell little (the Cramer-Rao bound of \\|theta_hat - theta\\| is .74
+    with the 1/f input), the filtered gradient has .52 of relative error in the noise-free output at contamination .1,
+    the pseudo-linear form .90.
+
+    Guard. The same error, contamination .1, the plant drifting by W, which is the tracker's Q, 400 runs:
+
+    ============= ===== ====== ====== ===== ====== ======
+    .             filtered            pseudolinear
+    ------------- ------------------- -------------------
+    plant, W      none  reject halve  none  reject halve
+    ============= ===== ====== ====== ===== ====== ======
+    above, 1e-6   .038  .035   .034   .102  .116   .105
+    above, 1e-5   .076  .072   .073   .118  .118   .115
+    above, 1e-4   .331  .299   .304   .280  .244   .246
+    sec. 4, 1e-6  .712  .763   .768   .562  .639   .590
+    sec. 4, 1e-5  .687  .776   .762   .472  .518   .500
+    sec. 4, 1e-4  .520  .595   .591   .402  .387   .378
+    ============= ===== ====== ====== ===== ====== ======
+
+    No guard is best everywhere. "halve" is the default since it is best where the parameters can be learned, and
+    leaves a model that can be simulated; "none" does not. ``tests/benchmarks/output_error_study.py`` prints the
+    tables.
+
+    Extremes. Signals beyond 1e100 are clipped there, and so is what an unstable model feeds back. A sample may
+    shrink a variance by at most 1e13 (a spike in the y that stands in phi would shrink it by more); beyond that it is
+    down-weighted. P stops growing under forgetting at 1e8 times its first
+    trace.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from robust_filterpy.identification import ARX
+    >>> rng = np.random.default_rng(1)
+    >>> u = rng.choice([-1.0, 1.0], 500)
+    >>> y = np.zeros(500)
+    >>> for k in range(1, 500):
+    ...     y[k] = 0.8 * y[k - 1] + 2.0 * u[k - 1] + 0.1 * rng.normal()
+    >>> tracker = ParameterTracker(ARX(1, 1))
+    >>> result = tracker.run(y, u)
+    >>> tracker.theta.round(2), round(tracker.R, 2)
+    (array([-0.8,  2. ]), 0.01)
+    """
+
+    _name = "ParameterTracker"
+
+    def __init__(
+        self, structure: Structure | Model, *, filter: Any = None, theta: ArrayLike | None = None,
+        P: ArrayLike | None = None, Q: ArrayLike | None = None, R: ArrayLike | None = None, F: ArrayLike | None = None,
+        forgetting: float | None = None, start: int | None = None, offset: bool | None = None,
+        regressor: Regressor | None = None, R_memory: int = 150, gradient: Gradient = "filtered",
+        guard: Guard = "halve", influence: Influence | None = None, scaling: Scaling | None = None,
+        information: Information | None = None,
+    ) -> None:  # fmt: skip
+        """Set up the filter and a memory at rest; so many arguments, since each is one of a model's or a filter's."""
+        self._given = {name: value for name, value in locals().items() if name != "self"}
+        model = structure if isinstance(structure, Model) else None
+        structure = setup.structure_of(structure)
+        _checks.option("gradient", gradient, GRADIENTS)
+        _checks.option("guard", guard, GUARDS)
+        ready = filter is not None and not isinstance(filter, type)
+        warm = theta is not None or P is not None or ready or model is not None
+        samples = (0 if warm else START) if start is None else _checks.count("start", start)
+        if samples and warm:
+            raise ValueError(f"start: expected 0 with theta, P or a filter object or model to begin with, got {start}")
+        default: Regressor = "cleaned" if samples or model is not None else "measured"
+        self._regressor = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
+        has_offset = setup.has_offset(offset, structure, model, bool(samples))
+        layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
+        judges = self._regressor == "cleaned"
+        cleans = judges and structure.na + structure.nd > 0
+        self.structure = structure
+        self.form = Form.of(structure, layout, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
+        own = self.form.own
+        choices = {"influence": influence, "scaling": scaling, "information": information}
+        self._filter = kf = setup.make_filter(layout.n, filter, choices)
+        setup.configure(kf, structure, own, self._given)
+        if ready and Q is None:
+            setup.warn_of_default_noise(kf)
+        self.enabled = True
+        memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
+        scale = np.array([[setup.told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
+        x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
+        self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
+        self.dt: float | None = None
+        # A program that has the filter, its own or because it asked for it, may read and write in it without asking.
+        self._asked = kf is filter
+        # Samples that the kernel has taken and the filter does not show yet.
+        self._unshown: list[tuple[Any, ...]] = []
+        self._used: tuple[Any, track.Settings] | None = None
+        if model is not None:
+            self._now = track.gone_on(self.form, self._now, 0, model)
+            self._load()
+            # What is given goes before what was found.
+            setup.configure(kf, structure, own, {"theta": theta, "P": P})
+            self._now, self.dt = self._pulled(), model.dt
+        self._initial = self.state()
+        # The last time that a recording had, and how many samples came after it.
+        self._time: tuple[Any, int] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is made anew, which holds functions."""
+        return {**vars(self), "_used": None}
+
+    def __repr__(self) -> str:
+        """Show the model as it stands."""
+        values = ", ".join(f"{name}={value:.4g}" for name, value in zip(self.structure.names, self.theta, strict=True))
+        return f"ParameterTracker({self.structure}, {values})"
+
+    def __str__(self) -> str:
+        """Return the parameters with their standard deviations, the level and the noise, as they fit a screen."""
+        parts: dict[str, Any] = {"theta": self.theta, "std": self.std}
+        if len(self.theta) <= _SHOWN:
+            each = zip(self.structure.names, self.theta, self.std, strict=True)
+            parts = {name: f"{value:.5g} +- {std:.2g}" for name, value, std in each}
+        values = {**parts, "level": float(self.level), "R": float(self.R)}
+        return "\n".join([self.kind, *lines_of(values)])
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the arguments that the tracker was made with, by scikit-learn's convention.
+
+        Parameters
+        ----------
+        deep : bool, default True
+            Whether the orders of the structure are there too, as "structure__na".
+
+        Returns
+        -------
+        dict of str
+            ``ParameterTracker(**tracker.get_params(deep=False))`` is a tracker that has not seen a sample.
+        """
+        orders = {f"structure__{name}": order for name, order in self.structure.get_params().items()} if deep else {}
+        return self._given | orders
+
+    # The model as it stands.
 
     Q = _matrix("Q", "Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I.")
     F = _matrix("F", "Transition matrix C of (9), shape (n, n); may be set.")
@@ -230,289 +485,6 @@ class Standing(track.Following, PolynomialSystem):
             If the shapes differ or y is constant.
         """
         return fit_percent(y, y_model)
-
-    def _using(self, first: int | None = None) -> track.Settings:
-        """Return what may have been changed since the last call."""
-        raise NotImplementedError
-
-    def _shown(self) -> Any:
-        """Return the filter, which shows its last correction."""
-        raise NotImplementedError
-
-
-#: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
-START = 400
-
-_NONE: Final = np.empty(0)
-# So many parameters are printed with a line for each.
-_SHOWN: Final = 12
-
-
-class ParameterTracker(Standing):
-    """Follow the parameters of a linear model, sample by sample, through outliers.
-
-    A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
-
-        theta(k+1) = F theta(k) + w(k)            w ~ N(0, Q)                             (8)-(10)
-        y(k)       = phi(k)' theta(k) + v(k)      v mostly N(0, R), sometimes an outlier  (14)-(17)
-
-    Parameters
-    ----------
-    structure : Structure or Model
-        What phi is made of: ARX(..), OutputError(..), .. or what `identify` found, to go on from there. Its theta, P, R
-        and constant are then where the tracker begins unless they are given, R is followed, and the memory holds the
-        end of the recording.
-    filter : RobustKalmanFilter, AdaptiveKalmanFilter or filterpy's KalmanFilter, or the class of one, optional
-        With dim_x = structure.n_theta (one more with an offset) and dim_z = 1.
-        ``filter=filterpy.kalman.KalmanFilter`` is the baseline without robustness, the same as ``influence=Linear()``;
-        an object of it is copied and stays as it is. Default: a `RobustKalmanFilter`.
-    theta : array_like, shape (n,), or float, optional
-        Parameters to start from, a number standing for all of them. Default: found by the start; 0 with ``start=0``, or
-        what filter has.
-    P : array_like, shape (n, n), or float, optional
-        Their covariance; a number p stands for p I. Default: found by the start; 100 I with ``start=0``, or what filter
-        has.
-    Q : array_like, shape (n, n), or float, optional
-        Covariance W of a step of theta (8). Default: 0, parameters that stand still, or what filter has.
-    R : float, optional
-        Variance of the ordinary noise, in the unit of y squared; outliers are judged by it. Default: found from the
-        data and followed, or what a filter object has. Setting the attribute fixes it.
-    F : array_like, shape (n, n), optional
-        Transition matrix C of (9). Default: the identity, or what filter has.
-    start : int, optional
-        How many samples the tracker may look at before it takes a stand: it makes a model of the first eighth, quarter,
-        half and all of them by `identify`, and goes on from there. Default: 400, or 0 if theta, P or a filter object is
-        given. 0: the recursion begins at once, as in the paper.
-    offset : bool, optional
-        Whether there is a constant besides theta, for outputs that are not measured from their rest. Default: with a
-        start yes, except for a LinearRegression, whose columns are the caller's.
-    regressor : {"measured", "cleaned"}
-        Which outputs an ARX, ARMAX, AR, ARMA or BoxJenkins has in its regressor: those measured, or the prediction in
-        the place of those further than 3 standard deviations from it (the filter-cleaner of Masreliez and Martin),
-        unless the outputs as measured explain the next sample. Default: "cleaned" with a start, "measured" with
-        ``start=0``, as in the paper. For other structures the difference is that under "cleaned" a sensor that is stuck
-        counts as missing.
-    R_memory : int, default 150
-        Number of samples that an R which is followed remembers.
-    forgetting : float, optional
-        Forgetting factor in (0, 1] as in recursive least squares, instead of Q or with it: P is divided by it at
-        each sample (filterpy's alpha is its -1/2 power).
-    gradient : {"filtered", "pseudolinear"}
-        What the gain of an OutputError (ARMAX) model is computed from: phi filtered by 1/A_hat (1/C_hat), the
-        derivative of the prediction, or phi itself as in the paper. In a BoxJenkins what the inputs do goes through
-        D_hat/(C_hat F_hat), the rest through 1/C_hat. See Notes. No difference for other structures.
-    guard : {"halve", "reject", "none"}
-        What to do with a step of theta that makes A (ARMAX: C; BoxJenkins: F or C) unstable: halve it until it does
-        not, stay at the old theta, or take it. See Notes. No difference for other structures.
-    influence, scaling, information : optional
-        Choices of the `RobustKalmanFilter`; not together with filter.
-
-    Attributes
-    ----------
-    structure : Structure
-        As given.
-    filter : RobustKalmanFilter
-        The filter; Q, R, F and forgetting are read from it and written to it. Its x, P and R are always those of the
-        last sample; what it shows of its last correction (y, S, K, weights, ..) is made when this attribute is read,
-        and from then on with each sample, which costs more: ask for it only if you want that.
-    form : Form
-        What its recursion is, for what takes the recursion elsewhere (C, a fleet).
-    enabled : bool
-        False freezes theta and P, while predictions go on.
-    offset : float
-        Constant of the equation, as in `Model`; `level` is what it means for y.
-    dt : float or None
-        Sampling period in s, as the index of the first recording that has one says; may be set.
-
-    Raises
-    ------
-    ValueError
-        If a shape, a number or an option does not fit, or the model to start from is unstable.
-    TypeError
-        If structure or filter is of the wrong kind; no other filter, nor a subclass of filterpy's, is taken.
-
-    Warns
-    -----
-    LostTrackerWarning
-        Once, if the start found no model or one that leaves what follows the inputs (the structure does not fit), most
-        samples look like outliers, the guard acts all the time, R wanders, or an offset is not modeled. Whenever
-        residuals follow the inputs otherwise than at the start, since the plant has become another one or the sensor is
-        stuck, or stay off zero, since the level of y has moved: a tracker that found its model itself, or has it from
-        `identify`, then starts anew; where over 480 samples only the gain is another, it goes on with that.
-    StuckSensorWarning
-        Once, if y repeats its last value to the last bit, more than three standard deviations from the prediction,
-        though it seldom does and its noise is white: it then counts as missing for as long as it does. Also if the
-        start's own samples hold a value as `identify` says.
-
-    Notes
-    -----
-    In print (20) has v(k-1) where u(k-1) belongs, and (17) and Table 1 exchange the two variances. Table 1 as it
-    stands is ``scaling="unit", gradient="pseudolinear", guard="none", R=1, start=0``.
-
-    Gradient. The pseudo-linear form converges only where 1/A (ARMAX: 1/C) is strictly positive real. Median over 400
-    runs of the mean \\|theta_hat - theta\\| over samples 500-1000, a = [-1.5, .7], b = [1, .5], u = +-1 white, nominal
-    noise .5, outliers 10 times that, from theta = 0, P = I, Q = 1e-6 I; "Kalman" has the variance of the mixture,
-    "labels" which samples are outliers, "student" is ``influence=StudentT(4)``:
-
-    ============= ======= ======= ======= ======= ======= ======= ======= =======
-    .             filtered                        pseudolinear
-    ------------- ------------------------------- -------------------------------
-    contamination Kalman  robust  labels  student Kalman  robust  labels  student
-    ============= ======= ======= ======= ======= ======= ======= ======= =======
-    0             .024    .024    .024    .024    .066    .077    .066    .080
-    .1            .074    .029    .028    .027    .166    .100    .077    .101
-    .2            .099    .035    .031    .030    .257    .127    .095    .124
-    .3            .118    .045    .033    .035    .302    .178    .116    .177
-    ============= ======= ======= ======= ======= ======= ======= ======= =======
-
-    Student's t has its price after a jump of theta: over the next 200 samples its error is some 5 to 10 % above that
-    of Huber's function, the default, and up to a third above it where R is given ten times too small.
-
-    On the plant of section 4, of which 1000 samples tell little (the Cramer-Rao bound of \\|theta_hat - theta\\| is .74
-    with the 1/f input), the filtered gradient has .52 of relative error in the noise-free output at contamination .1,
-    the pseudo-linear form .90.
-
-    Guard. The same error, contamination .1, the plant drifting by W, which is the tracker's Q, 400 runs:
-
-    ============= ===== ====== ====== ===== ====== ======
-    .             filtered            pseudolinear
-    ------------- ------------------- -------------------
-    plant, W      none  reject halve  none  reject halve
-    ============= ===== ====== ====== ===== ====== ======
-    above, 1e-6   .038  .035   .034   .102  .116   .105
-    above, 1e-5   .076  .072   .073   .118  .118   .115
-    above, 1e-4   .331  .299   .304   .280  .244   .246
-    sec. 4, 1e-6  .712  .763   .768   .562  .639   .590
-    sec. 4, 1e-5  .687  .776   .762   .472  .518   .500
-    sec. 4, 1e-4  .520  .595   .591   .402  .387   .378
-    ============= ===== ====== ====== ===== ====== ======
-
-    No guard is best everywhere. "halve" is the default since it is best where the parameters can be learned, and
-    leaves a model that can be simulated; "none" does not. ``tests/benchmarks/output_error_study.py`` prints the
-    tables.
-
-    Extremes. Signals beyond 1e100 are clipped there, and so is what an unstable model feeds back. A sample may
-    shrink a variance by at most 1e13 (a spike in the y that stands in phi would shrink it by more); beyond that it is
-    down-weighted. P stops growing under forgetting at 1e8 times its first
-    trace.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from robust_filterpy.identification import ARX
-    >>> rng = np.random.default_rng(1)
-    >>> u = rng.choice([-1.0, 1.0], 500)
-    >>> y = np.zeros(500)
-    >>> for k in range(1, 500):
-    ...     y[k] = 0.8 * y[k - 1] + 2.0 * u[k - 1] + 0.1 * rng.normal()
-    >>> tracker = ParameterTracker(ARX(1, 1))
-    >>> result = tracker.run(y, u)
-    >>> tracker.theta.round(2), round(tracker.R, 2)
-    (array([-0.8,  2. ]), 0.01)
-    """
-
-    _name = "ParameterTracker"
-
-    def __init__(
-        self,
-        structure: Structure | Model,
-        *,
-        filter: Any = None,
-        theta: ArrayLike | None = None,
-        P: ArrayLike | None = None,
-        Q: ArrayLike | None = None,
-        R: ArrayLike | None = None,
-        F: ArrayLike | None = None,
-        forgetting: float | None = None,
-        start: int | None = None,
-        offset: bool | None = None,
-        regressor: Regressor | None = None,
-        R_memory: int = 150,
-        gradient: Gradient = "filtered",
-        guard: Guard = "halve",
-        influence: Influence | None = None,
-        scaling: Scaling | None = None,
-        information: Information | None = None,
-    ) -> None:
-        """Set up the filter and a memory at rest; so many arguments, since each is one of a model's or a filter's."""
-        self._given = {name: value for name, value in locals().items() if name != "self"}
-        model = structure if isinstance(structure, Model) else None
-        structure = setup.structure_of(structure)
-        _checks.option("gradient", gradient, GRADIENTS)
-        _checks.option("guard", guard, GUARDS)
-        ready = filter is not None and not isinstance(filter, type)
-        warm = theta is not None or P is not None or ready or model is not None
-        samples = (0 if warm else START) if start is None else _checks.count("start", start)
-        if samples and warm:
-            raise ValueError(f"start: expected 0 with theta, P or a filter object or model to begin with, got {start}")
-        default: Regressor = "cleaned" if samples or model is not None else "measured"
-        self._regressor = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
-        has_offset = setup.has_offset(offset, structure, model, bool(samples))
-        layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
-        judges = self._regressor == "cleaned"
-        cleans = judges and structure.na + structure.nd > 0
-        self.structure = structure
-        self.form = Form.of(structure, layout, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
-        own = self.form.own
-        choices = {"influence": influence, "scaling": scaling, "information": information}
-        self._filter = kf = setup.make_filter(layout.n, filter, choices)
-        setup.configure(kf, structure, own, self._given)
-        if ready and Q is None:
-            setup.warn_of_default_noise(kf)
-        self.enabled = True
-        memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
-        scale = np.array([[setup.told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
-        x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
-        self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
-        self.dt: float | None = None
-        # A program that has the filter, its own or because it asked for it, may read and write in it without asking.
-        self._asked = kf is filter
-        # Samples that the kernel has taken and the filter does not show yet.
-        self._unshown: list[tuple[Any, ...]] = []
-        self._used: tuple[Any, track.Settings] | None = None
-        if model is not None:
-            self._now = track.gone_on(self.form, self._now, 0, model)
-            self._load()
-            # What is given goes before what was found.
-            setup.configure(kf, structure, own, {"theta": theta, "P": P})
-            self._now, self.dt = self._pulled(), model.dt
-        self._initial = self.state()
-        # The last time that a recording had, and how many samples came after it.
-        self._time: tuple[Any, int] | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is made anew, which holds functions."""
-        return {**vars(self), "_used": None}
-
-    def __repr__(self) -> str:
-        """Show the model as it stands."""
-        values = ", ".join(f"{name}={value:.4g}" for name, value in zip(self.structure.names, self.theta, strict=True))
-        return f"ParameterTracker({self.structure}, {values})"
-
-    def __str__(self) -> str:
-        """Return the parameters with their standard deviations, the level and the noise, as they fit a screen."""
-        parts: dict[str, Any] = {"theta": self.theta, "std": self.std}
-        if len(self.theta) <= _SHOWN:
-            each = zip(self.structure.names, self.theta, self.std, strict=True)
-            parts = {name: f"{value:.5g} +- {std:.2g}" for name, value, std in each}
-        values = {**parts, "level": float(self.level), "R": float(self.R)}
-        return "\n".join([self.kind, *lines_of(values)])
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Return the arguments that the tracker was made with, by scikit-learn's convention.
-
-        Parameters
-        ----------
-        deep : bool, default True
-            Whether the orders of the structure are there too, as "structure__na".
-
-        Returns
-        -------
-        dict of str
-            ``ParameterTracker(**tracker.get_params(deep=False))`` is a tracker that has not seen a sample.
-        """
-        orders = {f"structure__{name}": order for name, order in self.structure.get_params().items()} if deep else {}
-        return self._given | orders
 
     # The recursion.
 

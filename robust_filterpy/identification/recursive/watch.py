@@ -135,15 +135,9 @@ class Followed(NamedTuple):
         return after, float(np.mean(shares)) if np.mean([one.significant for one in regressions]) > 0.5 else 0.0
 
     def looked(
-        self,
-        which: np.ndarray,
-        residuals: Array,
-        signals: Array,
-        structure: Structure,
-        theta: Array,
-        has_offset: bool,
+        self, which: np.ndarray, residuals: Array, signals: Array, structure: Structure, theta: Array, has_offset: bool,
         rounding: Array,
-    ) -> tuple[Followed, News]:
+    ) -> tuple[Followed, News]:  # fmt: skip
         """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's."""
         seen, usual, rows, scores = (a.copy() for a in self)
         new = np.concatenate((residuals[..., None], signals), axis=2)[:, -SPAN:]
