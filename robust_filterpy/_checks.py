@@ -102,6 +102,8 @@ def option(name: str, value: Any, allowed: Iterable[_Option]) -> _Option:
 
 def numbers(name: str, value: Any) -> Array:
     """Return value as a float array (None, pandas' NA and masked entries become NaN) or raise TypeError."""
+    if type(value) is np.ndarray and value.dtype is FLOAT:
+        return value
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(float), np.nan)
     if isinstance(value, bytearray):

@@ -33,24 +33,9 @@ from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 
 __all__ = [
-    "AR",
-    "ARMA",
-    "ARMAX",
-    "ARX",
-    "FIR",
-    "BoxJenkins",
-    "GreyBox",
-    "LinearRegression",
-    "LostTrackerWarning",
-    "Model",
-    "OutputError",
-    "ParameterTracker",
-    "StateSpace",
-    "TrackerBank",
-    "compare",
-    "identify",
-    "select_structure",
+    "AR", "ARMA", "ARMAX", "ARX", "FIR", "BoxJenkins", "GreyBox", "LinearRegression", "LostTrackerWarning", "Model",
+    "OutputError", "ParameterTracker", "StateSpace", "TrackerBank", "compare", "identify", "select_structure",
     "validate",
-]
+]  # fmt: skip
 
 __getattr__ = elsewhere(__name__)

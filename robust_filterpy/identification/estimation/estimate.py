@@ -300,25 +300,16 @@ def _as_model(
     inner, q = model.inner(p) if isinstance(model, Levelled) else (model, p)
     total = problem.R or R * samples / (samples - model.n + held.sum())
     return Model(
-        structure=structure,
-        theta=p[:n],
-        offset=offset,
-        P=P[:n, :n],
+        structure=structure, theta=p[:n], offset=offset, P=P[:n, :n],
         offset_std=_offset_std(P, jacobian, at) if model.offset else 0.0,
-        offset_covariance=P[:n, at] if model.offset else np.zeros(n),
-        has_offset=model.offset,
+        offset_covariance=P[:n, at] if model.offset else np.zeros(n), has_offset=model.offset,
         own_fit=_own_fit(inner.y[model.first :], residual, rows),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
-        weights=weights,
-        log_likelihood=noise.log_likelihood(residual[rows]),
-        endings=(),
-        warning="",
+        weights=weights, log_likelihood=noise.log_likelihood(residual[rows]), endings=(), warning="",
         memory=filled_memory(*(inner.of(-1, q) if isinstance(inner, SeveralRecordings) else (inner, q))),
-        profiled=way != "",
-        colour=colour,
-        evidence=evidence(noise, residual, rows),
+        profiled=way != "", colour=colour, evidence=evidence(noise, residual, rows),
         sampled=way == "sampled likelihood",
-    )
+    )  # fmt: skip
 
 
 def _offset_std(P: Array, jacobian: Array, at: int) -> float:

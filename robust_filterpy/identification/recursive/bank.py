@@ -385,16 +385,10 @@ class TrackerBank(track.Following):
             raise IndexError(f"actuator: expected 0 to {self.n - 1}, got {i}")
         chosen = self._choices[i if len(self._choices) > 1 else 0]
         tracker = ParameterTracker(
-            self.structure,
-            start=0,
-            offset=self.form.has_offset,
-            regressor=self._regressor,
-            gradient=cast(Gradient, str(self.form.gradient[i])),
-            guard=cast(Guard, str(self.form.guard[i])),
-            influence=chosen.influence,
-            scaling=chosen.scaling,
-            information=chosen.information,
-        )
+            self.structure, start=0, offset=self.form.has_offset, regressor=self._regressor,
+            gradient=cast(Gradient, str(self.form.gradient[i])), guard=cast(Guard, str(self.form.guard[i])),
+            influence=chosen.influence, scaling=chosen.scaling, information=chosen.information,
+        )  # fmt: skip
         initial, now = (whole.rows(np.array([i])) for whole in (self._first, self.now))
         tracker.go_on(self._settings(i), initial, now, bool(self._enabled[i]))
         return tracker
@@ -508,7 +502,7 @@ class TrackerBank(track.Following):
         def place(k: int, i: int) -> str:
             return f"actuator {i}: " if first is None else f"sample {first + k}: actuator {i}: "
 
-        key = [(a.shape, a.tobytes()) for a in (numbers(name, getattr(self, name)) for name in "FQ")]
+        key = [(a.shape, a.tobytes()) for a in (numbers("F", self.F), numbers("Q", self.Q))]
         if self._made is None or self._made[0] != key:
             # What a sample depends on is made anew where something else has been set, in place too.
             F, Q = (plain(self._matrices(name))[:, None] for name in "FQ")

@@ -118,6 +118,8 @@ class Following:
 
     def _say(self, news: News) -> None:
         """Warn of what is wrong, once for all actuators of which it is the same, of each in the order of its news."""
+        if not news:
+            return
         said: Counter[int] = Counter()
         alike: dict[tuple[int, str, type[UserWarning]], list[int]] = {}
         for one in news:
@@ -299,14 +301,9 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
     if watched.size:
         signals = np.concatenate((shown.prediction[watched, :, None], u[watched]), axis=2)
         followed, lost = now.followed.looked(
-            watched,
-            shown.residual[watched],
-            signals,
-            form.structure,
-            now.theta[watched][:, form.own],
-            form.has_offset,
-            now.scale[watched, 4],
-        )
+            watched, shown.residual[watched], signals, form.structure, now.theta[watched][:, form.own],
+            form.has_offset, now.scale[watched, 4],
+        )  # fmt: skip
         now = now._replace(followed=followed)
         for one in lost:
             i = one.actuator
@@ -331,16 +328,9 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
         with warnings.catch_warnings():
             # A short recording leaves several models open, and those to come decide.
             warnings.simplefilter("ignore", UserWarning)
-            model = identify(
-                start.y,
-                start.u if structure.n_inputs else None,
-                structure,
-                offset=form.has_offset,
-                R=None if now.scale[i, 3] else float(now.scale[i, 0]),
-                # The samples to come wait, and `run` says itself what it is at.
-                sampled=False,
-                progress=False,
-            )
+            u, R = start.u if structure.n_inputs else None, None if now.scale[i, 3] else float(now.scale[i, 0])
+            # The samples to come wait, and `run` says itself what it is at.
+            model = identify(start.y, u, structure, offset=form.has_offset, R=R, sampled=False, progress=False)
     except ValueError as error:
         failure = str(error)
     else:

@@ -712,8 +712,7 @@ class ParameterTracker(track.Following, PolynomialSystem):
         self._unshown = [*unshown, (before, using.enabled, y, u, R)] if by_kernel else unshown
         if self._asked:
             self._show()
-        if news:
-            self._say(news)
+        self._say(news)
         return out
 
     @property
