@@ -10,8 +10,7 @@ from scipy.signal import lfilter
 
 from robust_filterpy import ARX, Contaminated, identify
 from robust_filterpy.correction.contaminated import START
-from robust_filterpy.identification.estimation.cleaning import found_outliers
-from robust_filterpy.identification.estimation.missing import Neighbours, Unknowns
+from robust_filterpy.identification.estimation.missing import Neighbours, Unknowns, found_outliers
 from robust_filterpy.identification.models.model import cleaned_residuals
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel

@@ -1,13 +1,13 @@
 """The model of a whole recording, from nothing.
 
-* `identify`: the way from y and u to a model; made of
-* `limits`: parameters that are fixed, or between bounds,
-* `polynomials`, `state_space`, `grey_box`: models of one output, of states and of physics, each found by
+* `identify`: the way from y and u to a model, and the model of one output; those of states and of physics:
+* `state_space`, `grey_box`; each found by
 * `beside`, the one driver of a model beside levels that break and outliers of u: p outputs, k recordings; with `trend`:
   how the levels are found; and `left`: what a model leaves that it should not, such as a closed loop.
 * `estimate`: one model of one output, in the units of the recording, by
-* `search`: from several `starts` down to the least loss (`prediction_error`), and which end to believe;
-* `cleaning`: outliers that the regressor holds; `missing`: outputs that it holds and nobody measured;
+* `search`: from several `starts` down to the least loss (`prediction_error`, with parameters that are fixed, or between
+  bounds), and which end to believe;
+* `missing`: outliers that the regressor holds, and outputs that it holds and nobody measured;
 * `profile`: intervals where the loss is not quadratic, and where canceling poles may be anywhere.
 
 Imports from below: `models`.

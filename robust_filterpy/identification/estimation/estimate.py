@@ -9,9 +9,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.missing import response
-from robust_filterpy.identification.estimation.prediction_error import evidence, one_thread, sandwich
+from robust_filterpy.identification.estimation.prediction_error import Limits, evidence, one_thread, sandwich
 from robust_filterpy.identification.estimation.profile import profiled
 from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
 from robust_filterpy.identification.estimation.starts import require_informative

@@ -13,10 +13,15 @@ from scipy.signal import lfilter
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import START, Contaminated
-from robust_filterpy.identification.estimation.cleaning import Outliers, found_outliers
-from robust_filterpy.identification.estimation.limits import Limits
-from robust_filterpy.identification.estimation.missing import CompletedModel, Unknowns, response, touched
-from robust_filterpy.identification.estimation.prediction_error import Optimum, minimised
+from robust_filterpy.identification.estimation.missing import (
+    CompletedModel,
+    Outliers,
+    Unknowns,
+    found_outliers,
+    response,
+    touched,
+)
+from robust_filterpy.identification.estimation.prediction_error import Limits, Optimum, minimised
 from robust_filterpy.identification.estimation.starts import (
     Start,
     autocorrelation_start,

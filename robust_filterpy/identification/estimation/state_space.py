@@ -12,8 +12,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
 from robust_filterpy.identification.estimation.estimate import Units
-from robust_filterpy.identification.estimation.limits import Limits
 from robust_filterpy.identification.estimation.prediction_error import (
+    Limits,
     evidence_of_outputs,
     minimised,
     one_thread,

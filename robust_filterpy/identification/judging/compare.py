@@ -17,9 +17,8 @@ from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import ANY_TIMES
-from robust_filterpy.identification.models.signals import recorded_output
+from robust_filterpy.identification.models.signals import recorded_output, recording, table
 from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.identification.models.time_axis import recording, table
 
 if TYPE_CHECKING:
     import control

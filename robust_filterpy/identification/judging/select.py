@@ -31,14 +31,14 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.beside import Settled
-from robust_filterpy.identification.estimation.cleaning import THRESHOLDS
 from robust_filterpy.identification.estimation.identify import identify
+from robust_filterpy.identification.estimation.missing import THRESHOLDS
 from robust_filterpy.identification.estimation.trend import PRICE, Trend
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import likelihood_of_mixture, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.results import said
-from robust_filterpy.identification.models.signals import measured_output, recorded_input
+from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording, table
 from robust_filterpy.identification.models.structures import (
     AR,
     ARMA,
@@ -50,7 +50,6 @@ from robust_filterpy.identification.models.structures import (
     OutputError,
     Structure,
 )
-from robust_filterpy.identification.models.time_axis import recording, table
 from robust_filterpy.influence.regression import mad_scale
 
 Kind = Callable[..., Structure]

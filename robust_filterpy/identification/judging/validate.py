@@ -1,4 +1,22 @@
-"""validate: what a model leaves in its residuals, and how well it predicts."""
+"""validate: what a model leaves in its residuals, and how well it predicts.
+
+Correlations of what a model leaves with what it should not depend on, and how large they are by chance.
+
+Residuals e are tested through v = psi(e), which is bounded, so that outliers change neither the correlations nor their
+bounds. With the columns of Z the earlier v, or the inputs at each lag, the covariance of Z'v has two parts (v before
+the parameters were fitted has the covariance Gamma; J are the derivatives of the prediction, P is the covariance of the
+parameters)::
+
+    Z' M Gamma M Z                          for the recording that the model was made from, M = I - J (J'J)^-1 J'
+    Z' Gamma Z + E[psi']^2 Z' J P J' Z      for another one
+
+The portmanteau statistic c' Cov(c)^-1 c, c = Z'v, leaves out the directions that the fit has made zero (Ljung, System
+Identification, 2nd ed., 1999, section 16.6; Davies, Triggs and Newbold, Biometrika 64, 1977). Where v is not white,
+Gamma in the test against the input has its autocorrelations.
+
+Of several outputs the residuals are those of all, each in units of its noise, and Z stands in the rows of one of them.
+What every recording tells anew, the start, is in M for another recording too.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +33,13 @@ from scipy.stats import chi2, norm
 from robust_filterpy import _checks
 from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.cleaning import cleaned
+from robust_filterpy.identification.estimation.missing import cleaned
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model, as_model
 from robust_filterpy.identification.models.noise import Noise, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.results import signals_of
-from robust_filterpy.identification.models.signals import recorded_output
+from robust_filterpy.identification.models.signals import recorded_output, table
 from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.identification.models.time_axis import table
 from robust_filterpy.identification.models.uncertainty import probability
 from robust_filterpy.influence.regression import mad_scale
 

@@ -3,7 +3,7 @@
 * `structures`: orders, and which signals the regressor phi is made of; the usual ones.
 * `regressor`: the regressor of one sample, from what is remembered; polynomials and transfer functions made of theta,
   and keeping those stable that feed back the model's own output.
-* `signals`, `time_axis`: recordings as arrays; pandas objects in, results on the same index.
+* `signals`: recordings as arrays; the time axis of those that come as pandas objects, and results on the same axis.
 * `polynomial_model`: residuals of all structures and their derivatives, of one recording and of several.
 * `state_space`: several outputs, residuals and model.
 * `recording`: what was recorded, read and checked once: one or several, gaps in u, times that jump or come at will;

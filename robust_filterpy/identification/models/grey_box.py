@@ -1,4 +1,10 @@
-"""Equations of a plant in continuous time, x' = f(x, u, p), y = h(x, u, p) + noise, and their model of a recording."""
+"""Equations of a plant in continuous time, x' = f(x, u, p), y = h(x, u, p) + noise, and their model of a recording.
+
+Residuals of a physical model in continuous time, integrated between samples that may come at any times.
+
+Runge and Kutta's method of fourth order, with as many steps between two samples as the equations ask for. All
+parameters that differentiation needs are integrated at once, where f takes them as columns, else one by one.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +20,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.recording import ANY_TIMES, recorded
 from robust_filterpy.identification.models.results import Finding, Identified
-from robust_filterpy.identification.models.signals import trend_of
-from robust_filterpy.identification.models.time_axis import TimeAxis
+from robust_filterpy.identification.models.signals import TimeAxis, trend_of
 from robust_filterpy.influence.regression import robust_regression
 
 _DIFFERENCE: Final = 1e-5

@@ -1,4 +1,17 @@
-"""Model: what a recording says, as one value: parameters and their uncertainty, the noise, predictions."""
+"""Model: what a recording says, as one value: parameters and their uncertainty, the noise, predictions.
+
+Predictions of a model whose regressor holds measured outputs, through outliers and gaps.
+
+The regressor of A(q) y = B(q)/F(q) u + d + C(q)/D(q) v holds past outputs, and a wild one would spoil the predictions
+of the samples after it. In its place stands prediction + weight x residual, the filter-cleaner of Martin and Thomson
+(Proceedings of the IEEE 70, 1982): weight 1 is the usual predictor, weight 0 (a gap, a gross outlier) the model's own
+output. With A D = 1 + g_1 q^-1 + .. the residuals follow from
+
+    r(k) = [D (A y - B/F u - d)](k) - sum_j (g_j (1 - w(k-j)) + c_j w(k-j)) r(k-j).
+
+A weight depends on its residual and so on the weights before it. Many samples are predicted together with the weights
+as they are, these are computed anew, and so on: each turn settles at least one sample more, and usually dozens.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +34,15 @@ from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import Finding, Identified, coloured, said, signals_of
-from robust_filterpy.identification.models.signals import measured_output, recorded_input, recorded_output, trend_of
+from robust_filterpy.identification.models.signals import (
+    TimeAxis,
+    measured_output,
+    recorded_input,
+    recorded_output,
+    recording,
+    trend_of,
+)
 from robust_filterpy.identification.models.structures import OutputError, Structure, input_columns
-from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 

@@ -24,14 +24,15 @@ from robust_filterpy._fill_values import fill_values
 from robust_filterpy.identification.models.results import Finding, of_fill_values
 from robust_filterpy.identification.models.signals import (
     Signals,
+    TimeAxis,
     are_several,
     measured_output,
     measured_outputs,
     recorded_input,
+    recording,
     require_squares,
 )
 from robust_filterpy.identification.models.structures import Structure, input_columns
-from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 
 # A number that so many samples have, and such a share of them or in a row, is often; the others differ if this share of
 # them does.

@@ -14,7 +14,7 @@ from robust_filterpy._brief import Pictured, brief, lines_of, wrapped
 from robust_filterpy._checks import Array, count, numbers, real
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy.identification.models.noise import fit_percent
-from robust_filterpy.identification.models.time_axis import TimeAxis, recording, table
+from robust_filterpy.identification.models.signals import TimeAxis, recording, table
 
 _WIDTH: Final = 78
 # Times whose steps differ by less than this share are equally far apart.

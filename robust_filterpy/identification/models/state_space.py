@@ -1,4 +1,13 @@
-"""State-space models of several outputs: x(k+1) = A x + B u + K e, y = C x + D u + level + e."""
+"""State-space models of several outputs: x(k+1) = A x + B u + K e, y = C x + D u + level + e.
+
+Residuals of a state-space model and their derivatives by all entries of its matrices.
+
+    x(k+1) = A x + B u + K w(k) e(k),   yhat = C x + D u + level,   e = y - yhat
+
+w are weights of the residuals, 0 where y is missing: an outlier does not enter the state. The matrices are those of one
+basis of the state; the derivatives along a change of basis are 0, and a search by least squares of least length leaves
+the basis where it is (McKelvey, Helmersson and Ribarits, Automatica 40, 2004).
+"""
 
 from __future__ import annotations
 
@@ -16,8 +25,7 @@ from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import period
 from robust_filterpy.identification.models.responses import Realization, System
 from robust_filterpy.identification.models.results import Finding, Identified, signals_of
-from robust_filterpy.identification.models.signals import Signals, measured_outputs, recorded_input, trend_of
-from robust_filterpy.identification.models.time_axis import TimeAxis
+from robust_filterpy.identification.models.signals import Signals, TimeAxis, measured_outputs, recorded_input, trend_of
 from robust_filterpy.influence.regression import robust_regression
 
 if TYPE_CHECKING:

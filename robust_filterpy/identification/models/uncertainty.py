@@ -20,7 +20,7 @@ from scipy.stats import chi2, norm
 from robust_filterpy import _checks
 from robust_filterpy._brief import Pictured, brief, wrapped
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.time_axis import table
+from robust_filterpy.identification.models.signals import table
 
 if TYPE_CHECKING:
     import control

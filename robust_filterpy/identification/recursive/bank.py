@@ -16,8 +16,8 @@ from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.regressor import GUARDS, Guard
 from robust_filterpy.identification.models.results import Columns, Intervals, TrackingResult, intervals
+from robust_filterpy.identification.models.signals import recording, table
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.time_axis import recording, table
 from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
 from robust_filterpy.identification.recursive.state import Form, at_rest

@@ -25,14 +25,15 @@ from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layou
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import Columns, Sample, TrackingResult
 from robust_filterpy.identification.models.signals import (
+    TimeAxis,
     filled_output,
     one_input,
     one_output,
     recorded_input,
     recorded_variance,
+    recording,
 )
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.models.time_axis import TimeAxis, recording
 from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor, ordinary_mean
 from robust_filterpy.identification.recursive.state import Form, State, apart, at_rest, checked, padded

@@ -21,8 +21,7 @@ from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.noise import likelihood_of_mixture
-from robust_filterpy.identification.models.signals import recorded_input, recorded_output
-from robust_filterpy.identification.models.time_axis import recording, table
+from robust_filterpy.identification.models.signals import recorded_input, recorded_output, recording, table
 from robust_filterpy.influence.regression import mad_scale
 
 if TYPE_CHECKING:
