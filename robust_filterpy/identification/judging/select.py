@@ -491,8 +491,8 @@ class _Tried(NamedTuple):
     model: Model
     residual: Array
     output: Array
+    #: Residual of the part that was held out, and the output that goes on from where the part before ended.
     held_out: tuple[Array, Array] | None
-    """Residual of the part that was held out, and the output that goes on from where the part before ended."""
 
 
 class _Comparison:

@@ -46,19 +46,19 @@ class System(Estimated):
     R: Any
 
     # What a kind of system says; theta may stand in rows, and q^-1 is given at some frequencies.
+    #: (thetas, q^-1, output): what goes from each input to an output, (rows, n_inputs, n).
     _ways: Callable[..., Any]
-    """(thetas, q^-1, output): what goes from each input to an output, (rows, n_inputs, n)."""
+    #: (thetas, length, output): an output after a unit step of each input, (rows, n_inputs, length).
     _steps: Callable[..., Array]
-    """(thetas, length, output): an output after a unit step of each input, (rows, n_inputs, length)."""
+    #: (thetas, q^-1, output): logarithm of the noise's density, of rows [theta, logarithm of a factor of each R].
     _density: Callable[..., Array]
-    """(thetas, q^-1, output): logarithm of the noise's density, of rows [theta, logarithm of a factor of each R]."""
     _poles: Callable[[Array], Any]
+    #: (theta, input, output).
     _zeros: Callable[..., Any]
-    """(theta, input, output)."""
+    #: Whether the way from the inputs to y is stable for other parameters.
     _stable: Callable[[Array], bool]
-    """Whether the way from the inputs to y is stable for other parameters."""
+    #: (what, dead): the matrices, with dead times as states or these apart in samples, or raise if there are none.
     _realized: Callable[..., tuple[Realization, Any]]
-    """(what, dead): the matrices, with dead times as states or these apart in samples, or raise if there are none."""
 
     def _require(self, what: str) -> None:
         """Raise unless there is an input to what is asked for."""

@@ -55,14 +55,14 @@ _PACE: Final = 1.5
 class NoiseScale(NamedTuple):
     """What following R takes besides R itself."""
 
+    #: How many samples R stands on.
     samples: float
-    """How many samples R stands on."""
+    #: Mean of min(e^2, 4) where R is right.
     mean: float
-    """Mean of min(e^2, 4) where R is right."""
+    #: Number of samples that R is to remember; 0: R stays as it is.
     memory: float
-    """Number of samples that R is to remember; 0: R stays as it is."""
+    #: Steps of the sensor, or what arithmetic loses, in the unit of y; 0: unknown. R is what they make at least.
     rounding: float
-    """Steps of the sensor, or what arithmetic loses, in the unit of y; 0: unknown. R is what they make at least."""
 
 
 class Recursion:

@@ -36,19 +36,19 @@ class Form(NamedTuple):
 
     structure: Structure
     layout: Layout
+    #: Where theta stands in what is estimated: besides it there may be a constant.
     own: np.ndarray
-    """Where theta stands in what is estimated: besides it there may be a constant."""
     has_offset: bool
+    #: Whether the regressor holds cleaned outputs.
     cleans: bool
-    """Whether the regressor holds cleaned outputs."""
+    #: Whether outputs are judged at all, so that a sensor may be found to be stuck.
     judges: bool
-    """Whether outputs are judged at all, so that a sensor may be found to be stuck."""
+    #: "filtered" or "pseudolinear", (n,).
     gradient: np.ndarray
-    """"filtered" or "pseudolinear", (n,)."""
+    #: One of `GUARDS`, (n,).
     guard: np.ndarray
-    """One of `GUARDS`, (n,)."""
+    #: What the kernel is to do, (n, 5): gradient filtered, guard, cleans, learns (written by the driver), judges.
     flags: np.ndarray
-    """What the kernel is to do, (n, 5): gradient filtered, guard, cleans, learns (written by the driver), judges."""
 
     @classmethod
     def of(
@@ -76,12 +76,12 @@ class Form(NamedTuple):
 class ColdStart(NamedTuple):
     """A recording that grows; a model is made of an eighth, a quarter, half and all of the samples asked for."""
 
+    #: How many samples it may look at.
     samples: int
-    """How many samples it may look at."""
     y: Array
     u: Array
+    #: Samples until the next look.
     waits: int
-    """Samples until the next look."""
 
     @classmethod
     def of(cls, n_theta: int, n_inputs: int, samples: int) -> ColdStart:
@@ -125,43 +125,43 @@ def _until_next(samples: int, size: int, n_theta: int) -> int:
 class Unjudged(NamedTuple):
     """Samples that came one by one and wait to be looked at together."""
 
+    #: y, u, prediction, residual, weight and guard of each, with the axes (n, 1).
     samples: tuple[tuple[Any, ...], ...] = ()
-    """y, u, prediction, residual, weight and guard of each, with the axes (n, 1)."""
+    #: After how many the next look at anything is.
     due: int = 0
-    """After how many the next look at anything is."""
+    #: After how many the next look at starts and at what residuals follow is.
     looked_at: int = 0
-    """After how many the next look at starts and at what residuals follow is."""
+    #: The actuators that start anew if their residuals follow the inputs.
     watched: Any = None
-    """The actuators that start anew if their residuals follow the inputs."""
     enabled: bytes = b""
+    #: For how many samples each sensor had been stuck before.
     stuck: Any = None
-    """For how many samples each sensor had been stuck before."""
 
 
 class State(NamedTuple):
     """Parameters, covariances, past signals and what decides about another start, of n actuators."""
 
+    #: With the constant, where there is one, (n, d).
     theta: Array
-    """With the constant, where there is one, (n, d)."""
     P: Array
     past: Memory
+    #: R and the fields of `NoiseScale`, (n, 5).
     scale: Array
-    """R and the fields of `NoiseScale`, (n, 5)."""
+    #: What was learned of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
+    #: (n, 7).
     readings: Array
-    """What was learned of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
-    (n, 7)."""
+    #: What is taken off the outputs, so that the constant is small, (n,).
     centre: Array
-    """What is taken off the outputs, so that the constant is small, (n,)."""
+    #: Trace of P beyond which it stops growing, (n,).
     windup: Array
-    """Trace of P beyond which it stops growing, (n,)."""
+    #: Whether there is a model, (n,).
     begun: np.ndarray
-    """Whether there is a model, (n,)."""
+    #: Whether another model may be made when this one is no longer the plant's, (n,).
     restarts: np.ndarray
-    """Whether another model may be made when this one is no longer the plant's, (n,)."""
+    #: How many samples a start may look at, (n,).
     samples: np.ndarray
-    """How many samples a start may look at, (n,)."""
+    #: The actuators that look for a model.
     starts: Mapping[int, ColdStart]
-    """The actuators that look for a model."""
     followed: Followed
     windows: Windows
     unjudged: Unjudged = Unjudged()

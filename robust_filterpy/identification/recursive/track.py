@@ -140,19 +140,19 @@ def _given(key: str, value: Any) -> str:
 class Settings(NamedTuple):
     """What may be changed between two calls, and is then as it is for a whole call."""
 
+    #: Options of the correction, (1 or n, 1, 8); None where the kernel does not serve.
     rules: Array | None
-    """Options of the correction, (1 or n, 1, 8); None where the kernel does not serve."""
+    #: (1 or n, 1, d, d); the definition takes those of the filters.
     F: Array
-    """(1 or n, 1, d, d); the definition takes those of the filters."""
     Q: Array
+    #: (n,)
     alpha_sq: Array
-    """(n,)"""
+    #: (n,)
     enabled: np.ndarray
-    """(n,)"""
+    #: The filter of an actuator, for the definition.
     filter_of: Callable[[int], Any]
-    """The filter of an actuator, for the definition."""
+    #: How an error names a sample of an actuator.
     place: Callable[[int, int], str]
-    """How an error names a sample of an actuator."""
 
 
 def rules_of(choices: tuple[Choices, ...]) -> Array | None:

@@ -64,8 +64,8 @@ class Trouble(NamedTuple):
     actuator: int
     text: str
     category: type[UserWarning] = LostTrackerWarning
+    #: What is to be added to the model's gain, in shares of it, where that mends it.
     gain: float = 0.0
-    """What is to be added to the model's gain, in shares of it, where that mends it."""
 
     @property
     def said(self) -> str:
@@ -79,14 +79,14 @@ News = list[Trouble]
 class Followed(NamedTuple):
     """The residuals by which another plant is seen, of n actuators."""
 
+    #: How many samples, (n,).
     seen: np.ndarray
-    """How many samples, (n,)."""
+    #: Of ordinary residuals the autocovariances, and how much of them follows the inputs anyway, (n, 4).
     usual: Array
-    """Of ordinary residuals the autocovariances, and how much of them follows the inputs anyway, (n, 4)."""
+    #: The last residuals, and the predictions and inputs of the same samples, (n, SPAN, 1 + n_signals).
     rows: Array
-    """The last residuals, and the predictions and inputs of the same samples, (n, SPAN, 1 + n_signals)."""
+    #: Of the gain in the last blocks of _PERIOD samples, (n, gain.BLOCKS, 2).
     scores: Array
-    """Of the gain in the last blocks of _PERIOD samples, (n, gain.BLOCKS, 2)."""
 
     @classmethod
     def none(cls, n: int, n_signals: int) -> Followed:
@@ -243,10 +243,10 @@ def long_held(left_out: np.ndarray, before: Array) -> np.ndarray:
 class Windows(NamedTuple):
     """The last samples, until there are enough to judge them, and what has been said, of n actuators."""
 
+    #: Weight, guard and residual of each sample, (n, L, 3).
     recent: Array
-    """Weight, guard and residual of each sample, (n, L, 3)."""
+    #: R when it was first judged, NaN before, (n,).
     R: Array
-    """R when it was first judged, NaN before, (n,)."""
     spoken: np.ndarray
     spoken_of_start: np.ndarray
     spoken_of_stuck: np.ndarray
