@@ -207,8 +207,9 @@ class Score(NamedTuple):
             middle = float(np.median(e[rows, j]))
             if judged.levelled and abs(middle) > _FAR * np.sqrt(noise.R):
                 shift[j], e[:, j] = middle, e[:, j] - middle
-            if not same:
-                noise = _of_recording(noise, e[rows, j])
+            if not (same or noise.given):
+                # The noise that this recording shows: to the model's all that a wrong one leaves is wild.
+                noise = replace(noise, R=max(mad_scale(e[rows, j]) ** 2, noise.least)).settled(e[rows, j])
             # What is left of a recording without noise is rounding, which is alike from sample to sample.
             v[rows, j] = 0.0 if noise.is_rounding else noise.psi(e[rows, j])
             v[rows, j] -= v[rows, j].mean() if judged.levelled else 0.0
@@ -237,11 +238,6 @@ class Score(NamedTuple):
         share = np.maximum(covariance.diagonal(), _LEFT * variance * gram.diagonal())
         bound = float(norm.ppf(0.5 + 0.5 * level)) * np.sqrt(share) / size
         return c / size, bound, _portmanteau(c, covariance, variance * gram)
-
-
-def _of_recording(noise: Noise, e: Array) -> Noise:
-    """Return the noise that these residuals show: to the model's all that a wrong one leaves is wild."""
-    return noise if noise.given else replace(noise, R=max(mad_scale(e) ** 2, noise.least)).settled(e)
 
 
 def _portmanteau(c: Array, covariance: Array, full: Array) -> Portmanteau:

@@ -243,6 +243,7 @@ def require_inputs(structure: Any, one: GreyRecording, p: Array) -> None:
             ) from None
 
 
+_UNSETTLED: Final = "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
 # Steps towards the states in which a recording begins, and how often one is halved; less in -log of the likelihood is
 # no progress.
 _START_STEPS: Final = 20
@@ -482,9 +483,7 @@ class GreyBoxModel(Identified):
         model = self.structure.residuals_of([recording], start[None], False)
         z = model.p.free(self.theta)
         if not model.settled(z):
-            raise ValueError(
-                "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
-            )
+            raise ValueError(_UNSETTLED)
         return -model.residuals(z).reshape(times.size, -1)
 
     def predict(  # type: ignore[override]
@@ -533,9 +532,7 @@ class GreyBoxModel(Identified):
                 z = _likeliest(model, z, noise, rows) if free else z
                 ends.append((noise.cost(model.residuals(z)[rows]), len(ends), model, z))
         if not ends:
-            raise ValueError(
-                "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
-            )
+            raise ValueError(_UNSETTLED)
         return given.y, recording.u, *min(ends)[2:]
 
 

@@ -69,7 +69,7 @@ def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
 
 def held_input(structure: Any, u: Any, rest: Array) -> Array:
     """Return an input whose missing samples have the value before them, with a warning if there are any."""
-    if structure.takes_phi or not structure.inputs or u is None:
+    if structure.takes_phi or not structure.n_inputs or u is None:
         return recorded_input(structure, u, None)
     signal = input_columns("u", u, structure.n_inputs)
     gaps = np.isnan(signal)

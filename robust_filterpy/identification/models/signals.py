@@ -199,11 +199,6 @@ class Signals(NamedTuple):
         """Return what they are."""
         return f"a model of {self.n_inputs} input(s) and {self.n_outputs} output(s)"
 
-    @property
-    def inputs(self) -> Any:
-        """A place for each input."""
-        return range(self.n_inputs)
-
     @classmethod
     def of(cls, y: Any, u: Any) -> Signals:
         """Return those of recordings, or raise."""

@@ -20,6 +20,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.filters.notices import StuckSensorWarning
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
@@ -29,7 +30,7 @@ from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.recursion import Recursion, Regressor, note, ordinary_mean
 from robust_filterpy.identification.recursive.state import READINGS, WINDUP, ColdStart, Form, State, Unjudged
-from robust_filterpy.identification.recursive.watch import News, Trouble, long_held
+from robust_filterpy.identification.recursive.watch import STUCK, News, Trouble, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
 
 _LEARNT = float(SCALINGS.index("learnt"))
@@ -224,8 +225,11 @@ def advance(
         waiting = _begun(form, using, now)
         part = slice(k, min(k + waiting.looked_at, length))
         stage(f"sample {k} of {length}")
-        if not now.begun.all():
-            _only_look_on(now, y, part, out)
+        for i in np.flatnonzero(~now.begun).tolist():
+            # Without a model yet.
+            out.theta[i, part], out.variance[i, part] = now.theta[i], np.inf
+            out.prediction[i, part] = now.starts[i].levels(y[i, part])[:-1]
+            out.residual[i, part] = y[i, part] - out.prediction[i, part]
         if now.begun.any():
             now = _Stretch(form, using, now, (y, u, R), out).through(part)
         shown = Columns(*(column[:, part] for column in out))
@@ -268,7 +272,9 @@ def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
     said: News = []
     left_out = np.isnan(shown.residual) & ~np.isnan(y)
     if left_out.any():
-        windows, news = now.windows.with_stuck(long_held(left_out, waiting.stuck))
+        windows, news = now.windows.once(
+            "spoken_of_stuck", long_held(left_out, waiting.stuck), STUCK, StuckSensorWarning
+        )
         now, said = now._replace(windows=windows), said + news
     # A model that is looked for still claims nothing.
     weights = shown.weights.copy()
@@ -278,14 +284,6 @@ def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
     )
     now, more = _looked(form, now._replace(windows=windows), waiting, y, u, shown)
     return now, said + news + more
-
-
-def _only_look_on(now: State, y: Array, part: slice, out: Columns) -> None:
-    """Take samples of the actuators that have no model yet."""
-    for i in np.flatnonzero(~now.begun).tolist():
-        out.theta[i, part], out.variance[i, part] = now.theta[i], np.inf
-        out.prediction[i, part] = now.starts[i].levels(y[i, part])[:-1]
-        out.residual[i, part] = y[i, part] - out.prediction[i, part]
 
 
 def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Columns) -> tuple[State, News]:
@@ -344,7 +342,7 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
     if not start.is_last_look:
         return now, []
     sentence = f"no model can be made of {start.y.size} samples, it goes on looking: {failure}"
-    windows, news = now.windows.without_model(i, sentence)
+    windows, news = now.windows.once("spoken_of_start", np.arange(len(now.begun)) == i, sentence)
     return now._replace(windows=windows), news
 
 
@@ -365,24 +363,21 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     signals = np.column_stack((np.nan_to_num(prediction), start.u))
     followed, share = now.followed.begun(i, start.y - prediction, signals, float(now.scale[i, 4]))
     now = now._replace(followed=followed)
-    odd = {one.kind: one.text for one in model.findings}
-    stuck = "stuck" in odd
-    windows, news = now.windows.with_stuck(
-        stuck & (np.arange(len(now.begun)) == i), f"of its first samples: {odd['stuck'] if stuck else ''}"
-    )
+    odd, windows = {one.kind: one.text for one in model.findings}, now.windows
+    news: News = []
+    which = np.arange(len(now.begun)) == i
+    if "stuck" in odd:
+        text = f"of its first samples: {odd['stuck']}"
+        windows, news = windows.once("spoken_of_stuck", which, text, StuckSensorWarning)
     taken = [text for kind, text in odd.items() if kind in _SAID or (kind == "another plant" and not share)]
-    if not (share or taken):
-        return now._replace(windows=windows), news
     sentence = (
-        f"of its first {start.y.size} samples: {'; '.join(taken)}"
-        if taken
-        else (
-            f"{100 * share:.0f} % of what the model of the first {start.y.size} samples leaves follow the inputs: the "
-            f"structure is too small, or the noise is another than that of {form.structure}; compare by validate and "
-            "select_structure"
-        )
+        f"{100 * share:.0f} % of what the model of the first {start.y.size} samples leaves follow the inputs: the "
+        f"structure is too small, or the noise is another than that of {form.structure}; compare by validate and "
+        "select_structure"
     )
-    windows, more = windows.without_model(i, sentence)
+    if taken:
+        sentence = f"of its first {start.y.size} samples: {'; '.join(taken)}"
+    windows, more = windows.once("spoken_of_start", which & bool(share or taken), sentence)
     return now._replace(windows=windows), news + more
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import STOPPED, RobustFilterWarning, pointer
-from robust_filterpy.filters.notices import StuckSensorWarning
 from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.dependence import (
     CLIP,
@@ -226,7 +225,7 @@ def _moved(residuals: Array, covariances: Array) -> str:
     return _OFF.format(n[k], np.median(residuals[first[k] : last[k]]), scale) if chance[k] > _MOVED else ""
 
 
-_STUCK: Final = (
+STUCK: Final = (
     "y repeats its last value to the last bit, more than three standard deviations from its prediction: the sensor is "
     "stuck, at its limit or in a dead band; it counts as missing for as long as it does"
 )
@@ -271,17 +270,13 @@ class Windows(NamedTuple):
         recent[i], R[i], spoken[i] = np.nan, np.nan, False
         return self._replace(recent=recent, R=R, spoken=spoken)
 
-    def without_model(self, i: int, trouble: str) -> tuple[Windows, News]:
-        """Return them and why the start has found no model, unless that has been said."""
-        spoken = self.spoken_of_start.copy()
-        spoken[i] = True
-        return self._replace(spoken_of_start=spoken), [] if self.spoken_of_start[i] else [Trouble(i, trouble)]
-
-    def with_stuck(self, stuck: np.ndarray, text: str = _STUCK) -> tuple[Windows, News]:
-        """Return them and which sensors are stuck, unless that has been said of an actuator."""
-        new = np.flatnonzero(stuck & ~self.spoken_of_stuck).tolist()
-        news = [Trouble(i, text, StuckSensorWarning) for i in new]
-        return (self._replace(spoken_of_stuck=self.spoken_of_stuck | stuck) if new else self), news
+    def once(
+        self, of: str, which: np.ndarray, text: str, category: type[UserWarning] = LostTrackerWarning
+    ) -> tuple[Windows, News]:
+        """Return them and what is to be said of some actuators, unless a field says that it has been said."""
+        spoken = getattr(self, of)
+        news = [Trouble(i, text, category) for i in np.flatnonzero(which & ~spoken).tolist()]
+        return (self._replace(**{of: spoken | which}) if news else self), news
 
     def seen(
         self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool, rounding: Array
