@@ -322,7 +322,7 @@ ROWS: list[tuple[str, Callable[[int], Trap], Measure, float, str | None]] = [
     ("jump of 100: steps until back", partial(jumping, size=100.0), partial(steps_back, at=200), 15.0, JUMPS),
     ("jump of 100, of 10 in speed: steps until back", partial(jumping, size=100.0, speed=10.0),
      partial(steps_back, at=200), 15.0, JUMPS),
-    ("process steps of 30 in 1 %, R wanders: error", wandering, error, 1.8, STEPPING),
+    ("process steps of 30 in 1 %, R drifts: error", wandering, error, 1.8, STEPPING),
     ("start 75 away, P = I: steps until back", far_start, steps_back, 2.0, None),
     ("one sensor alone stuck at 0, 30 in 200: error", stuck, error, 3.0, GATE),
     ("one-sided, 30 %: coverage", one_sided, coverage, 0.88, None),
