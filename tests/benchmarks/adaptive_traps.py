@@ -361,7 +361,7 @@ def row(
 
 def table(seeds: range, rows: slice) -> str:
     """Return all rows; a target is compared with the adaptive filter as it comes."""
-    heads = ["trap", *FILTERS, "target", "", "NEES, 95 %", "beside"]
+    heads = ["trap", *FILTERS, "target", "", "NEES, 95 %", "compared with"]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for title, draw, measure, target, option in ROWS[rows]:
         found, (worth, inside) = row(draw, measure, option, seeds, title)
