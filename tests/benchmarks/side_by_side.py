@@ -311,10 +311,10 @@ Made by `python tests/benchmarks/side_by_side.py --write-page` on {datetime.date
 
 Root mean square error of what is measured, over that of the Kalman filter which knows the size of every noise; the
 least of each row is bold. WoLF, ISKF, ISKF2, STF (a filter of Student's t) and the variational R are written from their
-papers (`tests/benchmarks/peers`) and **tuned by the truth, for each row anew**, on
-another recording, and so is "Q tuned", the Kalman filter with Q times 1e-4 to 1e4. The gate is at 99.73 %; with
-"reset" it begins anew after ten refusals in a row. Ours (`RobustKalmanFilter`, and `AdaptiveKalmanFilter`), the gates
-and filterpy are as they come.
+papers (`tests/benchmarks/peers`) and **tuned by the truth, for each row anew**, on another recording, and so is "Q
+tuned", the Kalman filter with Q times 1e-4 to 1e4. The gate is at 99.73 %; with "reset" it begins anew after ten
+refusals in a row. Daily cycles count all hours, those of the stops too. Ours (`RobustKalmanFilter`, and
+`AdaptiveKalmanFilter`), the gates and filterpy are as they come.
 
 {in_rows(errors)}
 
