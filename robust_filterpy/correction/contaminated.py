@@ -2,7 +2,7 @@
 
     p(v) = (1 - contamination) N(0, scale^2) + contamination N(0, scale_ratio^2 scale^2)                  (paper 17)
 
-One object draws it, is told to a filter, is an influence function, and is learned from residuals.
+One object draws it, is given to a filter, is an influence function, and is learned from residuals.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _PRIOR_OUTLIERS: Final = 0.5
 _PRIOR_RATIO: Final = 8.0
 _PRIOR_RATIO_SAMPLES: Final = 2.0
 
-# Beyond these limits the two distributions cannot be told apart, or exchange their roles.
+# Beyond these limits the two distributions cannot be distinguished, or exchange their roles.
 _CONTAMINATIONS: Final = (1e-3, 0.45)
 _RATIOS: Final = (3.0, 1e12)
 
@@ -315,7 +315,7 @@ START: Final = Contaminated(_PRIOR_OUTLIERS / _PRIOR_SAMPLES, _PRIOR_RATIO)
 
 
 def maximised(
-    residual: Array, start: Contaminated, R: float, known: bool, least: float, steps: int
+    residual: Array, start: Contaminated, R: float, given: bool, least: float, steps: int
 ) -> tuple[float, float, float]:
     """Return contamination, scale ratio and R after some steps of expectation-maximization."""
     square, mixture = residual * residual, start
@@ -324,7 +324,7 @@ def maximised(
         p, ratio = mixture.ordinary(residual / math.sqrt(R)), mixture.scale_ratio
         outlying = 1.0 - p
         outliers, energy = outlying.sum(), outlying @ np.minimum(square, REACH**2 * ratio**2 * R)
-        if not known:
+        if not given:
             R = max(float(p @ square) / max(float(p.sum()), 1.0), least)
         contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + _PRIOR_SAMPLES)
         mixture = Contaminated(

@@ -33,7 +33,7 @@ __all__ = [
     "NotPositiveDefiniteError",
     "SingularInnovationError",
     "correct",
-    "correct_by_custom",
+    "correct_by_typical",
     "embed_block",
     "innovation_moments",
     "nothing_observed",
@@ -157,7 +157,7 @@ class Innovation(NamedTuple):
     """Derivative of the measurement, shape (m, n); None where only moments are known."""
 
 
-def correct_by_custom(
+def correct_by_typical(
     memory: Array,
     x: Array,
     P: Array,
@@ -165,23 +165,23 @@ def correct_by_custom(
     choices: Choices,
     skip_singular: bool = False,
 ) -> Correction:
-    """Correct a state under scaling "learnt": judge each sensor by the custom of its own innovations, and learn it."""
+    """Correct a state under scaling "learnt": judge each sensor by its own typical innovation, and learn that."""
     z, y, C, S, R, H = innovation
-    found = spread.prepared(memory, z, y, S, R, C, P)
-    y = np.where(found.held, np.nan, y)
-    told, R = S, np.asarray(R)
-    if (found.growth > 1.0).any() or found.opened.any():
+    judged = spread.prepared(memory, z, y, S, R, C, P)
+    y = np.where(judged.held, np.nan, y)
+    nominal, R = S, np.asarray(R)
+    if (judged.growth > 1.0).any() or judged.opened.any():
         seen = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H
-        grown = _opened(P * np.outer(found.growth, found.growth), seen, found.opened)
+        grown = _opened(P * np.outer(judged.growth, judged.growth), seen, judged.opened)
         gained = (grown - P) @ seen.T
         P, C, S = grown, C + gained, S + seen @ gained
-    charged = S + np.diag(found.charge) if found.charge.any() else S
-    last = correct(x, P, y, C, charged, choices, found.spread(S), skip_singular)
+    charged = S + np.diag(judged.charge) if judged.charge.any() else S
+    last = correct(x, P, y, C, charged, choices, judged.spread(S), skip_singular)
     B = S - R
     rest = np.where(np.isnan(y), np.nan, last.y - B @ last.score)
     left = np.diag(B - B @ last.information @ B if H is None else H @ last.P @ H.T)
-    weights = np.where(found.held, 0.0, last.weights)
-    return last._replace(S=np.array(S), weights=weights, memory=spread.after(found.memory, rest, left, told, R))
+    weights = np.where(judged.held, 0.0, last.weights)
+    return last._replace(S=np.array(S), weights=weights, memory=spread.after(judged.memory, rest, left, nominal, R))
 
 
 def _opened(P: Array, H: Array, variances: Array) -> Array:
@@ -307,7 +307,7 @@ def nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
 
 
 def embed_block(before: Any, some: Correction, start: int, m: int) -> Correction:
-    """Put the correction by one block of a measurement beside those by the blocks before it."""
+    """Put the correction by one block of a measurement next to those by the blocks before it."""
     n, k = len(some.P), len(some.y)
     if before is None or before.S.shape != (m, m) or before.C.shape != (n, m):
         before = nothing_observed(some.x, some.P, np.zeros((m, m)), m)

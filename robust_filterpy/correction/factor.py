@@ -2,8 +2,8 @@
 
 Where all three are c times too large or too small the Kalman filter's x is the same. So while a part is new the
 recursion goes on as it was given, by the rule of `robust_filterpy.correction.spread`, whose typical innovation tells c.
-Where c is beyond what the scales of Q reach, and this recursion foretells the readings better than the copies do, it is
-what the filter shows; if it still does after fifty readings, the copies begin again from it, with c P, c Q and c R.
+Where c is beyond what the scales of Q reach, and this recursion foretells the readings better than the models do, it is
+what the filter shows; if it still does after fifty readings, the models begin again from it, with c P, c Q and c R.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import spread
-from robust_filterpy.correction.definition import Innovation, correct_by_custom, innovation_moments
+from robust_filterpy.correction.definition import Innovation, correct_by_typical, innovation_moments
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.influence.functions import Huber
 
@@ -38,7 +38,7 @@ class Given(NamedTuple):
     P: Array
     """Shape (n, n)."""
     evidence: Array
-    """How much likelier the readings are by it than by the copies, in logarithms, at least 0, shape (n,)."""
+    """How much likelier the readings are by it than by the models, in logarithms, at least 0, shape (n,)."""
     readings: Array
     """How many there were, 100 once it is decided, shape (n,)."""
     factor: Array
@@ -75,32 +75,32 @@ def judged(
 ) -> tuple[Given, Array]:  # fmt: skip
     """Return the recursion after a reading, and what is learned of the sensors' typical innovations.
 
-    `logs` are log densities of the readings by the copies, NaN where there is none. Where the readings tell a factor,
+    `logs` are log densities of the readings by the models, NaN where there is none. Where the readings tell a factor,
     it is not 1 any more.
     """
     here, seen, count = ~np.isnan(logs), parts[np.argmax(H != 0.0, axis=1)].astype(int), given.readings
     C, S = innovation_moments(given.P, H, R, M)
     y = np.where(here, z - H @ given.x, np.nan)
-    after = correct_by_custom(spreads, given.x, given.P, Innovation(z, y, C, S, R, H), _CHOICES, True)
+    after = correct_by_typical(spreads, given.x, given.P, Innovation(z, y, C, S, R, H), _CHOICES, True)
     evidence, readings, factor = given.evidence.copy(), count.copy(), given.factor.copy()
     for head in np.unique(seen[here & (count[seen] < DECIDED)]):
         own, states = np.flatnonzero(here & (seen == head)), parts == head
         # A factor is common to all sensors of a part: that of the sensor which shows least of one.
-        known = spreads[own, spread.WEIGHT] > 0
+        learned = spreads[own, spread.WEIGHT] > 0
         coarse = np.where(spreads[own, spread.REPEATS] > 0, spreads[own, spread.STEP] / spread.BEND, 0.0)
         sizes = np.maximum(np.maximum(spreads[own, spread.SPREAD], coarse / np.sqrt(S[own, own])), 1e-150)
-        logs_of = np.clip(np.where(known, 2 * np.log(sizes), 0.0), -_LOG_FARTHEST, _LOG_FARTHEST)
+        logs_of = np.clip(np.where(learned, 2 * np.log(sizes), 0.0), -_LOG_FARTHEST, _LOG_FARTHEST)
         log_c = float(logs_of[np.argmin(np.abs(logs_of))])
-        told, beyond = 0.0, abs(log_c) > _LOG_BEYOND
+        gain, beyond = 0.0, abs(log_c) > _LOG_BEYOND
         # One that repeats the reading before is no sample of noise.
         for i in own[beyond & (z[own] != spreads[own, spread.LAST])]:
             log_unit = 0.5 * (math.log(S[i, i]) + log_c)
             by_it = -float(_CHOICES.influence.rho(y[i] / math.exp(log_unit))) - log_unit - _LOG_ROOT
-            told += min(max(by_it - logs[i], -_LOG_EVIDENCE), _LOG_EVIDENCE)
-        told = min(max(evidence[head] + told, 0.0), 2.0 * _LOG_BETTER) if beyond else 0.0
+            gain += min(max(by_it - logs[i], -_LOG_EVIDENCE), _LOG_EVIDENCE)
+        gain = min(max(evidence[head] + gain, 0.0), 2.0 * _LOG_BETTER) if beyond else 0.0
         readings[states] = min(count[head] + 1.0, DECIDED - float(beyond))
-        # What was told before the copies have had their time to learn counts for one half.
-        evidence[states] = min(told, _LOG_BETTER) if readings[head] == _DECIDES else told
-        if readings[head] > _DECIDES and told == 2.0 * _LOG_BETTER:
+        # Evidence from before the models have had their time to learn counts for one half.
+        evidence[states] = min(gain, _LOG_BETTER) if readings[head] == _DECIDES else gain
+        if readings[head] > _DECIDES and gain == 2.0 * _LOG_BETTER:
             factor[states], readings[states] = math.exp(log_c), DECIDED
     return Given(after.x, after.P, evidence, readings, factor), np.asarray(after.memory)

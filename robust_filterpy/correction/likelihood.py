@@ -21,7 +21,7 @@ _COSTLIEST = 1e300
 def log_density_of_group(y: Array, S: Array, choices: Any) -> float:
     """Return log f(S^(-1/2) y) + log det S^(-1/2) of one group of sensors, given those before it."""
     # f(e) is proportional to exp(-rho(e)): normal for an infinite threshold, linear in |e| beyond a finite one. It is
-    # standardized by S^(-1/2) as told, whatever the scaling of the filter and whatever it has learned, so that filters
+    # standardized by the nominal S^(-1/2), whatever the scaling of the filter and whatever it learned, so that filters
     # with different models can be compared by it.
     # An influence function without a density of its own (redescending, or somebody else's) has f(e) =
     # exp(-rho(e))/sqrt(2 pi), which does not integrate to 1.

@@ -109,7 +109,7 @@ class Choices:
         return unbounded and self.kernel_psi is not None
 
     @cached_property
-    def by_custom(self) -> bool:
+    def by_typical(self) -> bool:
         """Whether thresholds are in units of a spread that is learnt; the Kalman filter has none."""
         return self.scaling == "learnt" and not self.is_linear
 
@@ -223,13 +223,13 @@ class Choices:
         """
         if self.kernel_psi is not None:
             return np.asarray(getattr(self.influence, name)(e), dtype=float)
-        found = np.asarray(getattr(self.influence, name)(np.clip(e, -_BEARABLE, _BEARABLE)), dtype=float)
-        if found.shape != e.shape or not np.isfinite(found).all():
-            got = f"shape {found.shape}" if found.shape != e.shape else f"{found} for e = {e}"
+        values = np.asarray(getattr(self.influence, name)(np.clip(e, -_BEARABLE, _BEARABLE)), dtype=float)
+        if values.shape != e.shape or not np.isfinite(values).all():
+            got = f"shape {values.shape}" if values.shape != e.shape else f"{values} for e = {e}"
             raise ValueError(
                 f"influence: expected finite numbers of shape {e.shape} from {self.influence!r}.{name}, got {got}"
             )
-        return found
+        return values
 
 
 def checked_grouping(value: Any) -> Any:

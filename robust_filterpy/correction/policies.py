@@ -1,4 +1,4 @@
-"""What a filter is told of noise: how measurements fail, and how the process does.
+"""What a filter is given of noise: how measurements fail, and how the process does.
 
 `Contaminated` and `Learnt` are for ``noise=``, `Contaminated` and `Scales` for ``process=``. They say what there is;
 `robust_filterpy.correction.learnt` corrects under it.
@@ -90,7 +90,7 @@ def noise_classes(noise: Contaminated | Learnt, grouping: Grouping) -> NoiseClas
 
 
 def process_scales(process: Contaminated | Scales | None) -> Scales:
-    """Return the copies of a filter that a policy speaks of; one that trusts its process is a copy of itself."""
+    """Return the models of a filter that a policy speaks of; one that trusts its process is the one model of itself."""
     if isinstance(process, Scales):
         return process
     if process is None or process.is_ordinary:

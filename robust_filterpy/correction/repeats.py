@@ -5,7 +5,7 @@ twice, one that is held for three samples repeats two in three. What changes les
 counters, sensors at rest, readings that are held and recordings without noise are believed. Whether a reading that
 repeats is far from where it is expected, and so what it is worth, is for who asks.
 
-What is known of a sensor's readings is a row of six numbers: what the last correction left of the reading, the last
+What is learned of a sensor's readings is a row of six numbers: what the last correction left of the reading, the last
 unforeseen change and the scale of their differences, how many readings there were; the last reading, and one over the
 share of readings that repeat, with a minus sign if the last reading repeated the one before.
 """

@@ -1,12 +1,12 @@
 """How large a sensor's innovations usually are, learned: the unit of its thresholds under scaling="learnt".
 
-Nothing is an outlier before there is a custom. What a memory of 22 numbers a sensor does to a correction does
-not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes before a
-correction and `after` behind it; B = H P H' as told, B+ what the last correction left of it::
+Nothing is an outlier before there is a typical innovation. What a memory of 22 numbers a sensor does to a correction
+does not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes
+before a correction and `after` behind it; B = H P H' as given, B+ what the last correction left of it::
 
     w_i   max(1, (1 + B/R) / (1 + e^g B+/R)), g the usual growth of log(B/R)  only the noise has outliers
           as far as such e_i have been, if they were many
-    s_i   the median of |e_i| / w_i over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as told
+    s_i   the median of |e_i| / w_i over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as given
     p_i   the share of those beyond 3 s_i
     width w_i s_i (1 - 1.5 p_i) sqrt(S_ii)                                    the unit of psi's threshold
 
@@ -31,7 +31,7 @@ FAR = 3.0  #: beyond so many spreads it is an outlier, and does not move the spr
 PACE, MEMORY = 2.0, 100.0  #: steps of log(spread): 2/n of n samples, at least 2/100
 MOST, YIELD = 0.4, 1.5  #: the largest share of outliers; threshold times 1 - 1.5 share
 PRIOR = 10.0  #: the share starts from so many innovations without an outlier
-LOST = 10  #: so many far ones in a row, and the custom is another one
+LOST = 10  #: so many far ones in a row, and the typical innovation is another one
 RUN_LENGTH = 4  #: a jump: so many clipped in a row, until some have lasted,
 AGREE = 2.5  #: each within 2.5 spreads of where the last left x
 RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
@@ -48,7 +48,7 @@ WITNESS, APART, CONTRADICTED = 0.47, 1.5, 2.0  #: see `_charges`
 
 
 class Prepared(NamedTuple):
-    """What a correction begins with under scaling "learnt"; C and S are as told unless P has grown."""
+    """What a correction begins with under scaling "learnt"; C and S are as given unless P has grown."""
 
     memory: np.ndarray
     """Memory after the innovation, shape (m, 22)."""
@@ -70,7 +70,7 @@ class Prepared(NamedTuple):
 
 
 def begin(m: int) -> np.ndarray:
-    """Return the memory of sensors of which nothing is known."""
+    """Return the memory of sensors of which nothing was learned."""
     return np.zeros((m, NUMBERS))
 
 
@@ -79,28 +79,28 @@ def prepared(
 ) -> Prepared:
     """Learn from an innovation, and say how it is to be judged."""
     memory, here = memory.copy(), np.isfinite(y) & (np.diag(S) > 0)
-    told, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
+    nominal, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
     ratio = _ratio(np.diag(S - R), R, S)
-    coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / told
+    coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / nominal
     excess = np.where(here, _excess(memory, ratio), 1.0)
     wider = _wider(memory, excess, coarse)
     # Below a number whose square is a number.
-    size[here] = np.minimum(np.abs(y[here]) / told[here], 1e100) / wider[here]
+    size[here] = np.minimum(np.abs(y[here]) / nominal[here], 1e100) / wider[here]
     held = np.array([bool(here[i]) and _holds(memory[i], z[i], size[i], coarse[i]) for i in range(len(y))], dtype=bool)
     here &= ~held
     for i in np.flatnonzero(here & (excess > 1 + WHOLE)):
         _widen(memory[i], size[i] * wider[i], excess[i])
-    # A custom does not begin with rounding: of a state that was set from the reading itself, say.
-    begins = (memory[:, WEIGHT] > 0) | (np.abs(y) > ROUNDED * (np.abs(z) + told))
+    # A typical innovation is no rounding: of a state that was set from the reading itself, say.
+    begins = (memory[:, WEIGHT] > 0) | (np.abs(y) > ROUNDED * (np.abs(z) + nominal))
     for i in np.flatnonzero(here & begins & (size > 0)):
         _learn(memory[i], size[i], coarse[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
-    # Who has no custom yet has shown zeros alone: any width will do.
+    # Who has no typical innovation yet has shown zeros alone: any width will do.
     s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
     seen = _seen_by(B, here)
-    charge = _charges(y, s, told, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
+    charge = _charges(y, s, nominal, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
     narrowed = np.maximum(s * (1 - YIELD * memory[:, SHARE]), coarse)
-    unit, out, back = s * told * wider, here & (size > BEND * narrowed), np.zeros(len(y), dtype=bool)
+    unit, out, back = s * nominal * wider, here & (size > BEND * narrowed), np.zeros(len(y), dtype=bool)
     for i in np.flatnonzero(here):
         own, ordinary = memory[i], not out[i]
         _note_reading(own, z[i], ordinary and own[RUN] == 0)
@@ -114,7 +114,7 @@ def prepared(
         landing = max(AGREE * unit[i], RETURN * abs(own[JUMP]))
         back[i] = out[i] and own[JUMP] != 0 and abs(y[i] + own[JUMP]) < landing
     jumped = _jumps(memory, y, B, seen, out, back, charge, here, unit)
-    growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * told * wider
+    growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * nominal * wider
     for i in np.flatnonzero(jumped):
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
         # What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees.
@@ -138,10 +138,10 @@ def after(memory: np.ndarray, rest: np.ndarray, left: np.ndarray, S: np.ndarray,
     return memory
 
 
-def _ratio(known: np.ndarray, R: np.ndarray, S: np.ndarray) -> np.ndarray:
+def _ratio(seen: np.ndarray, R: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Return H P H' / R, R at least what is not rounding of S, shape (m,)."""
     noise = np.maximum(np.diag(R), 1e-12 * np.diag(S))
-    return np.maximum(known / np.where(noise > 0, noise, 1.0), FLOOR)
+    return np.maximum(seen / np.where(noise > 0, noise, 1.0), FLOOR)
 
 
 def _excess(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
@@ -185,12 +185,12 @@ def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
     """Let one sensor's |e| move its spread and its share of outliers."""
     if own[STRANGE] >= LOST:
         own[[WEIGHT, SHARE, STRANGE]] = 0.0
-    known, aim = own[WEIGHT], size / QUARTILE
+    before, aim = own[WEIGHT], size / QUARTILE
     own[WEIGHT] += weight
-    if known == 0:
+    if before == 0:
         own[SPREAD] = aim
         return
-    pace, far = max(weight / known, 1 / MEMORY), size > FAR * max(own[SPREAD], coarse)
+    pace, far = max(weight / before, 1 / MEMORY), size > FAR * max(own[SPREAD], coarse)
     # The far ones are left out of it.
     share = float(own[SHARE])
     own[SPREAD] = _towards(float(own[SPREAD]), aim, PACE * pace * (1 - share), PACE * pace * (1 + share))
@@ -288,9 +288,9 @@ def _step(own: np.ndarray) -> float:
 
 
 def settled(memory: np.ndarray) -> np.ndarray:
-    """Return the spread of each sensor as a threshold's unit, 1 where there is no custom yet."""
-    known = memory[:, WEIGHT] > 0
-    return np.where(known, memory[:, SPREAD] * (1 - YIELD * memory[:, SHARE]), 1.0)
+    """Return the spread of each sensor as a threshold's unit, 1 where there is none yet."""
+    learned = memory[:, WEIGHT] > 0
+    return np.where(learned, memory[:, SPREAD] * (1 - YIELD * memory[:, SHARE]), 1.0)
 
 
 def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:
@@ -306,7 +306,7 @@ def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:
 
 
 def _charges(
-    y: np.ndarray, s: np.ndarray, told: np.ndarray, B: np.ndarray, seen: np.ndarray, here: np.ndarray
+    y: np.ndarray, s: np.ndarray, nominal: np.ndarray, B: np.ndarray, seen: np.ndarray, here: np.ndarray
 ) -> np.ndarray:
     """Return what each sensor is noisier than those that see the same: that can only be its own noise."""
     charge, b = np.zeros(len(y)), np.diag(B)
@@ -320,10 +320,10 @@ def _charges(
         says = np.array([y[i] if j == i else y[j] * B[i, j] / b[j] for j in others])
         low = min(v for v in says if w[others][says <= v].sum() >= total * (0.5 - 1e-9))
         high = max(v for v in says if w[others][says >= v].sum() >= total * (0.5 - 1e-9))
-        odd = abs(y[i] - min(max(0.0, low), high)) / told[i]
+        odd = abs(y[i] - min(max(0.0, low), high)) / nominal[i]
         own = max(s[i], min(odd, 1e100) / CONTRADICTED)
         if own > APART * usual:
-            charge[i] = told[i] ** 2 * ((own / usual) ** 2 - 1)
+            charge[i] = nominal[i] ** 2 * ((own / usual) ** 2 - 1)
     return charge
 
 
@@ -350,5 +350,5 @@ def _jumps(
 
 def moved(c: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Return which states have jumped, given their covariances c with a prediction and their variances p."""
-    told = np.where(p > 0, c**2 / np.where(p > 0, p, 1.0), 0.0)
-    return np.asarray((told > SPARED * told.max()) & (p > 0))
+    share = np.where(p > 0, c**2 / np.where(p > 0, p, 1.0), 0.0)
+    return np.asarray((share > SPARED * share.max()) & (p > 0))

@@ -75,7 +75,7 @@ def singular(S: Array) -> SingularInnovationError:
 
 
 def singular_error(S: Array, least: float) -> SingularInnovationError:
-    """Return the error of an S without inverse, of which it is known how far from one it is."""
+    """Return the error of an S without inverse, with how far from one it is."""
     if not np.isfinite(S).all():
         return SingularInnovationError("S = H P H' + R: not finite; check H, P and R for NaN, infinity and overflow")
     if least < -1e-6:

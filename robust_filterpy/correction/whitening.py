@@ -129,8 +129,8 @@ def _from_inverse(SI: Array, S: Array, scaling: str) -> tuple[Array, Array | Non
         raise SingularInnovationError(
             f"inv(S): expected a positive semidefinite matrix, got least eigenvalue {values[0]:.3g}; check R and inv"
         )
-    kept = values > m * _EPS * max(values[-1], 0.0)
-    roots = np.sqrt(np.where(kept, values, 0.0))
+    regular = values > m * _EPS * max(values[-1], 0.0)
+    roots = np.sqrt(np.where(regular, values, 0.0))
     if scaling == "bounded":
         roots = np.minimum(roots, 1.0)
     T = (vectors * roots).dot(vectors.T) / unit

@@ -31,7 +31,7 @@ from robust_filterpy.correction.copies import Copies, Scales
 from robust_filterpy.correction.definition import (
     Innovation,
     correct,
-    correct_by_custom,
+    correct_by_typical,
     innovation_moments,
     nothing_observed,
 )
@@ -125,7 +125,7 @@ class Bounded:
     @property
     def learns(self) -> bool:
         """Whether thresholds are in units of the spread; the Kalman filter has none."""
-        return self.choices.by_custom
+        return self.choices.by_typical
 
     def begin(self, sensors: int) -> Array:
         """Return the memory of sensors of which nothing was learned."""
@@ -165,7 +165,7 @@ class Bounded:
     ) -> tuple[Correction, Any]:  # fmt: skip
         """Return the correction, P widened where enough refused innovations agreed."""
         if self.learns:
-            last = correct_by_custom(before.memory, x, P, innovation, self.choices, inv is not None)
+            last = correct_by_typical(before.memory, x, P, innovation, self.choices, inv is not None)
         else:
             _, y, C, S, _, _ = innovation
             last = correct(x, P, y, C, S, self.choices, skip_singular=inv is not None)

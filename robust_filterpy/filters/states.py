@@ -437,8 +437,8 @@ def settings_of(kf: StateMixin) -> dict[str, Any]:
 
 def moved_shapes(kf: StateMixin) -> dict[str, _state.Shape]:
     """Return the shapes of what a step moves, what is usual of the sensors among it."""
-    by_custom = kf._policy.noise is None and kf._policy.learns
-    shapes = {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)} if by_custom else {}
+    by_typical = kf._policy.noise is None and kf._policy.learns
+    shapes = {**kf._sensor_shapes(), "spread": (kf.dim_z, NUMBERS)} if by_typical else {}
     return {**kf._needed(), "x": np.shape(kf.x), **shapes}
 
 

@@ -40,20 +40,20 @@ __all__ = ["available"]
 @lru_cache(maxsize=1)
 def extension() -> Any:
     """Return the extension module, None (after one line in the log that says so) if the definition is to serve."""
-    found = _loaded()
-    if isinstance(found, str):
+    loaded = _loaded()
+    if isinstance(loaded, str):
         if not _switched_off():
             logging.getLogger("robust_filterpy").info(
-                "robust_filterpy: the definition in numpy serves, several times slower; %s", found
+                "robust_filterpy: the definition in numpy serves, several times slower; %s", loaded
             )
         return None
-    return found
+    return loaded
 
 
 def missing() -> str | None:
     """Return why the kernel does not serve, None if it does."""
-    found = _loaded()
-    return found if isinstance(found, str) else None
+    loaded = _loaded()
+    return loaded if isinstance(loaded, str) else None
 
 
 def _switched_off() -> bool:

@@ -119,7 +119,7 @@ def correct_linear(
 def correct(
     choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array
 ) -> Taken | None:
-    """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_custom`."""
+    """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_typical`."""
     return _by_extension("correct_moments", choices, (P, z, y, C, S, R), memory)
 
 
@@ -129,5 +129,5 @@ def _by_extension(name: str, choices: Choices, arrays: tuple[Array | None, ...],
     if extension is None or what is None:
         return None
     plain = (None if a is None else np.ascontiguousarray(a) for a in arrays)
-    found = getattr(extension, name)(what, *plain, memory)
-    return None if found is None else Taken(*found)
+    result = getattr(extension, name)(what, *plain, memory)
+    return None if result is None else Taken(*result)

@@ -28,8 +28,8 @@ def problem(seed):
 
 def defined(choices, memory, P, z, y, C, S, R):
     x = np.zeros(len(P))
-    if choices.by_custom:
-        return definition.correct_by_custom(memory, x, P, definition.Innovation(z, y, C, S, R), choices)
+    if choices.by_typical:
+        return definition.correct_by_typical(memory, x, P, definition.Innovation(z, y, C, S, R), choices)
     return definition.correct(x, P, y, C, S, choices)
 
 
@@ -78,7 +78,7 @@ def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping, jump, 
             # A run of innovations that keep their sign and height is a jump, if none repeats to the last bit.
             y_now = y * (1.0 if k < 6 else jump) * (1.0 + 1e-6 * k)
             found = moments.correct(choices, memory, P, y_now, y_now, H, None, R)
-            expected = definition.correct_by_custom(
+            expected = definition.correct_by_typical(
                 memory, np.zeros(len(P)), P, definition.Innovation(y_now, y_now, C, S, R, H), choices
             )
             memory = expected.memory
