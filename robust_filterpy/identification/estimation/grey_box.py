@@ -53,9 +53,14 @@ def identified_grey_box(
         return np.concatenate([one.y for one in equations.recordings]) - equations.residuals(z).reshape(y.shape)
 
     def find(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
-        y = outputs - levels
-        model = _modelled(structure, of(y, u), measured, influence)
-        return Beside(model, levels, u, evidence_of_outputs(model.noise, y - alone(model, y, u), spans))
+        # Equations have no constant of their own: the level may be theirs before it breaks, or after.
+        first = np.concatenate([np.broadcast_to(levels[part.start], levels[part].shape) for part in spans])
+        models = []
+        for own in (levels, levels - first) if levels.any() else (levels,):
+            y = outputs - own
+            model = _modelled(structure, of(y, u), measured, influence)
+            models.append(Beside(model, own, u, evidence_of_outputs(model.noise, y - alone(model, y, u), spans)))
+        return max(models, key=lambda one: one.evidence)
 
     def starts(u: Array, plain: GreyBoxModel) -> list[Array]:
         return [of_impulses(outputs, u, spans) if all(r.is_sampled for r in recordings) else alone(plain, outputs, u)]
