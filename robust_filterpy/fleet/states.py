@@ -148,9 +148,9 @@ class States(Mapping[Any, dict[str, Array]]):
         (since,) = seconds(np.array([time], dtype=object), said)
         if said:
             raise ValueError(said[0])
-        return self.of_rows(np.flatnonzero(~(self.columns["time"][:, 0] < since)), self.odd)
+        return self._of_rows(np.flatnonzero(~(self.columns["time"][:, 0] < since)), self.odd)
 
-    def of_rows(self, rows: np.ndarray, odd: Mapping[Any, Any]) -> States:
+    def _of_rows(self, rows: np.ndarray, odd: Mapping[Any, Any]) -> States:
         """Return the states in some rows."""
         keys = [self.name(i) for i in rows.tolist()]
         return States(self.label, keys, {name: column[rows] for name, column in self.columns.items()}, odd)
@@ -343,4 +343,4 @@ def _without(states: States, rows: Sequence[int], kinds: Sequence[str]) -> State
     odd = {}
     for i in rows:
         odd[states.keys_of_rows[i]] = {**states.row(i), _state.LABEL: _state.spelt(kinds[i] or "", _state.FORMAT)}
-    return states.of_rows(np.setdiff1d(np.arange(len(states.keys_of_rows)), rows), odd)
+    return states._of_rows(np.setdiff1d(np.arange(len(states.keys_of_rows)), rows), odd)
