@@ -7,6 +7,8 @@ import warnings
 import weakref
 from typing import Any, Final
 
+__all__ = ["RobustFilterWarning", "mute", "pointer", "warn", "was_said"]
+
 # filterpy's loops call the filters' methods.
 _PASSED_ON = {"robust_filterpy", "filterpy"}
 #: Classes of warning, and of what each was said: a kind of filter by its name, an object, which may not be hashable, by
