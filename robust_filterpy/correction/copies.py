@@ -54,10 +54,10 @@ class Scales:
         Factors of the covariance Q, > 0; the first is where a process starts. ``(1,)`` trusts Q.
     dwell : float, default 1000
         Mean number of steps that the process keeps a scale, > 1.
-    jump : float, default 1e-9
-        Chance that the state jumps in a step, in [0, 1). Samples have to agree before a jump is believed, about eight
-        with 1e-9, six with 1e-6; outliers that agree for longer are believed too. 0 means never, and then the start is
-        trusted as P says.
+    jump : float, default 1e-5
+        Chance that a far reading is a jump of the state, in [0, 1), while none has been seen. Samples have to agree
+        before it is believed, four to six with 1e-5, six to eight with 1e-9; outliers that agree for longer are
+        believed too. 0 means never, and then the start is trusted as P says.
     probabilities : sequence of float, optional
         Probabilities of the scales where each step draws its own; `dwell` means nothing then.
 
@@ -69,7 +69,7 @@ class Scales:
 
     scales: Sequence[float] = (1.0, 0.01, 0.1, 10.0, 100.0)
     dwell: float = 1000.0
-    jump: float = 1e-9
+    jump: float = 1e-5
     probabilities: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
@@ -271,7 +271,7 @@ def decided(
 ) -> tuple[Copies, np.ndarray, np.ndarray]:
     """Return the copies once a reading that is far from a candidate and from all others has decided between them."""
     # With it, which states are of a part that may have a new candidate, and of one whose candidate has been believed;
-    # `chances` is how often a reading of each sensor has begun a jump.
+    # `chances` is how likely the reading of each sensor begins a jump.
     (x, P, belief, _), q, parts = copies, len(process.scales), copies.parts
     new, believed = np.zeros((2, len(parts)), dtype=bool)
     if process.jump == 0.0:
@@ -281,7 +281,7 @@ def decided(
     for i in np.flatnonzero(np.logical_and(*far)):
         own = parts == parts[np.argmax(H[i] != 0.0)]
         chance = float(belief[q, own][0])
-        if not new[own][0] and (chance > 0.5 or chance < chances[i]):
+        if not new[own][0] and (chance > 0.5 or chance * (1.0 + 1e-9) < chances[i]):
             new |= own
             believed |= own & (chance > 0.5)
     return _from_candidate(copies, believed, process), new, believed

@@ -43,7 +43,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -231,7 +231,7 @@ def learn(known: Array, posterior: Array, r: float, excess: float, part: float, 
         after[0], after[1], after[_LESS] = max(_LESS_SCALE * after[0], 1e-8), _PRIOR_R, 0.0
     after[2 : 2 + K] += 1.0 / noise.r_memory * (posterior - known[2 : 2 + K])
     last, counts = _chain(known, K)
-    after[_JUMPS][_OUTLIERS] += last[0] * (1.0 - ordinary)
+    after[_JUMPS][_OUTLIERS] += 1.0 - ordinary
     after[_JUMPS][_CHANCE] *= 1.0 - 1.0 / min(max(known[_COUNT], 1.0), noise.memory)
     joint = (last / counts.sum(axis=1))[:, None] * counts
     expected = joint.sum(axis=0)
@@ -263,27 +263,51 @@ def is_known(known: Array) -> bool:
     return bool(known[_COUNT] > _FIRST_CHANGES)
 
 
-def jump_chances(learnt: Array) -> Array:
-    """Return how often a reading of each sensor has begun a jump, shape (m,)."""
-    return learnt[:, _JUMPS][:, _CHANCE].copy()
+def jump_chances(learnt: Array, y: Array, seen: Array, noise: Array, R: Array, scales: Sequence[float]) -> Array:
+    """Return how likely innovations begin a jump like their sensors' last one, rather than an outlier, shape (m,)."""
+    # seen, noise and R are the variances of predictions, of ordinary noise and what R says.
+    chances, sizes = np.zeros(len(y)), np.array(scales)
+    for i, row in enumerate(learnt):
+        like = _like_before(row[_JUMPS], float(y[i]), float(seen[i] + noise[i]), float(R[i]))
+        outlier = float(predicted(row, len(sizes)) @ _normal(float(y[i]), seen[i] + sizes * noise[i]))
+        chances[i] = like / (like + outlier) if like > 0.0 else 0.0
+    return chances
 
 
-def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses) -> Array:
-    """Return what is known once the candidates of the parts that some sensors see are believed."""
+def _like_before(own: Array, y: float, variance: float, R: float) -> float:
+    """Return odds times density of a jump like the last one, that without its factor (2 pi)^(-1/2)."""
+    return float(own[_CHANCE] / (1.0 - own[_CHANCE]) * _normal(y, variance + own[_SIZE] ** 2 * R))
+
+
+def _normal(y: float, variance: Any) -> Any:
+    """Return normal densities without their factor (2 pi)^(-1/2)."""
+    with np.errstate(over="ignore"):
+        return np.exp(-0.5 * y / variance * y) / np.sqrt(variance)
+
+
+def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, late: bool = False) -> Array:
+    """Return what is known once the candidates of the parts that some sensors see are believed, or late, long after."""
     # What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump.
     learnt, K = learnt.copy(), len(noise.scales)
-    prior = _chain(start(K), K)[1][0, 1:]
+    prior = _chain(start(K), K)[1]
     for i in np.flatnonzero(believed):
         own, counts, readings = learnt[i, _JUMPS], _chain(learnt[i], K)[1], float(learnt[i, _COUNT])
         began, own[_BEGAN] = float(own[_BEGAN]), 0.0
         if began == 0.0 or not readings > _FIRST_CHANGES or counts[:, 1:].sum() > _RARE * counts.sum():
             continue
-        returns = readings - own[_AT] < _FIRST_CHANGES and abs(began + own[_SIZE]) < _RETURNS
+        returns = not late and readings - own[_AT] < _FIRST_CHANGES and abs(began + own[_SIZE]) < _RETURNS
+        # The mean of what the chance may be, of which nothing was known: (jumps + 1) / readings.
         each = 1.0 / min(readings, noise.memory)
-        own[_CHANCE] = max(own[_CHANCE] + (-each if returns else each), 0.0)
-        own[_SIZE], own[_AT] = began, readings
-        less = min(own[_OUTLIERS] / counts[0, 1:].sum(), 1.0) * np.maximum(counts[0, 1:] - prior, 0.0)
-        counts[0, 1:] -= less
+        own[_CHANCE] = max(own[_CHANCE] - each, 0.0) if returns else max(own[_CHANCE], each) + each
+        own[_SIZE], own[_AT] = began, readings - late * _FIRST_CHANGES
+        # The run was in the classes that are likely for what it began with.
+        sizes = np.array(noise.scales) * learnt[i, 0]
+        likely = counts.sum(axis=0) * np.exp(-0.5 * began**2 * (1.0 / sizes - 1.0 / sizes[-1])) / np.sqrt(sizes)
+        excess = np.maximum(counts - prior, 0.0)
+        back = own[_OUTLIERS] * likely[1:] / likely[1:].sum()
+        share = np.divide(back, excess[:, 1:].sum(axis=0), out=np.zeros(K - 1), where=excess[:, 1:].sum(axis=0) > 0.0)
+        less = np.minimum(share, 1.0) * excess[:, 1:]
+        counts[:, 1:] -= less
         counts[0, 0] += less.sum()
     return learnt
 
@@ -294,12 +318,12 @@ def began(learnt: Array, parts: Array, y: Array, variances: Array, alone: np.nda
     learnt, odds = learnt.copy(), np.zeros(len(y))
     for i in np.flatnonzero(y):
         learnt[parts == parts[i], _JUMPS.start + _BEGAN] = 0.0
-        own, variance = learnt[i, _JUMPS], float(variances[i] + learnt[i, _JUMPS][_SIZE] ** 2 * R[i])
+        own = learnt[i, _JUMPS]
         if not R[i] > 0.0:
             continue
         own[_BEGAN], own[_OUTLIERS] = _bounded(y[i] / R[i] ** 0.5), 0.0
         if alone[i] and not np.signbit(learnt[i, -1]):
-            odds[i] = own[_CHANCE] / (1.0 - own[_CHANCE]) * math.exp(-0.5 * y[i] / variance * y[i]) / variance**0.5
+            odds[i] = _like_before(own, float(y[i]), float(variances[i]), float(R[i]))
     return learnt, odds
 
 

@@ -183,10 +183,15 @@ def _corrected(
             memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.scales
         )
     seen, noisy = np.argmax(H != 0.0, axis=1), r * R.diagonal()
-    chances = learning.jump_chances(memory[part]) if alike else np.zeros(len(part))
+    chances = np.zeros(len(part))
+    if alike:
+        chances = learning.jump_chances(
+            memory[part], z - H @ at, ((H @ spread) * H).sum(axis=1), noisy, R.diagonal(), noise.scales
+        )
+        chances = np.maximum(chances, process.jump)
     copies, new, believed = side_by_side.decided(copies, z, H, noisy, process, chances)
     if alike:
-        memory[part] = learning.jumped(memory[part], believed[seen], noise)
+        memory[part] = learning.jumped(memory[part], believed[seen], noise, late=True)
     copies, begun = side_by_side.with_candidates(copies, z, H, noisy, process, new)
     if alike:
         memory[part], chances = learning.began(memory[part], copies.parts[seen], *begun, R.diagonal())

@@ -354,7 +354,7 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
             counts[i * K + j] = prior[i * K + j] + keep * (counts[i * K + j] - prior[i * K + j]) + moved;
         }
     }
-    for_less[1 + JUMPS_OUTLIERS] += last[0] * (1 - p[0]);
+    for_less[1 + JUMPS_OUTLIERS] += 1 - p[0];
     for_less[1 + JUMPS_CHANCE] *= 1 - 1 / real_min(real_max(known[width - REPEATS_WIDTH + REPEATS_COUNT], 1), rule->memory);
     for (int j = 0; j < K; j++) last[j] = p[j];
     /* Ordinary is what most samples are. */
@@ -597,12 +597,22 @@ INLINE real learnt_innovations(const int n, const int m, const int copy, const l
     return check;
 }
 
+/* A normal density without its factor (2 pi)^(-1/2). */
+INLINE real learnt_normal(const real y, const real variance) {
+    return real_exp(REAL(-0.5) * y / variance * y) / real_sqrt(variance);
+}
+
+/* Odds times density of a jump like the last one that a sensor has seen. */
+INLINE real learnt_like_before(const real *const own, const real y, const real variance, const real R) {
+    const real chance = own[JUMPS_CHANCE];
+    return chance / (1 - chance) * learnt_normal(y, variance + own[JUMPS_SIZE] * own[JUMPS_SIZE] * R);
+}
+
 /* Note with which sensor a candidate has begun, and how likely it is a jump like those that this sensor has seen: no reading
    that repeats the one before, nor one that another contradicts. */
 INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const learnt_state *const s, const int i,
                               const real y, const real S, const real R, const learnt_parts *const w) {
     real *const own = learnt_jumps(rule, s, i);
-    const real variance = S + w->r[i] * R + (own ? own[JUMPS_SIZE] * own[JUMPS_SIZE] * R : 0);
     int first = own != NULL;
     for (int j = 0; own && j < m; j++) {
         if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
@@ -615,7 +625,7 @@ INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const 
     if (!(R > 0)) return;
     own[JUMPS_BEGAN] = real_min(real_max(y / real_sqrt(R), -LEARNT_WILDEST), LEARNT_WILDEST), own[JUMPS_OUTLIERS] = 0;
     if (real_copysign(1, s->memory[(i + 1) * learnt_width(rule->K) - 1]) > 0)
-        w->alike[i] = own[JUMPS_CHANCE] / (1 - own[JUMPS_CHANCE]) * real_exp(REAL(-0.5) * y * y / variance) / real_sqrt(variance);
+        w->alike[i] = learnt_like_before(own, y, S + w->r[i] * R, R);
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
@@ -694,28 +704,41 @@ INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rul
         if (w->left[i] > 0) w->head[i] = part[(int)w->head[i]];
 }
 
-/* Learn from a candidate that a sensor began and that is believed now: how often that happens, and how far. What was refused
-   on the way was no outlier; what returns at once to where it was before had been one, not a jump. */
-INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i) {
+/* Learn from a candidate that a sensor began and that is believed now, or late, long after: how often that happens, and how
+   far. What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump. */
+INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i, const int late) {
     const int K = rule->K, width = learnt_width(K);
-    real *const jumps = learnt_jumps(rule, s, i), *const counts = s->memory + i * width + 2 + 2 * K;
-    real outliers = 0, all = 0, began, readings;
+    const real *const prior = rule->begin + 2 + 2 * K;
+    real *const jumps = learnt_jumps(rule, s, i), *const known = s->memory + i * width, *const counts = known + 2 + 2 * K;
+    real outliers = 0, all = 0, likely = 0, began, readings;
     if (!jumps) return;
-    readings = s->memory[(i + 1) * width - REPEATS_WIDTH + REPEATS_COUNT], began = jumps[JUMPS_BEGAN];
+    readings = known[width - REPEATS_WIDTH + REPEATS_COUNT], began = jumps[JUMPS_BEGAN];
     jumps[JUMPS_BEGAN] = 0;
     for (int k = 0; k < K * K; k++) all += counts[k], outliers += k % K ? counts[k] : 0;
     if (began == 0 || !(readings > LEARNT_FIRST_CHANGES) || outliers > LEARNT_RARE * all) return;
     const real back = real_abs(began + jumps[JUMPS_SIZE]), each = 1 / real_min(readings, rule->memory);
-    const int returns = readings - jumps[JUMPS_AT] < LEARNT_FIRST_CHANGES && back * back < LEARNT_ASKS;
-    jumps[JUMPS_CHANCE] = real_max(jumps[JUMPS_CHANCE] + (returns ? -each : each), 0);
-    jumps[JUMPS_SIZE] = began, jumps[JUMPS_AT] = readings;
-    outliers = 0;
-    for (int k = 1; k < K; k++) outliers += counts[k];
-    for (int k = 1; k < K; k++) {
-        const real less = real_min(jumps[JUMPS_OUTLIERS] / outliers, 1)
-                          * real_max(counts[k] - rule->begin[2 + 2 * K + k], 0);
-        counts[k] -= less, counts[0] += less;
-    }
+    const int returns = !late && readings - jumps[JUMPS_AT] < LEARNT_FIRST_CHANGES && back * back < LEARNT_ASKS;
+    /* The mean of what the chance may be, of which nothing was known: (jumps + 1) / readings. */
+    jumps[JUMPS_CHANCE] = returns ? real_max(jumps[JUMPS_CHANCE] - each, 0) : real_max(jumps[JUMPS_CHANCE], each) + each;
+    jumps[JUMPS_SIZE] = began, jumps[JUMPS_AT] = readings - (late ? LEARNT_FIRST_CHANGES : 0);
+    /* The run was in the classes that are likely for what it began with. */
+    for (int twice = 0; twice < 2; twice++)
+        for (int k = 1; k < K; k++) {
+            const real size = rule->scales[k] * known[0], widest = rule->scales[K - 1] * known[0];
+            real column = 0, excess = 0, share;
+            for (int j = 0; j < K; j++) {
+                column += counts[j * K + k];
+                excess += real_max(counts[j * K + k] - prior[j * K + k], 0);
+            }
+            share = column * real_exp(REAL(-0.5) * began * began * (1 / size - 1 / widest)) / real_sqrt(size);
+            if (!twice) likely += share;
+            if (!twice || !(excess > 0)) continue;
+            share = real_min(jumps[JUMPS_OUTLIERS] * share / likely / excess, 1);
+            for (int j = 0; j < K; j++) {
+                const real less = share * real_max(counts[j * K + k] - prior[j * K + k], 0);
+                counts[j * K + k] -= less, counts[0] += less;
+            }
+        }
 }
 
 /* Let every copy of a state's part go on from where the candidate is. */
@@ -732,6 +755,23 @@ INLINE void learnt_settle(const int n, const learnt_rule *const rule, learnt_sta
                 if (part[k] == head) s->P[(c * n + o) * n + k] = s->P[(q * n + o) * n + k];
         }
     }
+}
+
+/* How likely a reading begins a jump, one like the sensor's last one rather than an outlier. */
+INLINE real learnt_new_chance(const int n, const learnt_rule *const rule, const learnt_state *const s, const int i,
+                              const real z, const real *RESTRICT h, const real noise, const real R,
+                              const learnt_parts *const w) {
+    const real *const own = learnt_jumps(rule, s, i);
+    real y = z, seen = 0, outlier = 0, like;
+    if (!own) return 0;
+    for (int k = 0; k < n; k++) {
+        y -= h[k] * w->at[k];
+        for (int j = 0; j < n; j++) seen += h[k] * w->spread[k * n + j] * h[j];
+    }
+    like = learnt_like_before(own, y, seen + noise, R);
+    learnt_predicted(rule->K, s->memory + i * learnt_width(rule->K), w->before);
+    for (int k = 0; k < rule->K; k++) outlier += w->before[k] * learnt_normal(y, seen + rule->scales[k] * noise);
+    return real_max(like > 0 ? like / (like + outlier) : 0, rule->jump);
 }
 
 /* Drop candidates that have lost: in their place a new one may begin, where all others are. A reading that is far from them
@@ -751,11 +791,13 @@ INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const ru
             !learnt_asks(n, s->x + q * n, s->P + q * n * n, z[i], H + i * n, noise))
             continue;
         chance = s->p[q * n + (int)w->head[i]];
-        if (!(chance > REAL(0.5) || chance < (learnt_jumps(rule, s, i) ? *learnt_jumps(rule, s, i) : 0))) continue;
+        if (!(chance > REAL(0.5)) && !(chance * (1 + REAL(1e-9)) < learnt_new_chance(n, rule, s, i, z[i], H + i * n, noise,
+                                                                                 R[i * m + i], w)))
+            continue;
         if (chance > REAL(0.5)) learnt_settle(n, rule, s, w->head[i]), believed = 1;
         for (int j = 0; j < m; j++) {
             if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
-            if (chance > REAL(0.5)) learnt_jumped(rule, s, j);
+            if (chance > REAL(0.5)) learnt_jumped(rule, s, j, 1);
             w->fresh[j] = 1;
         }
     }
@@ -1301,7 +1343,7 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         for (int i = 0; i < m; i++) {
             if (!(weights[i] > 0 && w.head[i] == part[o])) continue;
             learnt_unseen(n, rule, s)[o] = 0;
-            if (believed) learnt_jumped(rule, s, i);
+            if (believed) learnt_jumped(rule, s, i, 0);
         }
         if (believed) learnt_settle(n, rule, s, part[o]);
     }

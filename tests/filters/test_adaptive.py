@@ -18,7 +18,7 @@ from robust_filterpy.correction.spread import NUMBERS
 
 # How probable the classes are before anything has been seen.
 SHARES = np.array([0.85, 0.05, 0.05, 0.05])
-ORDINARY = {"process": Scales((1.0,))}
+ORDINARY = {"process": Scales((1.0,), jump=1e-9)}
 
 
 def moving(seed, n, label=1.0, R=1.0, Q=1.0):
