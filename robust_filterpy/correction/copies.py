@@ -5,7 +5,7 @@ more, the candidate, is for a state that has jumped, to which Q says nothing. It
 three standard deviations, at the place that the measurement tells, with a P in which it would be just three, since what
 has moved one state may have moved all (`with_candidates`). Since it is made to fit, that measurement is no evidence for
 it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
-until it is more likely than not (`merged`), taken over when it is all but certain (`settled`) and dropped when it has
+while three to one is against it (`merged`), taken over when it is all but certain (`settled`) and dropped when it has
 lost, so that there is one at a time; a reading that is far from it and from all others decides (`decided`). A start is
 a jump from a guess, with a probability of .2.
 
@@ -405,11 +405,11 @@ def begun_again(copies: Copies, given: Given, states: np.ndarray, process: Scale
 
 
 def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
-    """Return mean and covariance of the state; a candidate is hidden until it is more likely than not."""
+    """Return mean and covariance of the state; a candidate is hidden while three to one tells against it."""
     x, P, p, q = copies.x, copies.P, copies.probabilities, len(process.scales)
     if process.jump > 0.0:
         hidden = np.concatenate([slow(copies, process), np.zeros((1, p.shape[1]))])
-        p = np.where(p[q] > 0.5, p, hidden)
+        p = np.where(p[q] > 0.25, p, hidden)
     x, P = collapse(p, x, P, copies.parts)
     if copies.given is None or not copies.given.shown.any():
         return x, P

@@ -198,14 +198,14 @@ INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt
 
 #define learnt_merge_work(n, copies) ((size_t)((n) * (copies)))
 
-/* Mean and covariance of the state; a jump is hidden until it is more likely than not. Return whether they are finite. */
+/* Mean and covariance of the state; a jump is hidden while three to one tells against it. Return whether they are finite. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule);
     real check = 0;
     real_copy(copies * n, s->p, work);
     for (int i = 0; i < n; i++) {
-        if (copies > q && !(work[q * n + i] > REAL(0.5))) work[q * n + i] = 0;
+        if (copies > q && !(work[q * n + i] > REAL(0.25))) work[q * n + i] = 0;
         learnt_normalize(n, i, copies, work);
     }
     learnt_collapse(n, copies, work, s->x, s->P, learnt_part(n, rule, s), x, P);
