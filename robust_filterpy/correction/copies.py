@@ -419,32 +419,8 @@ def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
 
 
 def collapse(probabilities: Array, means: Array, covariances: Array, parts: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of a mixture of h copies, in each part with probabilities of its own.
-
-    Parameters
-    ----------
-    probabilities : ndarray, shape (..., h, n)
-        Weights of the copies in the part of each state, with sum 1 over h.
-    means : ndarray, shape (..., h, n)
-        Means of the copies.
-    covariances : ndarray, shape (..., h, n, n)
-        Their covariances.
-    parts : ndarray, shape (n,)
-        Equal numbers where states are of one part.
-
-    Returns
-    -------
-    mean : ndarray, shape (..., n)
-        Overall mean.
-    covariance : ndarray, shape (..., n, n)
-        Overall covariance, that of the means among each other included; 0 between parts.
-
-    Examples
-    --------
-    >>> halves, variances = np.full((2, 1), 0.5), np.ones((2, 1, 1))
-    >>> collapse(halves, np.array([[-1.0], [1.0]]), variances, np.zeros(1))
-    (array([0.]), array([[2.]]))
-    """
+    """Return mean and covariance of a mixture of h copies, with probabilities (..., h, n) of its own in each part."""
+    # Means (..., h, n), covariances (..., h, n, n); parts (n,) has equal numbers where states are of one.
     mean = (probabilities * means).sum(axis=-2)
     apart = means - mean[..., None, :]
     within = (probabilities[..., None] * covariances).sum(axis=-3)

@@ -303,10 +303,9 @@ def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, late: bool 
         # The run was in the classes that are likely for what it began with.
         sizes = np.array(noise.scales) * learnt[i, 0]
         likely = counts.sum(axis=0) * np.exp(-0.5 * began**2 * (1.0 / sizes - 1.0 / sizes[-1])) / np.sqrt(sizes)
-        excess = np.maximum(counts - prior, 0.0)
+        excess = np.maximum(counts - prior, 0.0)[:, 1:]
         back = own[_OUTLIERS] * likely[1:] / likely[1:].sum()
-        share = np.divide(back, excess[:, 1:].sum(axis=0), out=np.zeros(K - 1), where=excess[:, 1:].sum(axis=0) > 0.0)
-        less = np.minimum(share, 1.0) * excess[:, 1:]
+        less = excess * np.minimum(back / np.maximum(excess.sum(axis=0), 1e-300), 1.0)
         counts[:, 1:] -= less
         counts[0, 0] += less.sum()
     return learnt

@@ -126,3 +126,13 @@ def test_no_recording_is_lost_to_outliers_of_any_size(H, top):
         wild = rng.choice([-1.0, 1.0], size=zs.shape) * 10.0 ** rng.uniform(0.0, top, size=zs.shape)
         kf.batch_filter(np.where(rng.random(zs.shape) < 0.4, wild, zs))
         assert np.linalg.eigvalsh(kf.P).min() > 0.0
+
+
+def test_what_was_refused_on_the_way_to_a_jump_is_an_outlier_in_no_class_any_more():
+    for seed in range(3):
+        zs = np.where(np.arange(420) >= 400, 30.0, 0.0) + np.random.default_rng(seed).normal(size=420)
+        kf = moving(AdaptiveKalmanFilter)
+        noises = [(through(kf, part), kf.noise_learnt)[1] for part in np.split(zs, [400, 403])]
+        share = [float(noise.contamination[0]) for noise in noises]
+        assert share[1] > share[0] + 0.01 and abs(share[2] - share[0]) < 0.002
+        assert noises[2].scale_ratio[0] < 7.0
