@@ -405,7 +405,7 @@ def begun_again(copies: Copies, given: Given, states: np.ndarray, process: Scale
 
 
 def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
-    """Return mean and covariance of the state; a candidate is hidden while three to one tells against it."""
+    """Return mean and covariance of the state; a candidate is hidden while three to one is against it."""
     x, P, p, q = copies.x, copies.P, copies.probabilities, len(process.scales)
     if process.jump > 0.0:
         hidden = np.concatenate([slow(copies, process), np.zeros((1, p.shape[1]))])

@@ -115,12 +115,6 @@ class NoiseClasses:
     ------
     ValueError, TypeError
         If one is out of range.
-
-    Examples
-    --------
-    >>> told = NoiseClasses(scales=(1.0, 100.0), probabilities=(0.9, 0.1))
-    >>> told.learns
-    False
     """
 
     scales: Sequence[float] = SCALES

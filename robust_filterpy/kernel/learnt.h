@@ -198,7 +198,7 @@ INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt
 
 #define learnt_merge_work(n, copies) ((size_t)((n) * (copies)))
 
-/* Mean and covariance of the state; a jump is hidden while three to one tells against it. Return whether they are finite. */
+/* Mean and covariance of the state; a jump is hidden while three to one is against it. Return whether they are finite. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
     const int q = rule->q, copies = learnt_copies(rule);

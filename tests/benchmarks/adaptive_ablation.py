@@ -57,7 +57,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
         ("returns ? real_max(jumps[JUMPS_CHANCE] - each, 0) : real_max(jumps[JUMPS_CHANCE], each) + each", "0"),
     ),
     "it knows no last class": (("learnt_usual(K, known, w.usual)", "learnt_predicted(K, known, w.usual)"),),
-    "it is hidden while less likely than not": (("!(work[q * n + i] > REAL(0.5))", "0"),),
+    "it is hidden while three to one is against it": (("!(work[q * n + i] > REAL(0.25))", "0"),),
     "a start elsewhere, with .2": (
         ("waits[j] > 0 && S[j * m + j] > 0",
          "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < REAL(0.2)"),
