@@ -146,7 +146,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             If the prediction is not finite; nothing has changed then.
         """
         n = self.dim_x
-        moved = np.array([np.ravel(self.fx(s, self.dt)) for s in self.sigmas], dtype=float)
+        moved = _rows([self.fx(s, self.dt) for s in self.sigmas])
         Q = process_noise(self.Q, None, n) * np.ones((n, n))
         self.sigmas = moved + self.rng.multivariate_normal(np.zeros(n), Q, self.N)
         require_finite(fx=self.sigmas)
@@ -184,7 +184,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             return
         m = self.dim_z
         R = noise_covariance(self.R, R, m)
-        predicted = np.array([np.ravel(self.hx(s)) for s in self.sigmas], dtype=float)
+        predicted = _rows([self.hx(s) for s in self.sigmas])
         require_finite(hx=predicted)
         mean = predicted.mean(axis=0)
         values, y = innovation_of(z, mean, m, np.subtract, "hx")
@@ -228,6 +228,11 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         gain = np.zeros_like(C)
         gain[:, part] = np.linalg.solve(root.T, inner @ half).T
         return gain
+
+
+def _rows(values: list[Any]) -> Array:
+    """Return vectors, columns or numbers of the members, one a row."""
+    return np.array(values, dtype=float).reshape(len(values), -1)
 
 
 def _numbered(value: Any) -> tuple[Array, str]:
