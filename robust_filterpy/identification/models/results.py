@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -268,6 +269,12 @@ class Summary:
     level: float
     warning: str
     findings: str = ""
+
+    @property
+    def found(self) -> str:
+        """The former name of `findings`."""
+        warnings.warn("Summary.found is called findings now", DeprecationWarning, stacklevel=2)
+        return self.findings
 
     def to_text(self) -> str:
         """Return the table.
