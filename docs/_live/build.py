@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 import robust_filterpy
-from robust_filterpy.correction import copies, learning
-from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction import learning, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.side_by_side import Scales
 
 HERE = Path(__file__).parent
 TARGET = HERE.parent / "_static" / "live_filter.js"
@@ -49,7 +49,7 @@ def live_filter(cls, **options):
 def numbers() -> str:
     """Return numbers.h: the problem, and what the filter that learns begins with."""
     kf, noise, process = live_filter(robust_filterpy.RobustKalmanFilter), NoiseClasses(), Scales()
-    begun = copies.start(kf.x.ravel(), kf.P, process)
+    begun = side_by_side.start(kf.x.ravel(), kf.P, process)
     arrays = {"F": kf.F, "Q": kf.Q, "H": kf.H, "START": kf.P, "PROCESS": process.scales}
     arrays |= {"SCALES": noise.scales, "BELIEF": begun.packed[2]}
     arrays["BEGIN"] = learning.start(len(noise.scales), noise.probabilities)

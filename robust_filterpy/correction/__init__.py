@@ -7,14 +7,14 @@
 * `spread`: how large a sensor's innovations usually are, learned.
 * `whitening`: T of correlated noise, for the smoothers.
 * `likelihood`: log-density of an innovation.
-* `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, told, learned, and as a psi.
-* `policies`: what a filter is told of noise: `Contaminated`, `Learnt`, `Scales`.
+* `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, given, learned, and as a psi.
+* `policies`: what a filter is given of noise: `Contaminated`, `Learnt`, `Scales`.
 * `repeats`: whether a sensor repeats its last reading though it seldom does and its noise is white.
 * `learning`: what is learned of a sensor's noise, a mixture of classes, while a filter runs.
-* `copies`: copies of a filter that differ in what they take the process for.
+* `side_by_side`: models of a filter that differ in what they take the process for.
 * `hypotheses`: models of a state, advanced together: what failed, what moved, which repair explains a recording.
 * `factor`: one factor by which P, Q and R that are given are all too large or too small.
-* `learnt`: the correction of copies under such noise, learned or told.
+* `learnt`: the correction of models under such noise, learned or given.
 
 Imports from below: `robust_filterpy.influence`.
 """

@@ -26,10 +26,10 @@ Where repeats are usual, no reading that repeats the one before tells of r, whic
 How often a reading has begun a jump that was believed, and how far the last one went, is learned too (`jumped`): a far
 reading that is as far is believed at once where that is more likely than an outlier (`began`).
 
-All that is known of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, less,
+All that is learned of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, less,
 jumps (5), parity (4), change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late;
 the probabilities of the last sample's class; how often class i was followed by class j; the probability that it fails
-with the others; how much likelier a tenth of r is; what is known of jumps; the last parity, its lag-one covariance, its
+with the others; how much likelier a tenth of r is; five numbers of jumps; the last parity, its lag-one covariance, its
 variance, how many there were; what the last correction left of the reading, the last change and the scale of their
 differences, in standard deviations that R gives, and how many readings there were; the last reading in the same unit,
 and one over the share of readings that repeat, with a minus sign if the last reading repeated the one before.
@@ -77,9 +77,12 @@ _FIRST_CHANGES = 20.0
 _MOST = 8.0 / 6.0
 # Standard deviations beyond which a reading is as far as any other.
 _WILDEST = 1e6
-# Numbers of a row that tell of failing together, of parity, of changes and readings.
+#: Numbers of a row: r, and on how many samples it stands.
+R_FACTOR, SAMPLES = 0, 1
+# Those that tell of failing together, of parity, of changes and readings.
 _TOGETHER, _LESS, _JUMPS, _PARITY, _TAIL = -17, -16, slice(-15, -10), slice(-10, -6), 17 + spread.NUMBERS
-_READINGS, _COUNT = slice(-repeats.WIDTH, None), -3
+_PARITY_VARIANCE, _PARITY_COUNT, _LEFT, _SCALE, _COUNT, _REPEATS = -8, -7, -6, -4, -3, -1
+_READINGS = slice(-repeats.WIDTH, None)
 #: Numbers of a row that tell of typical innovations.
 GIVEN = slice(-_TAIL, _TOGETHER)
 # Of jumps: the chance that a reading begins one, the last one and at which reading it was believed, what a candidate
@@ -109,7 +112,7 @@ class NoiseClasses:
     r_memory : float, default 50
         Ordinary samples for which the size of the noise is remembered, > 1.
     probabilities : sequence of float, optional
-        Probabilities of the classes where they are told: nothing is learned then, and r is 1.
+        Probabilities of the classes where they are given: nothing is learned then, and r is 1.
 
     Raises
     ------
@@ -137,8 +140,8 @@ class NoiseClasses:
                 raise ValueError(f"{name}: expected a number of samples > 1, got {getattr(self, name)!r}")
             object.__setattr__(self, name, float(getattr(self, name)))
         if self.probabilities is not None:
-            told = _checks.probabilities("probabilities", self.probabilities, scales.size)
-            object.__setattr__(self, "probabilities", tuple(told.tolist()))
+            shares = _checks.probabilities("probabilities", self.probabilities, scales.size)
+            object.__setattr__(self, "probabilities", tuple(shares.tolist()))
 
     @property
     def learns(self) -> bool:
@@ -146,7 +149,7 @@ class NoiseClasses:
         return self.probabilities is None
 
     def start(self, dim_z: int) -> Array:
-        """Return what is known before the first sample, a row for each sensor, or one for all."""
+        """Return the memory before the first sample, a row for each sensor, or one for all."""
         return np.tile(start(len(self.scales), self.probabilities), (1 if self.grouping == "joint" else dim_z, 1))
 
     def checked(self, learnt: ArrayLike, dim_z: int) -> Array:
@@ -159,22 +162,23 @@ class NoiseClasses:
                 f"sensors and measurement_scales"
             )
         K = len(self.scales)
-        known, totals = values[:, :-_TAIL], values[:, 2 + 2 * K : -_TAIL].reshape(-1, K, K).sum(axis=2)
-        if not (np.isfinite(values).all() and (known >= 0.0).all() and (known[:, 0] > 0.0).all() and totals.all()):
+        numbers, totals = values[:, :-_TAIL], values[:, _counts(K)].reshape(-1, K, K).sum(axis=2)
+        right = (numbers >= 0.0).all() and (numbers[:, R_FACTOR] > 0.0).all() and totals.all()
+        if not (np.isfinite(values).all() and right):
             raise ValueError("learnt: expected finite numbers >= 0 with r > 0, as another filter's `learnt` has them")
         if not ((values[:, _TOGETHER] >= 0.0) & (values[:, _TOGETHER] < 1.0)).all():
             raise ValueError("learnt: expected a probability below 1 that sensors fail together, as another filter has")
-        if not (values[:, [-8, -7, -4, -3]] >= 0.0).all():
+        if not (values[:, [_PARITY_VARIANCE, _PARITY_COUNT, _SCALE, _COUNT]] >= 0.0).all():
             raise ValueError(
                 "learnt: expected variances and numbers of parities and changes >= 0, as another filter has"
             )
-        if not np.allclose(values[:, 2 + K : 2 + 2 * K].sum(axis=1), 1.0):
+        if not np.allclose(values[:, last_class(K)].sum(axis=1), 1.0):
             raise ValueError("learnt: expected probabilities of the last sample's class that sum to 1")
         return values.copy()
 
 
 def start(classes: int, probabilities: Sequence[float] | None = None) -> Array:
-    """Return what is known of a sensor before the first sample."""
+    """Return the memory of a sensor before the first sample."""
     return _start(classes, None if probabilities is None else tuple(probabilities)).copy()
 
 
@@ -191,52 +195,54 @@ def _start(K: int, probabilities: tuple[float, ...] | None) -> Array:
     return np.concatenate([[1.0, _PRIOR_R], share, share, (_PRIOR_SAMPLES * share[:, None] * moves).ravel(), tail])
 
 
-def predicted(known: Array, classes: int) -> Array:
+def predicted(memory: Array, classes: int) -> Array:
     """Return the probabilities of the classes of the next sample: the chain's prediction."""
-    last, counts = _chain(known, classes)
+    last, counts = _chain(memory, classes)
     return np.asarray(last @ (counts / counts.sum(axis=1, keepdims=True)))
 
 
-def usual(known: Array, classes: int) -> Array:
+def usual(memory: Array, classes: int) -> Array:
     """Return the probabilities of the classes of the next sample, whatever the last one was; of one or many."""
-    counts = known[..., 2 + 2 * classes : -_TAIL].reshape(*known.shape[:-1], classes, classes)
+    counts = memory[..., _counts(classes)].reshape(*memory.shape[:-1], classes, classes)
     return np.asarray(counts.sum(axis=-2) / counts.sum(axis=(-2, -1))[..., None])
 
 
-def learn(known: Array, posterior: Array, r: float, excess: float, part: float, noise: NoiseClasses) -> Array:
-    """Return what is known after one sample."""
+def learn(memory: Array, posterior: Array, r: float, excess: float, part: float, noise: NoiseClasses) -> Array:
+    """Return the memory after one sample."""
     # Expectation-maximization online, with statistics that are forgotten exponentially: E[class i before, class j now]
     # = q_i A_ij p_j / sum_l q_l A_lj, with q the last sample's probabilities and A the counts over their sum. An
     # innovation of which noise is a part k tells k^2 as much of r as noise itself would (the Fisher information), and
     # counts as that.
-    K, after, begin = len(posterior), known.copy(), start(len(posterior))
+    K, after, begin = len(posterior), memory.copy(), start(len(posterior))
     ordinary = float(posterior[0])
     # A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step,
     # and it is no independent sample of white noise.
-    again = bool(np.signbit(known[-1]))
-    if not again or -known[-1] >= repeats.RARE:
+    again = bool(np.signbit(memory[_REPEATS]))
+    if not again or -memory[_REPEATS] >= repeats.RARE:
         # One sample is never forgotten, else r would reel where it can hardly be seen.
-        after[1] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (known[1] - 1.0) + ordinary * part * part
-        after[0] += ordinary * (r * (1.0 + part * excess) - known[0]) / after[1]
-        after[0] = min(max(after[0], 1e-8), 1e8)
+        after[SAMPLES] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (memory[SAMPLES] - 1.0) + ordinary * part * part
+        after[R_FACTOR] += ordinary * (r * (1.0 + part * excess) - memory[R_FACTOR]) / after[SAMPLES]
+        after[R_FACTOR] = min(max(after[R_FACTOR], 1e-8), 1e8)
     if not again:
-        after[_LESS] = max(known[_LESS] + ordinary * _for_less(part, excess), 0.0)
+        after[_LESS] = max(memory[_LESS] + ordinary * _for_less(part, excess), 0.0)
     if after[_LESS] > _LOG_LESS:
-        after[0], after[1], after[_LESS] = max(_LESS_SCALE * after[0], 1e-8), _PRIOR_R, 0.0
-    after[2 : 2 + K] += 1.0 / noise.r_memory * (posterior - known[2 : 2 + K])
-    last, counts = _chain(known, K)
+        after[R_FACTOR], after[SAMPLES] = max(_LESS_SCALE * after[R_FACTOR], 1e-8), _PRIOR_R
+        after[_LESS] = 0.0
+    after[_shares(K)] += 1.0 / noise.r_memory * (posterior - memory[_shares(K)])
+    last, counts = _chain(memory, K)
     after[_JUMPS][_OUTLIERS] += 1.0 - ordinary
-    after[_JUMPS][_CHANCE] *= 1.0 - 1.0 / min(max(known[_COUNT], 1.0), noise.memory)
+    after[_JUMPS][_CHANCE] *= 1.0 - 1.0 / min(max(memory[_COUNT], 1.0), noise.memory)
     joint = (last / counts.sum(axis=1))[:, None] * counts
     expected = joint.sum(axis=0)
     joint *= np.divide(posterior, expected, out=np.zeros(K), where=expected > 0.0)
     prior = _chain(begin, K)[1]
-    after[2 + K : 2 + 2 * K] = posterior
-    after[2 + 2 * K : -_TAIL] = (prior + (1.0 - 1.0 / noise.memory) * (counts - prior) + joint).ravel()
+    after[last_class(K)] = posterior
+    after[_counts(K)] = (prior + (1.0 - 1.0 / noise.memory) * (counts - prior) + joint).ravel()
     # Ordinary is what most samples are. (At .4 an R that is 30 times too small can stay so for 1000 samples.)
-    if K > 1 and after[2] < 0.5:
-        median = int(np.argmax(np.append(np.cumsum(after[2 : 1 + K]), 1.0) >= 0.5))
-        begin[0], begin[-_TAIL:] = after[0] * noise.scales[median], after[-_TAIL:]
+    shares = after[_shares(K)]
+    if K > 1 and shares[0] < 0.5:
+        median = int(np.argmax(np.append(np.cumsum(shares[:-1]), 1.0) >= 0.5))
+        begin[R_FACTOR], begin[-_TAIL:] = after[R_FACTOR] * noise.scales[median], after[-_TAIL:]
         return begin
     return after
 
@@ -247,14 +253,29 @@ def _for_less(part: float, excess: float) -> float:
     return -0.5 * (math.log1p(-less) + (1.0 + excess) * less / (1.0 - less))
 
 
-def _chain(known: Array, K: int) -> tuple[Array, Array]:
+def _shares(K: int) -> slice:
+    """Return where a row has the shares of the classes of late."""
+    return slice(2, 2 + K)
+
+
+def last_class(K: int) -> slice:
+    """Return where a row has the probabilities of the last sample's class."""
+    return slice(2 + K, 2 + 2 * K)
+
+
+def _counts(K: int) -> slice:
+    """Return where a row has how often each class followed each."""
+    return slice(2 + 2 * K, -_TAIL)
+
+
+def _chain(memory: Array, K: int) -> tuple[Array, Array]:
     """Return the probabilities of the last sample's class and the counts, shapes (K,) and (K, K)."""
-    return known[2 + K : 2 + 2 * K], known[2 + 2 * K : -_TAIL].reshape(K, K)
+    return memory[last_class(K)], memory[_counts(K)].reshape(K, K)
 
 
-def is_known(known: Array) -> bool:
+def is_established(memory: Array) -> bool:
     """Return whether a sensor has been read so often that its changes tell something."""
-    return bool(known[_COUNT] > _FIRST_CHANGES)
+    return bool(memory[_COUNT] > _FIRST_CHANGES)
 
 
 def jump_chances(learnt: Array, y: Array, seen: Array, noise: Array, R: Array, scales: Sequence[float]) -> Array:
@@ -280,7 +301,7 @@ def _normal(y: float, variance: Any) -> Any:
 
 
 def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, late: bool = False) -> Array:
-    """Return what is known once the candidates of the parts that some sensors see are believed, or late, long after."""
+    """Return the memory once the candidates of the parts that some sensors see are believed, or late, long after."""
     # What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump.
     learnt, K = learnt.copy(), len(noise.scales)
     prior = _chain(start(K), K)[1]
@@ -290,12 +311,12 @@ def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, late: bool 
         if began == 0.0 or not readings > _FIRST_CHANGES or counts[:, 1:].sum() > _RARE * counts.sum():
             continue
         returns = not late and readings - own[_AT] < _FIRST_CHANGES and abs(began + own[_SIZE]) < _RETURNS
-        # The mean of what the chance may be, of which nothing was known: (jumps + 1) / readings.
+        # The mean of what the chance may be, of which nothing was learned: (jumps + 1) / readings.
         each = 1.0 / min(readings, noise.memory)
         own[_CHANCE] = max(own[_CHANCE] - each, 0.0) if returns else max(own[_CHANCE], each) + each
         own[_SIZE], own[_AT] = began, readings - late * _FIRST_CHANGES
         # The run was in the classes that are likely for what it began with.
-        sizes = np.array(noise.scales) * learnt[i, 0]
+        sizes = np.array(noise.scales) * learnt[i, R_FACTOR]
         likely = counts.sum(axis=0) * np.exp(-0.5 * began**2 * (1.0 / sizes - 1.0 / sizes[-1])) / np.sqrt(sizes)
         excess = np.maximum(counts - prior, 0.0)[:, 1:]
         back = own[_OUTLIERS] * likely[1:] / likely[1:].sum()
@@ -306,7 +327,7 @@ def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, late: bool 
 
 
 def began(learnt: Array, parts: Array, y: Array, variances: Array, alone: np.ndarray, R: Array) -> tuple[Array, Array]:
-    """Return what is known once candidates have begun, and odds times density of a jump like the sensor's last one."""
+    """Return the memory once candidates have begun, and odds times density of a jump like the sensor's last one."""
     # Without its factor (2 pi)^(-1/2); 0 for a reading that repeats the one before, or that another sensor contradicts.
     learnt, odds = learnt.copy(), np.zeros(len(y))
     for i in np.flatnonzero(y):
@@ -315,7 +336,7 @@ def began(learnt: Array, parts: Array, y: Array, variances: Array, alone: np.nda
         if not R[i] > 0.0:
             continue
         own[_BEGAN], own[_OUTLIERS] = _bounded(y[i] / R[i] ** 0.5), 0.0
-        if alone[i] and not np.signbit(learnt[i, -1]):
+        if alone[i] and not np.signbit(learnt[i, _REPEATS]):
             odds[i] = _like_before(own, float(y[i]), float(variances[i]), float(R[i]))
     return learnt, odds
 
@@ -326,13 +347,13 @@ def together(learnt: Array) -> float:
 
 
 def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: NoiseClasses) -> Array:
-    """Return what is known once a sample has been weighed under both: one class for all sensors, or one for each."""
-    known, before = learnt.copy(), together(learnt)
+    """Return the memory once a sample has been weighed under both: one class for all sensors, or one for each."""
+    after, before = learnt.copy(), together(learnt)
     before += (_PRIOR_TOGETHER - before) / noise.memory
     evidence = min(max(log_together - log_apart, -_LOG_EVIDENCE), _LOG_EVIDENCE)
     odds = before / (1.0 - before) * math.exp(evidence)
-    known[:, _TOGETHER] = odds / (1.0 + odds)
-    return known
+    after[:, _TOGETHER] = odds / (1.0 + odds)
+    return after
 
 
 def ordinary_size(
@@ -345,23 +366,23 @@ def ordinary_size(
     R: Array,
     scales: Sequence[float] = SCALES,
 ) -> tuple[Array, Array]:
-    """Return r of each sensor, between what its parity and its changes allow, and what is known with this sample's."""
+    """Return r of each sensor, between what its parity and its changes allow, and the memory with this sample's."""
     # A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise
     # included. Only other sensors can tell. Where parity has a color, r is at least parity's variance over what R says
     # it is, as far as there are independent samples of it, but never raised above 1, so that an offset between two
-    # sensors leaves the R that was told.
+    # sensors leaves the R that was given.
     # Noise with a lag-one correlation c does not average out: a filter that keeps a part q of what it knew from reading
     # to reading is left with (1 + c q) / (1 - c q) times the variance that white noise leaves. It is given that r.
-    r, learnt, coloured, K = learnt[:, 0].copy(), learnt.copy(), [], len(scales)
+    r, learnt, coloured, K = learnt[:, R_FACTOR].copy(), learnt.copy(), [], len(scales)
     readings = _in_deviations(readings, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
         most = _note(learnt[own, _READINGS], float(readings[own]), _bounded(y[own] / R[own, own] ** 0.5))
         # What others contradict by more than its noise is no motion of the state, however even its changes.
-        apart = float(learnt[own, _PARITY][2])
+        apart = float(learnt[own, _PARITY_VARIANCE])
         most = max(most, apart * apart)
-        r[own], learnt[own, 0] = min(r[own], most), min(learnt[own, 0], most)
+        r[own], learnt[own, R_FACTOR] = min(r[own], most), min(learnt[own, R_FACTOR], most)
     # Whom the others can stand in for is not who has just been far off, nor one that is followed.
-    size = learnt[:, 2 + K : 2 + 2 * K] @ np.array(scales)
+    size = learnt[:, last_class(K)] @ np.array(scales)
     for i, e, part in parity(z, H, R, size * np.maximum(r, 1.0)):
         correlation, least = _note_parity(learnt[i, _PARITY], e)
         # A color is that of the sensor of whose noise a parity is made.
@@ -370,15 +391,15 @@ def ordinary_size(
             r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
             coloured.append((i, colour, correlation))
     if coloured:
-        kept = _kept(seen, r * R.diagonal())
+        left = _kept(seen, r * R.diagonal())
         for i, colour, correlation in coloured:
-            r[i] *= ((1.0 + correlation * kept[i]) / (1.0 - correlation * kept[i])) ** colour
+            r[i] *= ((1.0 + correlation * left[i]) / (1.0 - correlation * left[i])) ** colour
     return r, learnt
 
 
-def _note_parity(known: Array, e: float) -> tuple[float, float]:
-    """Note a parity, in place; return its lag-one correlation, 0 while little is known, and the least r for that."""
-    last, lag, variance, count = known.tolist()
+def _note_parity(row: Array, e: float) -> tuple[float, float]:
+    """Note a parity, in place; return its lag-one correlation, 0 of too few, and the least r for that."""
+    last, lag, variance, count = row.tolist()
     count += 1.0
     share = max(1.0 / _PARITY_MEMORY, 1.0 / count)
     if count > 6.0:
@@ -386,11 +407,11 @@ def _note_parity(known: Array, e: float) -> tuple[float, float]:
         e = min(max(e, -3.0 * variance**0.5), 3.0 * variance**0.5)
     e = min(max(e, -1e100), 1e100)
     lag, variance = lag + share * (e * last - lag), variance + share * (e * e - variance)
-    known[:] = e, lag, variance, count
+    row[:] = e, lag, variance, count
     if not (count >= _PARITY_SAMPLES and variance > 0.0):
         return 0.0, 1.0
     correlation = min(lag / variance, _MOST_COLOUR)
-    # Samples that depend on each other are worth fewer, against R as it was told, which is worth some too.
+    # Samples that depend on each other are worth fewer, against the nominal R, which is worth some too.
     worth = min(count, _PARITY_MEMORY) * (1.0 - correlation**2) / (1.0 + correlation**2)
     return correlation, min(max(variance, 1e-8), 1.0) ** (worth / (worth + _PRIOR_R))
 
@@ -409,13 +430,13 @@ def _note(row: Array, z: float, y: float) -> float:
     """Note a reading and its innovation, in place; return the most that r may be."""
     repeats.note_reading(row, z)
     repeats.note_change(row, y)
-    scale, count = row[2:4].tolist()
+    _, _, scale, count = row[:4].tolist()
     return max(1.0, scale**2 * _MOST) if count > _FIRST_CHANGES + 1.0 else math.inf
 
 
 def repeated(learnt: Array, z: Array, R: Array) -> Array:
     """Return which sensors repeat their last reading to the last bit, though they seldom do, with white noise."""
-    return repeats.again(learnt[:, _READINGS], _in_deviations(z, R), learnt[:, 0])
+    return repeats.again(learnt[:, _READINGS], _in_deviations(z, R), learnt[:, R_FACTOR])
 
 
 def _in_deviations(z: Array, R: Array) -> Array:
@@ -431,10 +452,10 @@ def _bounded(number: float) -> float:
 
 
 def left_over(learnt: Array, rest: Array, R: Array) -> Array:
-    """Return what is known, with what a correction left of each reading, z - H x."""
+    """Return the memory, with what a correction left of each reading, z - H x."""
     learnt = learnt.copy()
     for i in np.flatnonzero(R.diagonal() > 0.0):
-        learnt[i, _READINGS][0] = _bounded(rest[i] / R[i, i] ** 0.5)
+        learnt[i, _LEFT] = _bounded(rest[i] / R[i, i] ** 0.5)
     return learnt
 
 
@@ -482,10 +503,10 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
     # The standard errors hold for samples in a memory that forgets exponentially; that of the contamination counts runs
     # of outliers rather than outliers.
     K = len(scales)
-    counts = learnt[:, 2 + 2 * K : -_TAIL].reshape(-1, K, K)
+    counts = learnt[:, _counts(K)].reshape(-1, K, K)
     classes, total = counts.sum(axis=1), counts.sum(axis=(1, 2))
     share = 1.0 - classes[:, 0] / total
-    # How large outliers are is told by those that there were: the widest classes of the prior would outweigh them.
+    # How large outliers are those say that there were: the widest classes of the prior would outweigh them.
     prior = _chain(start(K), K)[1].sum(axis=0)
     outliers = np.maximum(classes - prior, 0.0)[:, 1:] + 0.01 * prior[1:]
     squares = outliers @ scales[1:] / outliers.sum(axis=1) if K > 1 else np.ones(len(learnt))
@@ -493,8 +514,8 @@ def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:
     # Correlation of one sample's indicator with the next one's.
     stay = np.clip(bad - counts[:, 0, 1:].sum(axis=1) / counts[:, 0].sum(axis=1), 0.0, 0.99)
     return LearntNoise(
-        r=learnt[:, 0].copy(),
-        r_std=learnt[:, 0] / np.sqrt(sensors * learnt[:, 1]),
+        r=learnt[:, R_FACTOR].copy(),
+        r_std=learnt[:, R_FACTOR] / np.sqrt(sensors * learnt[:, SAMPLES]),
         contamination=share,
         contamination_std=np.sqrt(share * (1.0 - share) / (total + 1.0) * (1.0 + stay) / (1.0 - stay)),
         scale_ratio=np.sqrt(squares),

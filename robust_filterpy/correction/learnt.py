@@ -1,4 +1,4 @@
-"""The correction under noise that is a mixture of classes, learned or told: one step as a pure function of arrays.
+"""The correction under noise that is a mixture of classes, learned or given: one step as a pure function of arrays.
 
 The scalar step that serves every filter (DESIGN section 2): with score a and information b of the sensor taken next,
 
@@ -6,8 +6,8 @@ The scalar step that serves every filter (DESIGN section 2): with score a and in
 
 Under class k the variance of y_i is S_ii + (s_k - 1) r R_ii: what an outlier has in excess is independent of everything
 else, correlated noises included. Its density is a mixture, a the mixture's score and b the derivative of it, which is
-the exact second moment (Masreliez 1975) and may be negative. Each copy has its own x, P, C, S, y, a, b; the
-probabilities of the classes are shared. Sensors that are told to fail together are taken at once: a is a vector, b a
+the exact second moment (Masreliez 1975) and may be negative. Each model has its own x, P, C, S, y, a, b; the
+probabilities of the classes are shared. Sensors that fail together as given are taken at once: a is a vector, b a
 matrix. Others may: with the probability that they do, as it has been learned, the classes of each sensor are those that
 the whole innovation tells, else those that its own does.
 """
@@ -21,11 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction import factor, learning
-from robust_filterpy.correction.copies import Copies, Scales
+from robust_filterpy.correction import factor, learning, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.correction.standardization import SingularInnovationError
 from robust_filterpy.correction.whitening import Inverse, singular_error, standardize
 
@@ -37,7 +36,7 @@ _LOG_2PI = math.log(2.0 * math.pi)
 _REACH = 8.0
 # And where all are weighed together.
 _TOGETHER = 1e8
-# A state that is so much less certain than a sensor's noise, in variance, is not known at all.
+# A state that is so much less certain than a sensor's noise, in variance, is unknown.
 _WIDEST = 1e12
 # What a sample is worth for a jump at most, 100 to 1: so many have to agree, however wild they are.
 _LOG_EVIDENCE = math.log(100.0)
@@ -48,12 +47,12 @@ _CANCELLED = 1e-13
 
 
 class Corrected(NamedTuple):
-    """The copies and the noise after a correction, and what has become of each component."""
+    """The models and the noise after a correction, and what has become of each component."""
 
-    copies: Copies
+    models: Models
     """Corrected."""
     memory: Array
-    """What is known of the noise, shape (g, ...), as `robust_filterpy.correction.learning` orders it."""
+    """What was learned of the noise, shape (g, ...), as `robust_filterpy.correction.learning` orders it."""
     log_density: float
     """log p(z)."""
     weights: Array
@@ -63,7 +62,7 @@ class Corrected(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """The copies while sensor after sensor is taken: x and what is left of the innovation, one Gaussian vector each."""
+    """The models while sensor after sensor is taken: x and what is left of the innovation, one Gaussian vector each."""
 
     x: Array
     """(q, n)"""
@@ -76,7 +75,7 @@ class _Part(NamedTuple):
     S: Array
     """(q, m, m)"""
     probabilities: Array
-    """Of the copies in the part that each sensor sees, (q, m)."""
+    """Of the models in the part that each sensor sees, (q, m)."""
     parts: Array
     """Which part that is, (m,)."""
 
@@ -92,14 +91,14 @@ class _Shared(NamedTuple):
 
 
 class _Scores(NamedTuple):
-    """What the classes of a group of g sensors make of its innovation, under each of q copies."""
+    """What the classes of a group of g sensors make of its innovation, under each of q models."""
 
     a: Array
     """Score, (q, g)."""
     b: Array
     """Its derivative, (q, g, g)."""
     given: Array
-    """Probabilities of the classes under each copy, (q, K)."""
+    """Probabilities of the classes under each model, (q, K)."""
     log_densities: Array
     """(q,)"""
     energies: Array
@@ -109,7 +108,7 @@ class _Scores(NamedTuple):
 
 
 def correct(
-    copies: Copies,
+    models: Models,
     memory: Array,
     z: Array,
     H: Array,
@@ -120,19 +119,19 @@ def correct(
     inv: Inverse | None = None,
     readings: Array | None = None,
 ) -> Corrected:
-    """Correct copies of a filter by one measurement and learn the noise from it."""
-    given = copies.given
+    """Correct models of a filter by one measurement and learn the noise from it."""
+    given = models.given
     if given is None or not noise.learns or noise.grouping != "component":
-        return _corrected(copies, memory, z, H, R, noise, process, M, inv, readings)[0]
+        return _corrected(models, memory, z, H, R, noise, process, M, inv, readings)[0]
     # What is learned of a sensor is in units of R; of the state's factor only what is inside here knows.
     seen = np.argmax(H != 0.0, axis=1)
     memory, root = memory.copy(), np.sqrt(given.factor)
-    memory[:, 0] /= given.factor[seen]
+    memory[:, learning.R_FACTOR] /= given.factor[seen]
     N = factor.scaled(R, given.factor[seen])
-    told, logs = _corrected(
-        copies, memory, z, H, N, noise, process, M if M is None else M * root[:, None] * root[seen], inv, readings
+    corrected, logs = _corrected(
+        models, memory, z, H, N, noise, process, M if M is None else M * root[:, None] * root[seen], inv, readings
     )
-    (copies, memory), parts = told[:2], told.copies.parts
+    (models, memory), parts = corrected[:2], corrected.models.parts
     memory = memory.copy()
     if given.looks[parts[seen[~np.isnan(logs)]].astype(int)].any():
         before = given.factor
@@ -140,20 +139,20 @@ def correct(
             given._replace(P=_limited(given.P[None], H, R.diagonal())[0]), memory[:, learning.GIVEN], z, H, R, M,
             logs, parts,
         )
-        copies, new = copies._replace(given=given), given.factor != before
+        models, new = models._replace(given=given), given.factor != before
         if new.any():
-            copies = side_by_side.begun_again(copies, given, new, process)
+            models = side_by_side.begun_again(models, given, new, process)
             memory[new[seen]] = noise.start(1)
-    memory[:, 0] *= given.factor[seen]
-    return told._replace(copies=copies, memory=memory)
+    memory[:, learning.R_FACTOR] *= given.factor[seen]
+    return corrected._replace(models=models, memory=memory)
 
 
 def _corrected(
-    copies: Copies, memory: Array, z: Array, H: Array, R: Array, noise: NoiseClasses, process: Scales,
+    models: Models, memory: Array, z: Array, H: Array, R: Array, noise: NoiseClasses, process: Scales,
     M: Array | None, inv: Inverse | None, readings: Array | None,
 ) -> tuple[Corrected, Array]:  # fmt: skip
     """Return what `correct` does with R as it is, and the log densities of the readings, shape (m,)."""
-    # Groups are taken one after the other, the most plausible first by the moments of all copies together, so that the
+    # Groups are taken one after the other, the most plausible first by the moments of all models together, so that the
     # order of the sensors in z does not matter. What H does not see says nothing, and nothing is learned from it. An
     # innovation beyond 8 standard deviations of the widest class is shortened to 8, it has no place in the model; not
     # that of a sensor without noise.
@@ -166,19 +165,19 @@ def _corrected(
         # A sensor that is stuck tells nothing of the state, nor of its noise.
         again = part[learning.repeated(memory[part], readings[part], R[np.ix_(part, part)])]
         if again.size:
-            r = memory[again, 0] * R[again, again]
-            outlier = memory[again, 2 + len(noise.scales)] < 0.5
-            again = again[outlier | side_by_side.far_off(copies, z[again], H[again], r, process)]
+            r = memory[again, learning.R_FACTOR] * R[again, again]
+            outlier = memory[again, learning.last_class(len(noise.scales)).start] < 0.5
+            again = again[outlier | side_by_side.far_off(models, z[again], H[again], r, process)]
             part, weights[again], outlying[again] = np.setdiff1d(part, again), 0.0, 1.0
     if part.size == 0:
-        return Corrected(copies, memory, 0.0, weights, outlying), logs
+        return Corrected(models, memory, 0.0, weights, outlying), logs
     z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
-    r = memory[rows, 0]
+    r = memory[rows, learning.R_FACTOR]
     groups = _groups(part, noise.grouping)
-    copies = side_by_side.coupled(copies, _links(H, R, M, groups), process)
+    models = side_by_side.coupled(models, _links(H, R, M, groups), process)
     if follows:
-        at, spread = _slow(copies, process)
+        at, spread = _slow(models, process)
         r, memory[part] = learning.ordinary_size(
             memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.scales
         )
@@ -189,18 +188,18 @@ def _corrected(
             memory[part], z - H @ at, ((H @ spread) * H).sum(axis=1), noisy, R.diagonal(), noise.scales
         )
         chances = np.maximum(chances, process.jump)
-    copies, new, believed = side_by_side.decided(copies, z, H, noisy, process, chances)
+    models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
     if alike:
         memory[part] = learning.jumped(memory[part], believed[seen], noise, late=True)
-    copies, begun = side_by_side.with_candidates(copies, z, H, noisy, process, new)
+    models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new)
     if alike:
-        memory[part], chances = learning.began(memory[part], copies.parts[seen], *begun, R.diagonal())
-    now, N = _begin(copies, z, H, R, r, M)
-    first, log_density, shared, belief = now.S, 0.0, None, copies.belief.copy()
+        memory[part], chances = learning.began(memory[part], models.parts[seen], *begun, R.diagonal())
+    now, N = _begin(models, z, H, R, r, M)
+    first, log_density, shared, belief = now.S, 0.0, None, models.belief.copy()
     if alike and len(part) > 1:
         q = len(process.scales)
         shares = now.probabilities[:q] / now.probabilities[:q].sum(axis=0)
-        # Between copies that far innovations all but equal there would be rounding.
+        # Between models that far innovations all but equal there would be rounding.
         reach = _TOGETHER * np.sqrt(np.diagonal(now.S, axis1=1, axis2=2).max(axis=0))
         innovation = side_by_side.collapse(shares, np.clip(now.y[:q], -reach, reach), now.S[:q], now.parts)
         shared = _shared(*innovation, N, memory[part], noise, inv)
@@ -210,29 +209,29 @@ def _corrected(
         S = now.S[:, group[:, None], group]
         if inv is None and (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
             raise singular_error(now.S[0], float(S[:, 0, 0].min()))
-        # What the last sample was is known to copies that were there then.
+        # What the last sample was only models know that were there then.
         before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
-        found = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, inv, joint, shared)
+        scores = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, inv, joint, shared)
         own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
         shares, log_total, logs[part[group]] = _weighed(
-            now.probabilities[:, group[0]], found.log_densities, len(process.scales), fresh, float(chances[group[0]]),
-            alike and learning.is_known(memory[own[0]]),
+            now.probabilities[:, group[0]], scores.log_densities, len(process.scales), fresh, float(chances[group[0]]),
+            alike and learning.is_established(memory[own[0]]),
         )  # fmt: skip
-        posterior = shares @ found.given
+        posterior = shares @ scores.given
         if noise.learns:
-            ordinary = shares * found.given[:, 0]
-            energies, parts = (ordinary @ a / max(float(ordinary.sum()), 1e-300) for a in found[4:])
+            ordinary = shares * scores.given[:, 0]
+            energies, parts = (ordinary @ a / max(float(ordinary.sum()), 1e-300) for a in scores[4:])
             for k, row in enumerate(own):
                 share = float(parts[k])
                 excess = (float(energies[k]) - 1.0) / share if share > 0.0 else 0.0
                 memory[row] = learning.learn(memory[row], posterior, float(r[group[k]]), excess, share, noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
-        now = _taken(now, group, found, shares)
-        belief[:-2, copies.parts == own_part] = shares[:, None]
-    corrected = Copies(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief, copies.given)
-    corrected, believed = side_by_side.settled(corrected, np.isin(copies.parts, now.parts), process)
+        now = _taken(now, group, scores, shares)
+        belief[:-2, models.parts == own_part] = shares[:, None]
+    corrected = Models(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief, models.given)
+    corrected, believed = side_by_side.settled(corrected, np.isin(models.parts, now.parts), process)
     if alike:
         memory[part] = learning.jumped(memory[part], believed[seen], noise)
     if shared is not None:
@@ -253,9 +252,9 @@ def _groups(part: np.ndarray, grouping: Grouping) -> list[np.ndarray]:
     return [group for group in together if len(group)] + [np.array([i]) for i in alone]
 
 
-def _chance(of: Any, known: Array, noise: NoiseClasses) -> Array:
+def _chance(of: Any, memory: Array, noise: NoiseClasses) -> Array:
     """Return the probabilities of the classes of a group's next sample: the mean of what its sensors know."""
-    return np.asarray(np.mean([of(row, len(noise.scales)) for row in known], axis=0))
+    return np.asarray(np.mean([of(row, len(noise.scales)) for row in memory], axis=0))
 
 
 def _links(H: Array, R: Array, M: Array | None, groups: list[np.ndarray]) -> Array:
@@ -268,37 +267,37 @@ def _links(H: Array, R: Array, M: Array | None, groups: list[np.ndarray]) -> Arr
     return np.asarray(sees.T @ together @ sees)
 
 
-def _slow(copies: Copies, process: Scales) -> tuple[Array, Array]:
-    """Return mean and covariance over the copies that have not jumped."""
+def _slow(models: Models, process: Scales) -> tuple[Array, Array]:
+    """Return mean and covariance over the models that have not jumped."""
     q = len(process.scales)
-    return side_by_side.collapse(side_by_side.slow(copies, process), copies.x[:q], copies.P[:q], copies.parts)
+    return side_by_side.collapse(side_by_side.slow(models, process), models.x[:q], models.P[:q], models.parts)
 
 
-def _shared(y: Array, S: Array, N: Array, known: Array, noise: NoiseClasses, inv: Inverse | None) -> _Shared | None:
+def _shared(y: Array, S: Array, N: Array, memory: Array, noise: NoiseClasses, inv: Inverse | None) -> _Shared | None:
     """Return what an innovation says if all sensors are in the same class: y (m,), S and ordinary noise N (m, m)."""
-    before = _chance(learning.predicted, known, noise)[None]
+    before = _chance(learning.predicted, memory, noise)[None]
     try:
-        found = _scores(y[None], S[None], N, before, noise.scales, inv)
+        scores = _scores(y[None], S[None], N, before, noise.scales, inv)
     except SingularInnovationError:
-        # Where noise drowns in what is not known of the state, each sensor still tells of it, and all together nothing.
+        # Where noise drowns in the uncertainty of the state, each sensor still tells of it, and all together nothing.
         return None
-    return _Shared(found.given[0], float(found.log_densities[0]), learning.together(known))
+    return _Shared(scores.given[0], float(scores.log_densities[0]), learning.together(memory))
 
 
-def _begin(copies: Copies, z: Array, H: Array, R: Array, r: Array, M: Array | None) -> tuple[_Part, Array]:
-    """Return the copies with their innovations, and the covariance of ordinary noise, (m, m)."""
+def _begin(models: Models, z: Array, H: Array, R: Array, r: Array, M: Array | None) -> tuple[_Part, Array]:
+    """Return the models with their innovations, and the covariance of ordinary noise, (m, m)."""
     root = np.sqrt(r)
     N = R * np.multiply.outer(root, root)
     with np.errstate(over="ignore", invalid="ignore"):
-        y = np.clip(z - copies.x @ H.T, -1e300, 1e300)
-    P = _limited(copies.P, H, N.diagonal())
+        y = np.clip(z - models.x @ H.T, -1e300, 1e300)
+    P = _limited(models.P, H, N.diagonal())
     C = P @ H.T
     S = H @ C + N
     if M is not None:
         C, cross = C + M * root, H @ (M * root)
         S = S + cross + cross.T
     seen = np.argmax(H != 0.0, axis=1)
-    return _Part(copies.x, P, y, C, S, copies.probabilities[:, seen], copies.parts[seen]), N
+    return _Part(models.x, P, y, C, S, models.probabilities[:, seen], models.parts[seen]), N
 
 
 def _limited(P: Array, H: Array, noise: Array) -> Array:
@@ -315,7 +314,7 @@ def _limited(P: Array, H: Array, noise: Array) -> Array:
 
 
 def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
-    """Return the place of the group whose farthest innovation is the smallest in standard deviations, of all copies."""
+    """Return the place of the group whose farthest innovation is the smallest in standard deviations, of all models."""
     if len(groups) == 1:
         return 0
     sensors = np.concatenate(groups)
@@ -348,27 +347,27 @@ def _scores(
     b = (given[..., None, None] * (inverses - pulls[..., :, None] * pulls[..., None, :])).sum(axis=1)
     # What is left of y under the ordinary class is noise: E[v' N^-1 v] = g + (S^-1 y)' N (S^-1 y) - tr(S^-1 N), where
     # of all the variance that S has no more than all can be noise. The terms of both are the sensors'.
-    expected, found, size = (inverses[:, 0] * N).sum(axis=2), (pulls[:, 0] @ N) * pulls[:, 0], 1
+    expected, energy, size = (inverses[:, 0] * N).sum(axis=2), (pulls[:, 0] @ N) * pulls[:, 0], 1
     if one_r:
-        expected, found, size = expected.sum(axis=1)[:, None], found.sum(axis=1)[:, None], y.shape[2]
-    excess = np.divide(found, expected, out=np.ones_like(found), where=expected > 0.0) - 1.0
+        expected, energy, size = expected.sum(axis=1)[:, None], energy.sum(axis=1)[:, None], y.shape[2]
+    excess = np.divide(energy, expected, out=np.ones_like(energy), where=expected > 0.0) - 1.0
     parts = np.minimum(expected / size, 1.0)
     energies = np.maximum(1.0 + parts * excess, 0.0)
     return _Scores(a, b + a[:, :, None] * a[:, None, :], given, peaks + np.log(totals), energies, parts)
 
 
 def _weighed(
-    probabilities: Array, log_densities: Array, q: int, fresh: bool, like_before: float, sensor_is_known: bool
+    probabilities: Array, log_densities: Array, q: int, fresh: bool, like_before: float, sensor_is_established: bool
 ) -> tuple[Array, float, float]:
-    """Return the probabilities of the copies given a group, and log p(y), as far as one is trusted and in full."""
-    # q of the copies are for scales of Q.
+    """Return the probabilities of the models given a group, and log p(y), as far as one is trusted and in full."""
+    # q of the models are for scales of Q.
     shares, log_total = _normalized(np.log(np.maximum(probabilities[:q], 1e-300)) + log_densities[:q])
     if len(probabilities) == q:
         return shares, log_total, log_total
     candidate, slow = float(probabilities[q]), np.maximum(probabilities[:q], 1e-300)
     log_total -= math.log(float(slow.sum()))
     # What tells for a jump so much tells nothing of the scale of Q.
-    if sensor_is_known and candidate > 0.0 and log_densities[q] > log_total + _LOG_TELLS:
+    if sensor_is_established and candidate > 0.0 and log_densities[q] > log_total + _LOG_TELLS:
         shares = slow / slow.sum()
     # A candidate is made to fit what it begins with, which is no evidence for it, unless that is like the jumps before.
     own = log_total if fresh else min(float(log_densities[q]), log_total + _LOG_EVIDENCE)
@@ -380,9 +379,9 @@ def _weighed(
     return np.append(slow_share * shares, jumped if candidate > 0.0 else 0.0), log_total, full
 
 
-def _taken(now: _Part, group: np.ndarray, found: _Scores, shares: Array) -> _Part:
+def _taken(now: _Part, group: np.ndarray, scores: _Scores, shares: Array) -> _Part:
     """Return what is left when a group has been taken: the step of which the head of this module speaks."""
-    C, S, (a, b) = now.C[:, :, group], now.S[:, :, group], found[:2]
+    C, S, (a, b) = now.C[:, :, group], now.S[:, :, group], scores[:2]
     bC, bS = b @ np.swapaxes(C, 1, 2), b @ np.swapaxes(S, 1, 2)
     return _Part(
         now.x + (C @ a[..., None])[..., 0],
@@ -421,8 +420,8 @@ def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
     inverses = np.array([standardize(one, "innovation", inv)[1] for one in S.reshape(-1, m, m)]).reshape(S.shape)
     values = np.linalg.eigvalsh(0.5 * (inverses + np.swapaxes(inverses, -1, -2)))
     # Directions that inv leaves out have no density.
-    kept = values > m * np.finfo(float).eps * values[..., -1:]
-    return inverses, -np.where(kept, np.log(np.where(kept, values, 1.0)), 0.0).sum(axis=-1)
+    regular = values > m * np.finfo(float).eps * values[..., -1:]
+    return inverses, -np.where(regular, np.log(np.where(regular, values, 1.0)), 0.0).sum(axis=-1)
 
 
 def _shortened(y: Array, inverses: Array) -> Array:

@@ -12,9 +12,9 @@ from typing import Any
 
 from robust_filterpy import _checks
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.correction.copies import Scales
 from robust_filterpy.correction.learning import SCALES, NoiseClasses
 from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.side_by_side import Scales
 
 __all__ = ["Contaminated", "Learnt", "Scales", "noise_classes", "noise_policy", "process_policy", "process_scales"]
 

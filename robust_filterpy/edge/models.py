@@ -11,9 +11,9 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.copies import start as start_of_copies
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.policies import process_scales
+from robust_filterpy.correction.side_by_side import start as start_of_models
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
@@ -22,7 +22,7 @@ from robust_filterpy.kernel.series import JOINT_MOST, rule
 
 # Rounding that a symmetric matrix may have gathered.
 _SLACK: Final = 1e-12
-# Numbers of a rule before its scales: copies, classes, stay, jump, two memories, whether it learns.
+# Numbers of a rule before its scales: models, classes, stay, jump, two memories, whether it learns.
 _HEAD = 9
 # What a subclass may not do in its own way; `predict_x` is the motion, which is a function in C.
 _METHODS = ("predict", "update", "_checked", "_correct", "_corrected", "_keep", "_skip")
@@ -118,20 +118,20 @@ def _mixture(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _
     n, m, numbers = len(x), kf.dim_z, kf.policy.rule
     q, K = int(numbers[0]), int(numbers[1])
     process, scales, begin = np.split(numbers[_HEAD:], [q, q + K])
-    # One copy, which is x and P themselves, is not kept apart.
-    one = start_of_copies(x.ravel(), P, process_scales(None)).packed
+    # One model, which is x and P themselves, is not kept apart.
+    one = start_of_models(x.ravel(), P, process_scales(None)).packed
     state: dict[str, Any] = dict(zip(("means", "covariances", "belief"), one, strict=True)) | kf.state()
-    copies = len(state["means"])
+    models = len(state["means"])
     for covariance in (P, *state["covariances"]):
         symmetric("P", covariance)
     # As they stand: what is symmetric but for the last bit has to go on as it would in Python.
     start = {
-        "x": _checks.finite("x", x.ravel(), (n,)), "P": P, "means": _checks.finite("x", state["means"], (copies, n)),
+        "x": _checks.finite("x", x.ravel(), (n,)), "P": P, "means": _checks.finite("x", state["means"], (models, n)),
         "covariances": np.concatenate(state["covariances"]), "belief": state["belief"].ravel(),
         "memory": _checks.finite("memory", _sensor_memory(kf, "learnt"), (m, len(begin))),
     }  # fmt: skip
     values = {
-        "copies": copies, "parts": len(state["belief"]), "width": len(begin), "q": q, "K": K, "learns": "",
+        "copies": models, "parts": len(state["belief"]), "width": len(begin), "q": q, "K": K, "learns": "",
         "process": _listed(process), "scales": _listed(scales), "begin": _listed(begin),
         "numbers": _listed(numbers[2:6]), "adapts": int(numbers[6]), "influence_fields": "",
     }  # fmt: skip

@@ -25,9 +25,7 @@ from scipy.linalg import block_diag
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction import spread
-from robust_filterpy.correction.copies import Copies, Scales
+from robust_filterpy.correction import side_by_side, spread
 from robust_filterpy.correction.definition import (
     Innovation,
     correct,
@@ -35,7 +33,7 @@ from robust_filterpy.correction.definition import (
     innovation_moments,
     nothing_observed,
 )
-from robust_filterpy.correction.learning import NoiseClasses, describe, usual
+from robust_filterpy.correction.learning import R_FACTOR, NoiseClasses, describe, usual
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import (
     Contaminated,
@@ -46,6 +44,7 @@ from robust_filterpy.correction.policies import (
     process_scales,
 )
 from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.correction.standardization import ordered_scaling
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_refused, watched
@@ -81,9 +80,9 @@ class Carried(NamedTuple):
     """Shape (n, n)."""
 
     @property
-    def hypotheses(self) -> Copies:
+    def hypotheses(self) -> Models:
         """The models alone."""
-        return Copies.unpacked(*self[:3])
+        return Models.unpacked(*self[:3])
 
 
 @dataclass(frozen=True)
@@ -314,7 +313,7 @@ class Mixture:
         belief[:scales] = side_by_side.slow(now, self.scales)
         x, P = x.copy(), P.copy()
         given = now.given and now.given._replace(x=x, P=P)
-        tiled = Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given)
+        tiled = Models(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given)
         return Carried(*side_by_side.coupled(tiled, P, self.scales).packed, x, P)
 
     def predicted(
@@ -335,7 +334,7 @@ class Mixture:
         # Raises where H x is not finite.
         finite_product(H, x)
         last, *merged = half_step.correct(prior.hypotheses, before.memory, z, H, R, self.classes, self.scales, M, inv)
-        after = Carried(*last.copies.packed, *merged)
+        after = Carried(*last.models.packed, *merged)
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory)
             return nothing_observed(x, P, H.dot(P).dot(H.T) + ordinary, len(H)), before.carried
@@ -369,8 +368,8 @@ class Mixture:
             ordinary = ordinary_noise(R, before.memory) + unexplained
             return nothing_observed(x, P, H @ P @ H.T + ordinary, m), before.carried
         # What F P F' leaves of asymmetry would grow where F does.
-        covariance = last.copies.P[0, :n, :n]
-        mean, covariance = x + last.copies.x[0, :n], 0.5 * (covariance + covariance.T)
+        covariance = last.models.P[0, :n, :n]
+        mean, covariance = x + last.models.x[0, :n], 0.5 * (covariance + covariance.T)
         return Mixed(
             mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory,
             lags(y, (H.dot(P) * H).sum(axis=1) + (ordinary_noise(R, before.memory) + unexplained).diagonal()),
@@ -395,7 +394,7 @@ class Mixture:
 
     def factors(self, memory: Array) -> Array:
         """Return what a sensor's ordinary noise is over R, in variance, as learned."""
-        return np.asarray(memory[:, 0])
+        return np.asarray(memory[:, R_FACTOR])
 
     def contamination(self, memory: Array) -> Array:
         """Return the share of outliers of each sensor, as learned."""
@@ -486,7 +485,8 @@ class Mixed(NamedTuple):
         if self.curvature is not None:
             R = R + self.curvature
         # A noise that is larger by a factor keeps its correlation with the state.
-        C, S = innovation_moments(self.prior_P, self.H, R, None if M is None else M * np.sqrt(self.before[:, 0]))
+        M = None if M is None else M * np.sqrt(self.before[:, R_FACTOR])
+        C, S = innovation_moments(self.prior_P, self.H, R, M)
         y = np.where(np.isnan(self.weights), np.nan, self.z - self.H.dot(self.prior_x))
         part = np.flatnonzero(y == y)
         y = np.where(np.isnan(y), 0.0, y)
@@ -521,8 +521,8 @@ def lags(y: Array, variances: Array) -> Array:
 def ordinary_noise(R: Array, memory: Array) -> Array:
     """Return the covariance of ordinary noise for an R that was given, memory a row for each sensor or one for all."""
     if len(memory) == 1:
-        return np.asarray(R * memory[0, 0])
-    r = np.sqrt(memory[: len(R), 0])
+        return np.asarray(R * memory[0, R_FACTOR])
+    r = np.sqrt(memory[: len(R), R_FACTOR])
     return np.asarray(R * np.multiply.outer(r, r))
 
 

@@ -16,7 +16,7 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
 from robust_filterpy._state import widened
-from robust_filterpy.correction import copies
+from robust_filterpy.correction import side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
@@ -160,7 +160,7 @@ def began(policy: Any, given: SeriesArguments, learnt: ArrayLike | None) -> dict
         stands["spread"] = np.tile(policy.begin(m), (series, 1, 1))
     if is_mixture and policy.scales.count > 1:
         patterns, which = np.unique(given.P != 0.0, axis=0, return_inverse=True)
-        beliefs = [copies.start(np.zeros(n), pattern, policy.scales).packed[2] for pattern in patterns]
+        beliefs = [side_by_side.start(np.zeros(n), pattern, policy.scales).packed[2] for pattern in patterns]
         rows = policy.scales.rows
         stands |= {
             "means": np.repeat(given.x[:, None], rows, axis=1),
@@ -190,7 +190,7 @@ def continued(policy: Any, given: SeriesArguments, state: Mapping[str, Any]) -> 
             )
         stands[name] = value
     if "belief" in stands:
-        copies.require_belief("state['belief']", stands["belief"], policy.scales)
+        side_by_side.require_belief("state['belief']", stands["belief"], policy.scales)
     if "learnt" in stands:
         stands["learnt"] = _learnt(policy.classes, stands["learnt"], len(given.x), given.z.shape[2])
     if not np.isfinite(stands.get("spread", 0.0)).all():

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.copies import slow
 from robust_filterpy.correction.learning import LearntNoise, describe
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.side_by_side import slow
 from robust_filterpy.correction.spread import NUMBERS, SPREAD, WEIGHT
 from robust_filterpy.filters._insistence import Insistence
 from robust_filterpy.filters.policies import Bounded, Mixture, Prior, ordinary_noise

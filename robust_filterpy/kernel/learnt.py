@@ -9,11 +9,10 @@ import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction import learning, learnt
-from robust_filterpy.correction.copies import Copies, Scales
+from robust_filterpy.correction import learning, learnt, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
+from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.kernel.series import Rows, State, plain
 
@@ -25,7 +24,7 @@ PREDICTION, CORRECTION, BOTH = 1, 2, 3
 
 @lru_cache(maxsize=64)
 def rule(noise: NoiseClasses, process: Scales) -> Array:
-    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, what is known at first, and who fails
+    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, the memory at first, and who fails
     with whom.
     """
     drawn = () if process.probabilities is None else process.probabilities
@@ -36,14 +35,14 @@ def rule(noise: NoiseClasses, process: Scales) -> Array:
         len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,
         len(drawn) > 0, named,
     ]  # fmt: skip
-    known = learning.start(len(noise.scales), noise.probabilities)
-    return np.array([*head, *process.scales, *noise.scales, *known, *drawn, *(leads.get(i, i) for i in range(named))])
+    start = learning.start(len(noise.scales), noise.probabilities)
+    return np.array([*head, *process.scales, *noise.scales, *start, *drawn, *(leads.get(i, i) for i in range(named))])
 
 
-def begin(copies: Copies, memory: Array) -> State:
+def begin(models: Models, memory: Array) -> State:
     """Return copies of the arrays as a state, with room for the mean and the covariance of all."""
-    n = copies.x.shape[1]
-    x, P, belief = copies.packed
+    n = models.x.shape[1]
+    x, P, belief = models.packed
     return State(x.copy(), P.copy(), belief.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)))
 
 
@@ -71,20 +70,20 @@ def run(
 
 
 def predict(
-    copies: Copies, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
-) -> tuple[Copies, Array, Array]:
-    """Predict copies of a filter: `robust_filterpy.correction.copies.predict`."""
+    models: Models, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
+) -> tuple[Models, Array, Array]:
+    """Predict models of a filter: `robust_filterpy.correction.side_by_side.predict`."""
     n = len(F)
-    state = begin(copies, _SENSOR)
+    state = begin(models, _SENSOR)
     model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
     if run(state, np.full((1, 1), np.nan), model, _NOISE, process, Rows(), alpha_sq=alpha_sq, which=PREDICTION):
-        return Copies.unpacked(*state[:3]), state.x, state.P
-    moved = side_by_side.predict(copies, F, Q, process, Bu, alpha_sq)
+        return Models.unpacked(*state[:3]), state.x, state.P
+    moved = side_by_side.predict(models, F, Q, process, Bu, alpha_sq)
     return moved, *side_by_side.merged(moved, process)
 
 
 def correct(
-    copies: Copies,
+    models: Models,
     memory: Array,
     z: Array,
     H: Array,
@@ -95,18 +94,19 @@ def correct(
     inv: Inverse | None = None,
     readings: Array | None = None,
 ) -> tuple[Corrected, Array, Array]:
-    """Correct copies of a filter by one measurement: `robust_filterpy.correction.learnt.correct`."""
+    """Correct models of a filter by one measurement: `robust_filterpy.correction.learnt.correct`."""
     if inv is None:
-        (m, n), state = H.shape, begin(copies, memory)
+        (m, n), state = H.shape, begin(models, memory)
         weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
         model = (_nothing(n), _nothing(n), H[None], R[None], None)
         into = Rows(weights=weights, outlying=outlying, log_likelihood=likelihood)
         said = None if readings is None else readings[None]
         if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said, M=M):
-            found = Corrected(Copies.unpacked(*state[:3]), state.learnt, float(likelihood[0]), weights[0], outlying[0])
-            return found, state.x, state.P
-    found = learnt.correct(copies, memory, z, H, R, noise, process, M, inv, readings)
-    return found, *side_by_side.merged(found.copies, process)
+            after = Models.unpacked(*state[:3])
+            corrected = Corrected(after, state.learnt, float(likelihood[0]), weights[0], outlying[0])
+            return corrected, state.x, state.P
+    corrected = learnt.correct(models, memory, z, H, R, noise, process, M, inv, readings)
+    return corrected, *side_by_side.merged(corrected.models, process)
 
 
 #: A prediction tells nothing of noise.

@@ -96,7 +96,7 @@ def scaled(covariance: Array, logs: Array) -> Array:
 
 def log_likelihoods(data: Problem, logs_R: Array, logs_Q: Array, share: Array, ratio: Array) -> Array:
     """Return the log-likelihood of the recording for each of p candidates, which advance together."""
-    # Each step merges two hypotheses, ordinary or outlier, by moments: what `correction.copies` does for one filter,
+    # Each step merges two hypotheses, ordinary or outlier, by moments: `correction.side_by_side` for one filter,
     # for many noise models at once. The candidates are the last axis of every array, which numpy is quickest with.
     p, n = len(share), len(data.x)
     F, Q, Bu = (np.broadcast_to(a, (len(data.zs), *a.shape[1:])) for a in (data.F, data.Q, data.Bu))

@@ -147,7 +147,7 @@ def is_run(source: Any) -> bool:
     return all(hasattr(source, name) for name in ("theta", "std", "residual", "weights"))
 
 
-def kept(saver: Any, name: str) -> Array:
+def recorded(saver: Any, name: str) -> Array:
     """Return a column of a Saver, shape (N, size), or say what it lacks."""
     values = saver.__dict__.get(name)
     if values is None or not len(values):
@@ -175,7 +175,7 @@ def mean_and_deviation(source: Any, covariances: Any) -> tuple[Array, Array | No
         # No band where nothing is estimated yet.
         return np.asarray(source.theta), np.where(np.isfinite(std), std, np.nan)
     if is_saver(source):
-        mean, covariance = kept(source, "x"), kept(source, "P")
+        mean, covariance = recorded(source, "x"), recorded(source, "P")
         return mean, deviation("P", covariance.reshape(len(mean), mean.shape[1], -1), mean.shape[1])
     mean = rows("source", source)
     return mean, None if covariances is None else deviation("covariances", covariances, mean.shape[1], len(mean))

@@ -125,11 +125,11 @@ def plot_innovations(
         y, covariances, clipped = np.asarray(source.residual)[:, None], None, np.asarray(source.weights) < 1.0
         label = "weight below 1"
     elif is_saver(source):
-        y, there = style.kept(source, "y"), source.__dict__
-        clipped = style.kept(source, "clipped") if "clipped" in there else None
+        y, there = style.recorded(source, "y"), source.__dict__
+        clipped = style.recorded(source, "clipped") if "clipped" in there else None
         if "weights" in there:
-            y = np.where(np.isnan(style.kept(source, "weights")), np.nan, y)
-        covariances = style.kept(source, "S").reshape(len(y), y.shape[1], -1)
+            y = np.where(np.isnan(style.recorded(source, "weights")), np.nan, y)
+        covariances = style.recorded(source, "S").reshape(len(y), y.shape[1], -1)
     else:
         y = style.rows("source", source)
     marked = np.zeros(y.shape, bool) if clipped is None else style.rows("clipped", clipped) > 0
@@ -177,7 +177,7 @@ def plot_weights(
     if style.is_run(source):
         weights = np.asarray(source.weights)[:, None]
     elif is_saver(source):
-        weights = style.kept(source, "weights")
+        weights = style.recorded(source, "weights")
     else:
         weights = style.rows("source", source)
     time = style.time(t, len(weights), source)

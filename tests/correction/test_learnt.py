@@ -10,8 +10,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.stats import multivariate_normal
 from support import random_problem, spd
 
-from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction.copies import Copies, Scales, collapse
+from robust_filterpy.correction import side_by_side
 from robust_filterpy.correction.learning import (
     NoiseClasses,
     describe,
@@ -25,6 +24,7 @@ from robust_filterpy.correction.learning import (
     weigh_together,
 )
 from robust_filterpy.correction.learnt import _inverted, correct
+from robust_filterpy.correction.side_by_side import Models, Scales, collapse
 from robust_filterpy.correction.spread import NUMBERS
 
 TRUSTED = Scales((1.0,), jump=0.0)
@@ -58,8 +58,8 @@ def test_one_sensor_under_a_told_mixture_has_the_moments_of_the_posterior(y):
         for p in range(3)
     )
     found = correct(one([0.0], [[P]]), noise.start(1), np.array([y]), np.eye(1), R * np.eye(1), noise, TRUSTED)
-    assert found.copies.x.item() == pytest.approx(first / mass, rel=1e-7, abs=1e-10)
-    assert found.copies.P.item() == pytest.approx(second / mass - (first / mass) ** 2, rel=1e-7)
+    assert found.models.x.item() == pytest.approx(first / mass, rel=1e-7, abs=1e-10)
+    assert found.models.P.item() == pytest.approx(second / mass - (first / mass) ** 2, rel=1e-7)
     assert found.log_density == pytest.approx(np.log(mass), rel=1e-7)
     np.testing.assert_array_equal(found.memory, noise.start(1))
     learnt = NoiseClasses(scales=(1.0,))
@@ -80,8 +80,8 @@ def test_sensors_with_correlated_noise_tell_of_each_other():
     R, M = np.sqrt(np.outer(r, r)) * problem.R, 0.5 * np.sqrt(r) * problem.M
     found = correct(one(x, P), memory, z, H, problem.R, noise, TRUSTED, 0.5 * problem.M)
     S, C, y = H @ P @ H.T + R + H @ M + (H @ M).T, P @ H.T + M, z - H @ x
-    assert_allclose(found.copies.x[0], x + C @ np.linalg.solve(S, y), rtol=1e-8)
-    assert_allclose(found.copies.P[0], P - C @ np.linalg.solve(S, C.T), rtol=1e-7, atol=1e-10)
+    assert_allclose(found.models.x[0], x + C @ np.linalg.solve(S, y), rtol=1e-8)
+    assert_allclose(found.models.P[0], P - C @ np.linalg.solve(S, C.T), rtol=1e-7, atol=1e-10)
     assert found.log_density == pytest.approx(multivariate_normal.logpdf(y, cov=S))
 
 
@@ -95,8 +95,8 @@ def test_the_excess_of_an_outlier_is_independent_of_everything_else():
     assert_allclose(found.outlier_probabilities, [1.0, 0.0], atol=0.1)
     sure = NoiseClasses(scales=(1.0, 1.0 + 1e-12), probabilities=(0.5, 0.5))
     exact = correct(one(np.zeros(3), P), sure.start(2), y, H, R + np.diag([99.0, 0.0]), sure, TRUSTED)
-    assert_allclose(exact.copies.x[0], P @ H.T @ np.linalg.solve(S, y), rtol=1e-8)
-    assert_allclose(found.copies.x[0], exact.copies.x[0], rtol=0.15, atol=0.05)
+    assert_allclose(exact.models.x[0], P @ H.T @ np.linalg.solve(S, y), rtol=1e-8)
+    assert_allclose(found.models.x[0], exact.models.x[0], rtol=0.15, atol=0.05)
 
 
 @pytest.mark.parametrize("grouping", ["joint", ((0, 1),), ((1, 0), (2,))])
@@ -116,8 +116,8 @@ def test_sensors_that_fail_together_are_one_vector(grouping):
     mean, covariance = collapse(
         np.tile(np.array(weights)[:, None] / sum(weights), 3), np.array(means), np.array(covariances), np.zeros(3)
     )
-    assert_allclose(found.copies.x[0], mean, rtol=1e-9)
-    assert_allclose(found.copies.P[0], covariance, rtol=1e-8, atol=1e-11)
+    assert_allclose(found.models.x[0], mean, rtol=1e-9)
+    assert_allclose(found.models.P[0], covariance, rtol=1e-8, atol=1e-11)
     assert found.log_density == pytest.approx(np.log(sum(weights)))
 
 
@@ -128,18 +128,18 @@ def test_a_wild_sensor_is_looked_at_last_wherever_it_stands():
     other = correct(*args, np.array([0.3, -0.2, 25.0]), H, R, noise, TRUSTED)
     assert_allclose(found.outlier_probabilities, other.outlier_probabilities[[2, 0, 1]])
     assert found.outlier_probabilities[0] > 0.99 and found.outlier_probabilities[1:].max() < 0.1
-    assert_allclose(found.copies.x, other.copies.x)
+    assert_allclose(found.models.x, other.models.x)
 
 
 def test_nothing_that_is_passed_is_changed():
     rng = np.random.default_rng(4)
     problem, noise, process = random_problem(4, 3, 2), NoiseClasses(), Scales()
-    copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2)
-    copies = side_by_side.predict(copies, problem.F, problem.Q, process)
-    before = [np.copy(a) for a in (*copies.packed, memory)]
-    found = correct(copies, memory, rng.normal(size=2) + 40.0, problem.H, problem.R, noise, process)
-    side_by_side.predict(found.copies, problem.F, problem.Q, process), side_by_side.merged(found.copies, process)
-    for was, now in zip(before, (*copies.packed, memory), strict=True):
+    models, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2)
+    models = side_by_side.predict(models, problem.F, problem.Q, process)
+    before = [np.copy(a) for a in (*models.packed, memory)]
+    found = correct(models, memory, rng.normal(size=2) + 40.0, problem.H, problem.R, noise, process)
+    side_by_side.predict(found.models, problem.F, problem.Q, process), side_by_side.merged(found.models, process)
+    for was, now in zip(before, (*models.packed, memory), strict=True):
         np.testing.assert_array_equal(was, now)
 
 
@@ -178,14 +178,14 @@ def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_neve
 def test_a_sensor_whose_noise_hides_in_the_motion_is_learnt_beside_one_that_takes_turns_with_it():
     """Sigma 5 and .1, told 1, steps of .3: were each sample counted as one, the better r would still be at .13."""
     rng, noise, process = np.random.default_rng(3), NoiseClasses(), Scales((1.0,), jump=0.0)
-    copies, memory, x = one([0.0], [[1.0]]), noise.start(2), 0.0
+    models, memory, x = one([0.0], [[1.0]]), noise.start(2), 0.0
     for k in range(400):
         x += 0.3 * rng.standard_normal()
         z = np.array([x, np.nan]) + 0.1 * rng.standard_normal()
         if k % 2:
             z = np.array([np.nan, x]) + 5.0 * rng.standard_normal()
-        copies = side_by_side.predict(copies, np.eye(1), 0.09 * np.eye(1), process)
-        copies, memory = correct(copies, memory, z, np.ones((2, 1)), np.eye(2), noise, process)[:2]
+        models = side_by_side.predict(models, np.eye(1), 0.09 * np.eye(1), process)
+        models, memory = correct(models, memory, z, np.ones((2, 1)), np.eye(2), noise, process)[:2]
     assert memory[0, 0] < 0.08 and 10.0 < memory[1, 0] < 45.0
 
 
@@ -260,18 +260,18 @@ def test_coloured_noise_is_weighed_as_white_noise_that_leaves_a_filter_as_uncert
 def test_whether_sensors_fail_together_is_learnt_and_then_they_are_judged_together():
     rng, F, H, R = np.random.default_rng(3), np.eye(1), np.ones((3, 1)), np.eye(3)
     for alike, expected in ((True, 1.0), (False, 0.0)):
-        copies, memory = side_by_side.start(np.zeros(1), np.eye(1), TRUSTED), NoiseClasses().start(3)
+        models, memory = side_by_side.start(np.zeros(1), np.eye(1), TRUSTED), NoiseClasses().start(3)
         for _ in range(300):
             sizes = np.where(rng.random(1 if alike else 3) < 0.1, 10.0, 1.0)
-            copies = side_by_side.predict(copies, F, 1e-2 * F, TRUSTED)
-            found = correct(copies, memory, sizes * rng.normal(size=3), H, R, NoiseClasses(), TRUSTED)
-            copies, memory = found.copies, found.memory
+            models = side_by_side.predict(models, F, 1e-2 * F, TRUSTED)
+            found = correct(models, memory, sizes * rng.normal(size=3), H, R, NoiseClasses(), TRUSTED)
+            models, memory = found.models, found.memory
         assert together(memory) == pytest.approx(expected, abs=0.05)
         # Readings that are ordinary one by one, and impossible if they are so together.
         z = np.array([1.5, 0.2, -9.0])
-        copies = side_by_side.predict(copies, F, 1e-2 * F, TRUSTED)
-        outlying = correct(copies, memory, z, H, R, NoiseClasses(), TRUSTED).outlier_probabilities
-        named = correct(copies, memory, z, H, R, NoiseClasses(grouping=((0, 1, 2),)), TRUSTED).outlier_probabilities
+        models = side_by_side.predict(models, F, 1e-2 * F, TRUSTED)
+        outlying = correct(models, memory, z, H, R, NoiseClasses(), TRUSTED).outlier_probabilities
+        named = correct(models, memory, z, H, R, NoiseClasses(grouping=((0, 1, 2),)), TRUSTED).outlier_probabilities
         assert named.min() > 0.9 and outlying[2] > 0.9
         assert (np.abs(outlying - named) < 0.1).all() if alike else (outlying[:2] < 0.1).all()
 
@@ -312,14 +312,14 @@ def test_collapse_has_the_moments_of_a_sample():
 
 
 def test_copies_mix_as_the_scale_changes():
-    """Two copies, one step, by the law of total probability."""
+    """Two models, one step, by the law of total probability."""
     process = Scales((1.0, 9.0), dwell=4.0, jump=0.0)
-    copies = Copies(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[3.0]]]), np.array([[0.6], [0.4], [0.0], [0.0]]))
-    found = side_by_side.predict(copies, np.array([[2.0]]), np.eye(1), process)
+    models = Models(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[3.0]]]), np.array([[0.6], [0.4], [0.0], [0.0]]))
+    found = side_by_side.predict(models, np.array([[2.0]]), np.eye(1), process)
     joint = np.array([0.6, 0.4])[:, None] * np.array([[0.75, 0.25], [0.25, 0.75]])
     assert_allclose(found.probabilities[:, 0], joint.sum(axis=0))
     for j, scale in enumerate(process.scales):
-        mean, covariance = collapse(joint[:, j, None] / joint[:, j].sum(), copies.x, copies.P, np.zeros(1))
+        mean, covariance = collapse(joint[:, j, None] / joint[:, j].sum(), models.x, models.P, np.zeros(1))
         assert_allclose(found.x[j], 2.0 * mean)
         assert_allclose(found.P[j], 4.0 * covariance + scale)
 
@@ -327,12 +327,12 @@ def test_copies_mix_as_the_scale_changes():
 def following(zs, jump, x0=0.0):
     """The state of a random walk's filter after each sample."""
     noise, process = NoiseClasses(), Scales(jump=jump)
-    copies, memory, path = side_by_side.start(np.array([x0]), np.eye(1), process), noise.start(1), []
+    models, memory, path = side_by_side.start(np.array([x0]), np.eye(1), process), noise.start(1), []
     for z in zs:
-        copies = side_by_side.predict(copies, np.eye(1), 0.01 * np.eye(1), process)
-        found = correct(copies, memory, np.array([z]), np.eye(1), np.eye(1), noise, process)
-        copies, memory = found.copies, found.memory
-        path.append(side_by_side.merged(copies, process)[0].item())
+        models = side_by_side.predict(models, np.eye(1), 0.01 * np.eye(1), process)
+        found = correct(models, memory, np.array([z]), np.eye(1), np.eye(1), noise, process)
+        models, memory = found.models, found.memory
+        path.append(side_by_side.merged(models, process)[0].item())
     return np.array(path)
 
 

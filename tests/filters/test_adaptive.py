@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from support import TOLD, cart, make, random_problem, simulate, through, with_, without_kernel
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
-from robust_filterpy.correction import Scales, copies
+from robust_filterpy.correction import Scales, side_by_side
 from robust_filterpy.correction.spread import NUMBERS
 
 # How probable the classes are before anything has been seen.
@@ -301,8 +301,8 @@ def test_sensors_next_to_without_noise_are_believed_wherever_the_start_is(noise,
 @pytest.mark.parametrize("name, spoilt, match", [
     ("learnt", lambda a: -a, "learnt: expected finite numbers >= 0"),
     ("learnt", lambda a: 2.0 * a, "learnt: expected probabilities"),
-    ("belief", lambda a: a - 1.0, "state: belief: expected probabilities >= 0 of the copies that sum to 1"),
-    ("belief", lambda a: 0.0 * a, "state: belief: expected probabilities >= 0 of the copies that sum to 1"),
+    ("belief", lambda a: a - 1.0, "state: belief: expected probabilities >= 0 of the models that sum to 1"),
+    ("belief", lambda a: 0.0 * a, "state: belief: expected probabilities >= 0 of the models that sum to 1"),
     ("belief", lambda a: np.vstack((a[:6], a[6:] + 7.0)), "state: belief: expected a chance of a jump"),
     ("belief", lambda a: np.vstack((a[:7], a[7:] + 1.0)), "state: belief: expected the first state of each"),
 ])  # fmt: skip
@@ -551,12 +551,12 @@ def test_parts_that_contradict_each_other_utterly_become_one_all_the_same(path):
     kf.predict()
     assert np.isfinite(kf.x).all() and np.isfinite(kf.P).all()
     np.testing.assert_allclose(kf.process_probabilities.sum(axis=0), 1.0)
-    # Coupled at once, before a step has mixed the copies.
+    # Coupled at once, before a step has mixed the models.
     n, scales = 200, Scales()
-    many = copies.start(np.zeros(n), np.eye(n), scales)
+    many = side_by_side.start(np.zeros(n), np.eye(n), scales)
     many.belief[:5] = 1e-6
     many.belief[np.arange(n) % 5, np.arange(n)] = 1.0
-    one = copies.coupled(many, np.ones((n, n)), scales)
+    one = side_by_side.coupled(many, np.ones((n, n)), scales)
     np.testing.assert_allclose(one.belief[:6].sum(axis=0), 1.0)
 
 

@@ -7,10 +7,10 @@ from scipy.signal import lfilter
 from support import random_problem, simulate, with_
 
 from robust_filterpy import kernel
-from robust_filterpy.correction import copies as side_by_side
-from robust_filterpy.correction.copies import Scales
+from robust_filterpy.correction import side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import correct
+from robust_filterpy.correction.side_by_side import Scales
 from robust_filterpy.kernel.learnt import Rows, begin, run
 
 pytestmark = pytest.mark.skipif(not hasattr(kernel.extension(), "learnt_steps"), reason="the kernel is not built")
@@ -36,11 +36,11 @@ def recording(seed, dims, steps=60, diagonal=False):
     return problem, zs
 
 
-def alive(copies):
-    """The copies, without what a candidate was that is none."""
-    seen = copies.probabilities > 0.0
-    given = () if copies.given is None else copies.given
-    return copies.x[seen], copies.P[seen[:, :, None] & seen[:, None]], copies.belief, *given
+def alive(models):
+    """The models, without what a candidate was that is none."""
+    seen = models.probabilities > 0.0
+    given = () if models.given is None else models.given
+    return models.x[seen], models.P[seen[:, :, None] & seen[:, None]], models.belief, *given
 
 
 @pytest.mark.parametrize("noise, process", OPTIONS)
@@ -54,21 +54,21 @@ def test_every_step_is_the_definitions(noise, process, seed, dims):
 def compare(problem, zs, noise, process, passed=(), M=None, states=None, rounding_of_P=1e-10):
     """Take every step by both, some with an H of its own; return the weights, and what is known at the end."""
     F, Q, R, m = problem.F, problem.Q, problem.R, zs.shape[1]
-    copies, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
-    state = begin(copies, memory)
+    models, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
+    state = begin(models, memory)
     rows = Rows(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), m)), log_likelihood=np.zeros(1))
     total = 0.0
     for k, z in enumerate(zs):
         H = dict(passed).get(k, problem.H)
-        copies = side_by_side.predict(copies, F, Q, process)
-        found = correct(copies, memory, z, H, R, noise, process, M)
-        copies, memory, total = found.copies, found.memory, total + found.log_density
+        models = side_by_side.predict(models, F, Q, process)
+        found = correct(models, memory, z, H, R, noise, process, M)
+        models, memory, total = found.models, found.memory, total + found.log_density
         model = F[None], Q[None], H[None], R[None], None
         assert run(state, zs, model, noise, process, rows, first=k, last=k + 1, M=M)
-        ours = side_by_side.Copies.unpacked(*state[:3])
+        ours = side_by_side.Models.unpacked(*state[:3])
         pairs = [
-            *zip(alive(copies), alive(ours), strict=True), (memory, state.learnt), (total, rows.log_likelihood[0]),
-            (found.weights, rows.weights[k]), *zip(side_by_side.merged(copies, process), state[4:6], strict=True),
+            *zip(alive(models), alive(ours), strict=True), (memory, state.learnt), (total, rows.log_likelihood[0]),
+            (found.weights, rows.weights[k]), *zip(side_by_side.merged(models, process), state[4:6], strict=True),
             (found.outlier_probabilities, rows.outlying[k]),
         ]  # fmt: skip
         for i, (theirs, mine) in enumerate(pairs):
@@ -77,7 +77,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
             rounding = rounding_of_P if i == 1 else 1e-10
             np.testing.assert_allclose(mine, theirs, rtol=1e-8, atol=rounding * size)
     if states is not None:
-        states.append(copies.given)
+        states.append(models.given)
     return rows.weights, memory
 
 
@@ -148,8 +148,8 @@ def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
         {"R": np.zeros((2, 2)), "H": np.ones((2, 3))}, {"P": 1e20 * np.eye(3)},
         {"F": np.full((3, 3), np.nan)}, {"zs": np.full_like(zs, np.inf)},
     ):  # fmt: skip
-        copies = side_by_side.start(problem.x[:, 0], spoilt.get("P", problem.P), process)
-        state = begin(copies, noise.start(2))
+        models = side_by_side.start(problem.x[:, 0], spoilt.get("P", problem.P), process)
+        state = begin(models, noise.start(2))
         before = [a.copy() for a in state]
         model = tuple(spoilt.get(name, getattr(problem, name))[None] for name in "FQHR")
         assert run(state, spoilt.get("zs", zs), (*model, None), noise, process, Rows()) == 0

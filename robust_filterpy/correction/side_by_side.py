@@ -1,6 +1,6 @@
-"""Copies of a filter side by side that differ in what they take the process for (interacting multiple models).
+"""Models of a filter side by side that differ in what they take the process for (interacting multiple models).
 
-q copies take the process noise for s_j Q; from one step to the next the scale stays with probability 1 - 1/dwell. One
+q models take the process noise for s_j Q; from one step to the next the scale stays with probability 1 - 1/dwell. One
 more, the candidate, is for a state that has jumped, to which Q says nothing. It begins where an innovation is beyond
 three standard deviations, at the place that the measurement tells, with a P in which it would be just three, since what
 has moved one state may have moved all (`with_candidates`). Since it is made to fit, that measurement is no evidence for
@@ -10,7 +10,7 @@ lost, so that there is one at a time; a reading that is far from it and from all
 a jump from a guess, with a probability of .2.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
-box's center and its shape. Each part has its own probabilities of the copies, its own jumps and its own candidate, so
+box's center and its shape. Each part has its own probabilities of the models, its own jumps and its own candidate, so
 that a part whose Q is too large says nothing of the others. Where F, Q, P, H or R couple two parts, they become one
 (`coupled`), with the scales that are likely in both and a candidate of either, and stay one.
 """
@@ -28,7 +28,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.factor import Given, scaled
 
-__all__ = ["Copies", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
+__all__ = ["Models", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
 
 # Chance that the state is not where the start says.
 _START = 0.2
@@ -46,7 +46,7 @@ _TAKEN, _DROPPED = 0.999, 0.01
 
 @dataclass(frozen=True)
 class Scales:
-    """Say which copies there are.
+    """Say which models there are.
 
     Parameters
     ----------
@@ -83,12 +83,12 @@ class Scales:
         object.__setattr__(self, "dwell", float(self.dwell))
         object.__setattr__(self, "jump", _checks.fraction("jump", self.jump))
         if self.probabilities is not None:
-            told = _checks.probabilities("probabilities", self.probabilities, scales.size)
-            object.__setattr__(self, "probabilities", tuple(told.tolist()))
+            shares = _checks.probabilities("probabilities", self.probabilities, scales.size)
+            object.__setattr__(self, "probabilities", tuple(shares.tolist()))
 
     @property
     def count(self) -> int:
-        """How many copies there are."""
+        """How many models there are."""
         return len(self.scales) + (1 if self.jump > 0.0 else 0)
 
     @property
@@ -113,7 +113,7 @@ class Scales:
 
     @property
     def begin(self) -> Array:
-        """Probabilities of the copies before the first step, shape (count,)."""
+        """Probabilities of the models before the first step, shape (count,)."""
         q = len(self.scales)
         # The first scale is where a process starts, the others have the chance of one change.
         probabilities = np.zeros(self.count)
@@ -124,15 +124,19 @@ class Scales:
         return np.asarray(probabilities / probabilities.sum())
 
 
-class Copies(NamedTuple):
-    """The copies: those of the scales of Q, then, if there are jumps, the candidate."""
+# Rows of a belief behind its probabilities.
+_UNSEEN, _PART = -2, -1
+
+
+class Models(NamedTuple):
+    """The models: those of the scales of Q, then, if there are jumps, the candidate."""
 
     x: Array
     """Means, shape (q, n)."""
     P: Array
     """Covariances, shape (q, n, n)."""
     belief: Array
-    """Shape (q + 2, n): for each state the probabilities of the copies in its part, the chance that the part has jumped
+    """Shape (q + 2, n): for each state the probabilities of the models in its part, the chance that the part has jumped
     since its last measurement, and the first state of the part."""
     given: Given | None = None
     """The recursion as given, where P, Q and R may have one wrong factor."""
@@ -145,53 +149,53 @@ class Copies(NamedTuple):
     @property
     def unseen(self) -> Array:
         """Chance that the part of a state has jumped since its last measurement, shape (n,)."""
-        return np.asarray(self.belief[-2])
+        return np.asarray(self.belief[_UNSEEN])
 
     @property
     def parts(self) -> Array:
         """The first state of each state's part, shape (n,)."""
-        return np.asarray(self.belief[-1])
+        return np.asarray(self.belief[_PART])
 
     @classmethod
-    def unpacked(cls, x: Array, P: Array, belief: Array) -> Copies:
-        """Return the copies of which these are the arrays, with those of the recursion as given in the last rows."""
+    def unpacked(cls, x: Array, P: Array, belief: Array) -> Models:
+        """Return the models of which these are the arrays, with those of the recursion as given in the last rows."""
         if len(belief) == len(x) + 2:
             return cls(x, P, belief)
         return cls(x[:-1], P[:-1], belief[:-3], Given(x[-1], P[-1], *belief[-3:]))
 
     @property
     def packed(self) -> tuple[Array, Array, Array]:
-        """The copies as three arrays."""
+        """The models as three arrays."""
         if self.given is None:
             return self[:3]
         x, P, *shown = self.given
         return np.vstack((self.x, x)), np.concatenate((self.P, P[None])), np.vstack((self.belief, shown))
 
 
-def start(x: Array, P: Array, process: Scales) -> Copies:
-    """Return the copies before the first step, all at the same place."""
+def start(x: Array, P: Array, process: Scales) -> Models:
+    """Return the models before the first step, all at the same place."""
     n, count = len(x), process.count
     belief = np.empty((count + 2, n))
     belief[:-2] = process.begin[:, None]
-    belief[-2] = _START if process.jump > 0.0 else 0.0
+    belief[_UNSEEN] = _START if process.jump > 0.0 else 0.0
     # A process that draws its scale anew in each step draws one for all.
-    belief[-1] = np.arange(n) if process.probabilities is None else 0.0
+    belief[_PART] = np.arange(n) if process.probabilities is None else 0.0
     given = None
     if process.rows > count:
         given = Given(x, P, *np.array([[0.0], [0.0], [1.0]]) * np.ones(n))
-    return coupled(Copies(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given), P, process)
+    return coupled(Models(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given), P, process)
 
 
-def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
-    """Return the copies, parts that are linked as one: with the scales that are likely in both, a candidate of either.
+def coupled(models: Models, links: Array, process: Scales) -> Models:
+    """Return the models, parts that are linked as one: with the scales that are likely in both, a candidate of either.
     """
-    parts, q = copies.parts, len(process.scales)
+    parts, q = models.parts, len(process.scales)
     linked, together = links != 0.0, parts[:, None] == parts
     # As in all but a few steps; the search takes a hundred times as long.
     if not (linked & ~together).any():
-        return copies
+        return models
     _, labels = connected_components(linked | together, directed=False)
-    x, P, belief = copies.x.copy(), copies.P.copy(), copies.belief.copy()
+    x, P, belief = models.x.copy(), models.P.copy(), models.belief.copy()
     for label in np.unique(labels):
         states = np.flatnonzero(labels == label)
         heads = np.unique(parts[states]).astype(int)
@@ -202,22 +206,22 @@ def coupled(copies: Copies, links: Array, process: Scales) -> Copies:
         likely = np.maximum(likely, _UNLIKELY)
         jumped = belief[q:-2, heads].max(initial=0.0)
         if jumped >= _DROPPED:
-            # In the part that has no candidate it follows the first copy.
+            # In the part that has no candidate it follows the first model.
             none = states[belief[q, states] < _DROPPED]
             x[q, none], P[q, none] = x[0, none], P[0, none]
         else:
             jumped = 0.0
         belief[:q, states] = ((1.0 - jumped) * likely / likely.sum())[:, None]
         belief[q:-2, states] = jumped
-        belief[-2, states], belief[-1, states] = belief[-2, heads].max(), heads[0]
-    return Copies(x, P, belief, copies.given)
+        belief[_UNSEEN, states], belief[_PART, states] = belief[_UNSEEN, heads].max(), heads[0]
+    return Models(x, P, belief, models.given)
 
 
 def require_belief(name: str, belief: Array, process: Scales) -> None:
-    """Raise if this is no packed `Copies.belief`, or several in front of each other."""
+    """Raise if this is no packed `Models.belief`, or several in front of each other."""
     probabilities, unseen, parts = np.split(belief[..., : process.count + 2, :], [-2, -1], axis=-2)
     if not ((probabilities >= 0.0).all() and np.allclose(probabilities.sum(axis=-2), 1.0)):
-        raise ValueError(f"{name}: expected probabilities >= 0 of the copies that sum to 1 for each state")
+        raise ValueError(f"{name}: expected probabilities >= 0 of the models that sum to 1 for each state")
     if not ((unseen >= 0.0) & (unseen <= 1.0)).all():
         raise ValueError(f"{name}: expected a chance of a jump between 0 and 1 for each state, got {unseen}")
     n = belief.shape[-1]
@@ -229,36 +233,36 @@ def require_belief(name: str, belief: Array, process: Scales) -> None:
         raise ValueError(f"{name}: expected evidence and readings >= 0 and a factor > 0 for each state, got {given}")
 
 
-def slow(copies: Copies, process: Scales) -> Array:
+def slow(models: Models, process: Scales) -> Array:
     """Return the probabilities of the scales of Q if nothing has jumped, shape (q, n)."""
-    found = copies.belief[: len(process.scales)]
-    return np.asarray(found / found.sum(axis=0))
+    shares = models.belief[: len(process.scales)]
+    return np.asarray(shares / shares.sum(axis=0))
 
 
 def predict(
-    copies: Copies, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
-) -> Copies:
-    """Return the copies after a prediction: mixed as the scale may have changed, then moved."""
-    x, P, belief, given = copies = coupled(copies, (F != 0.0) | (Q != 0.0), process)
+    models: Models, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
+) -> Models:
+    """Return the models after a prediction: mixed as the scale may have changed, then moved."""
+    x, P, belief, given = models = coupled(models, (F != 0.0) | (Q != 0.0), process)
     if given is not None:
         given, Q = given.moved(F, Q, Bu, alpha_sq), scaled(Q, given.factor)
     q, scales = len(process.scales), np.array(process.scales)[:, None] * np.ones(len(F))
     belief = belief.copy()
-    # Row j: where copy j comes from.
+    # Row j: where model j comes from.
     origin = process.moves.T[:, :, None] * belief[:q]
     belief[:q] = origin.sum(axis=1)
-    mixed_x, mixed_P = collapse(origin / belief[:q, None], x[None, :q], P[None, :q], copies.parts)
+    mixed_x, mixed_P = collapse(origin / belief[:q, None], x[None, :q], P[None, :q], models.parts)
     if process.jump > 0.0:
         usual = np.exp(np.log(process.scales) @ belief[:q] / belief[:q].sum(axis=0))
-        # Where there is no candidate its place follows the first copy.
+        # Where there is no candidate its place follows the first model.
         there = belief[q] > 0.0
         candidate = np.where(there, x[q], mixed_x[0]), np.where(there[:, None] & there, P[q], mixed_P[0])
         scales = np.concatenate([scales, usual[None]])
         mixed_x, mixed_P = np.concatenate([mixed_x, candidate[0][None]]), np.concatenate([mixed_P, candidate[1][None]])
-        belief[-2] += process.jump * (1.0 - belief[-2])
+        belief[_UNSEEN] += process.jump * (1.0 - belief[_UNSEEN])
     moved = mixed_x @ F.T
     root = np.sqrt(scales)
-    return Copies(
+    return Models(
         moved if Bu is None else moved + Bu,
         alpha_sq * (F @ mixed_P @ F.T) + root[:, :, None] * root[:, None, :] * Q,
         belief,
@@ -267,24 +271,24 @@ def predict(
 
 
 def decided(
-    copies: Copies, z: Array, H: Array, noise: Array, process: Scales, chances: Array
-) -> tuple[Copies, np.ndarray, np.ndarray]:
-    """Return the copies once a reading that is far from a candidate and from all others has decided between them."""
+    models: Models, z: Array, H: Array, noise: Array, process: Scales, chances: Array
+) -> tuple[Models, np.ndarray, np.ndarray]:
+    """Return the models once a reading that is far from a candidate and from all others has decided between them."""
     # With it, which states are of a part that may have a new candidate, and of one whose candidate has been believed;
     # `chances` is how likely the reading of each sensor begins a jump.
-    (x, P, belief, _), q, parts = copies, len(process.scales), copies.parts
+    (x, P, belief, _), q, parts = models, len(process.scales), models.parts
     new, believed = np.zeros((2, len(parts)), dtype=bool)
     if process.jump == 0.0:
-        return copies, new, believed
+        return models, new, believed
     new = np.isin(parts, parts[(H != 0.0).any(axis=0)]) & (belief[q] < _DROPPED * process.jump)
-    far = far_off(copies, z, H, noise, process), _asked(x[q], P[q], z, H, noise, np.inf)[1] > _ASKS
+    far = far_off(models, z, H, noise, process), _asked(x[q], P[q], z, H, noise, np.inf)[1] > _ASKS
     for i in np.flatnonzero(np.logical_and(*far)):
         own = parts == parts[np.argmax(H[i] != 0.0)]
         chance = float(belief[q, own][0])
         if not new[own][0] and (chance > 0.5 or chance * (1.0 + 1e-9) < chances[i]):
             new |= own
             believed |= own & (chance > 0.5)
-    return _from_candidate(copies, believed, process), new, believed
+    return _from_candidate(models, believed, process), new, believed
 
 
 class Begun(NamedTuple):
@@ -299,15 +303,15 @@ class Begun(NamedTuple):
 
 
 def with_candidates(
-    copies: Copies, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray
-) -> tuple[Copies, Begun]:
-    """Return the copies, a candidate in each new part where an innovation asks for one, and who asked."""
-    # The copies are coupled as H has it; noise (m,) is the variance of ordinary noise.
-    (x, P, belief, given), q, parts = copies, len(process.scales), copies.parts
+    models: Models, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray
+) -> tuple[Models, Begun]:
+    """Return the models, a candidate in each new part where an innovation asks for one, and who asked."""
+    # The models are coupled as H has it; noise (m,) is the variance of ordinary noise.
+    (x, P, belief, given), q, parts = models, len(process.scales), models.parts
     begun = Begun(np.zeros(len(z)), np.ones(len(z)), np.zeros(len(z), dtype=bool))
     if process.jump == 0.0:
-        return copies, begun
-    belief, shares, seen = belief.copy(), slow(copies, process), parts[np.argmax(H != 0.0, axis=1)]
+        return models, begun
+    belief, shares, seen = belief.copy(), slow(models, process), parts[np.argmax(H != 0.0, axis=1)]
     at, spread = collapse(shares, x[:q], P[:q], parts)
     chance = np.zeros(len(parts))
     heard = ~(H != 0.0)[:, new].any(axis=1)
@@ -323,12 +327,12 @@ def with_candidates(
         begun.alone[seen == seen[i]] = False
         if first:
             begun.y[i], begun.variance[i], begun.alone[i] = y[i], H[i] @ spread @ H[i] + noise[i], True
-        chance[own] = belief[-2, own]
+        chance[own] = belief[_UNSEEN, own]
         at, spread = _moved(at, spread, y[i], H[i], noise[i], own)
     belief[:q, new] = ((1.0 - chance) * shares)[:, new]
-    belief[q, new], belief[-2, new] = chance[new], 0.0
+    belief[q, new], belief[_UNSEEN, new] = chance[new], 0.0
     within = new[:, None] & new
-    return Copies(
+    return Models(
         np.concatenate([x[:q], np.where(new, at, x[q])[None]]),
         np.concatenate([P[:q], np.where(within, spread, P[q])[None]]),
         belief,
@@ -350,14 +354,14 @@ def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.n
     beyond = each * times > most
     times[beyond] = np.maximum(most / each[beyond], 1.0)
     root = np.sqrt(np.where(own, times, 1.0))
-    kept = np.eye(len(h)) - np.outer(d, h)
-    return at + y * d, kept @ (root[:, None] * spread * root) @ kept.T + (noise + _LEFT * square) * np.outer(d, d)
+    left = np.eye(len(h)) - np.outer(d, h)
+    return at + y * d, left @ (root[:, None] * spread * root) @ left.T + (noise + _LEFT * square) * np.outer(d, d)
 
 
-def far_off(copies: Copies, z: Array, H: Array, noise: Array, process: Scales) -> Array:
+def far_off(models: Models, z: Array, H: Array, noise: Array, process: Scales) -> Array:
     """Return which sensors ask for a jump, shape (m,)."""
     q = len(process.scales)
-    at = collapse(slow(copies, process), copies.x[:q], copies.P[:q], copies.parts)
+    at = collapse(slow(models, process), models.x[:q], models.P[:q], models.parts)
     return np.asarray(_asked(*at, z, H, noise, np.inf)[1] > _ASKS)
 
 
@@ -373,53 +377,53 @@ def _asked(
     return y, asks
 
 
-def settled(copies: Copies, seen: np.ndarray, process: Scales) -> tuple[Copies, np.ndarray]:
-    """Return the copies after a correction, and where a candidate is all but certain: that part goes on from it."""
+def settled(models: Models, seen: np.ndarray, process: Scales) -> tuple[Models, np.ndarray]:
+    """Return the models after a correction, and where a candidate is all but certain: that part goes on from it."""
     q = len(process.scales)
     if process.jump == 0.0:
-        return copies, np.zeros(len(seen), dtype=bool)
-    belief = copies.belief.copy()
-    belief[-2, seen] = 0.0
+        return models, np.zeros(len(seen), dtype=bool)
+    belief = models.belief.copy()
+    belief[_UNSEEN, seen] = 0.0
     believed = belief[q] > _TAKEN
-    return _from_candidate(copies._replace(belief=belief), believed, process), believed
+    return _from_candidate(models._replace(belief=belief), believed, process), believed
 
 
-def _from_candidate(copies: Copies, states: np.ndarray, process: Scales) -> Copies:
-    """Return the copies, all of the parts that have these states where the candidate is."""
+def _from_candidate(models: Models, states: np.ndarray, process: Scales) -> Models:
+    """Return the models, all of the parts that have these states where the candidate is."""
     if not states.any():
-        return copies
-    (x, P, belief, given), q = copies, len(process.scales)
+        return models
+    (x, P, belief, given), q = models, len(process.scales)
     belief = belief.copy()
-    belief[:q, states], belief[q, states] = slow(copies, process)[:, states], 0.0
-    return Copies(np.where(states, x[q], x), np.where(states[:, None] & states, P[q], P), belief, given)
+    belief[:q, states], belief[q, states] = slow(models, process)[:, states], 0.0
+    return Models(np.where(states, x[q], x), np.where(states[:, None] & states, P[q], P), belief, given)
 
 
-def begun_again(copies: Copies, given: Given, states: np.ndarray, process: Scales) -> Copies:
-    """Return the copies, all of the parts that have these states where the recursion as given is, times its factor."""
-    x, P, belief = copies[:3]
+def begun_again(models: Models, given: Given, states: np.ndarray, process: Scales) -> Models:
+    """Return the models, all of the parts that have these states where the recursion as given is, times its factor."""
+    x, P, belief = models[:3]
     belief, q = belief.copy(), len(process.scales)
     belief[:-1, states] = 0.0
     belief[:q, states] = process.begin[:q, None]
     there = scaled(given.P, given.factor)
-    return Copies(np.where(states, given.x, x), np.where(states[:, None] & states, there, P), belief, given)
+    return Models(np.where(states, given.x, x), np.where(states[:, None] & states, there, P), belief, given)
 
 
-def merged(copies: Copies, process: Scales) -> tuple[Array, Array]:
+def merged(models: Models, process: Scales) -> tuple[Array, Array]:
     """Return mean and covariance of the state; a candidate is hidden while three to one is against it."""
-    x, P, p, q = copies.x, copies.P, copies.probabilities, len(process.scales)
+    x, P, p, q = models.x, models.P, models.probabilities, len(process.scales)
     if process.jump > 0.0:
-        hidden = np.concatenate([slow(copies, process), np.zeros((1, p.shape[1]))])
+        hidden = np.concatenate([slow(models, process), np.zeros((1, p.shape[1]))])
         p = np.where(p[q] > 0.25, p, hidden)
-    x, P = collapse(p, x, P, copies.parts)
-    if copies.given is None or not copies.given.shown.any():
+    x, P = collapse(p, x, P, models.parts)
+    if models.given is None or not models.given.shown.any():
         return x, P
-    shown = copies.given.shown
+    shown = models.given.shown
     apart = shown[:, None] != shown
-    return np.where(shown, copies.given.x, x), np.where(apart, 0.0, np.where(shown, copies.given.P, P))
+    return np.where(shown, models.given.x, x), np.where(apart, 0.0, np.where(shown, models.given.P, P))
 
 
 def collapse(probabilities: Array, means: Array, covariances: Array, parts: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of a mixture of h copies, with probabilities (..., h, n) of its own in each part."""
+    """Return mean and covariance of a mixture of h models, with probabilities (..., h, n) of its own in each part."""
     # Means (..., h, n), covariances (..., h, n, n); parts (n,) has equal numbers where states are of one.
     mean = (probabilities * means).sum(axis=-2)
     apart = means - mean[..., None, :]
