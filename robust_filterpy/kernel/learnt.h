@@ -1,4 +1,4 @@
-/* Noise that is learned, and copies of a filter side by side: robust_filterpy.correction.learnt, .learning and .side_by_side in C.
+/* Noise that is learned, models of a filter side by side: robust_filterpy.correction.learnt, .learning, .side_by_side in C.
 
    q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
