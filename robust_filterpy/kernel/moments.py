@@ -15,24 +15,33 @@ from robust_filterpy.kernel.series import SCALINGS, rule
 
 __all__ = ["Taken", "correct", "correct_linear", "correction_of", "judged_of", "moments_of", "weights_of"]
 
+# A record: four numbers, rows of m numbers, then S and the transpose of C.
+_N, _M, _SCALING, _LOG_DENSITY, _HEAD = range(5)
+_Y, _E, _WEIGHTS, _PSI_DERIV, _D, _SCORE, _ORDER, _JUDGED, _ROWS = range(9)
+
+
+def _row(which: int, m: int) -> slice:
+    """Return where a record has one of its rows; behind the last begins S."""
+    return slice(_HEAD + which * m, _HEAD + (which + 1) * m)
+
+
 def correction_of(values: Array, x: Array, P: Array) -> Correction:
     """Return what a record of numbers says."""
-    n, m = int(values[0]), int(values[1])
-    scaling, rest = SCALINGS[int(values[2])], values[4:]
-    y, e, weights, psi_deriv, d, score, order, judged = rest[: 8 * m].reshape(8, m)
-    S, C = rest[8 * m : (8 + m) * m].reshape(m, m), rest[(8 + m) * m :].reshape(m, n).T
+    n, m = int(values[_N]), int(values[_M])
+    scaling, rest = SCALINGS[int(values[_SCALING])], values[_HEAD:]
+    y, e, weights, psi_deriv, d, score, order, judged = rest[: _ROWS * m].reshape(_ROWS, m)
+    S, C = rest[_ROWS * m : (_ROWS + m) * m].reshape(m, m), rest[(_ROWS + m) * m :].reshape(m, n).T
     groups = _groups(order[: np.count_nonzero(psi_deriv == psi_deriv)])
     information = _information(S - np.diag(S.diagonal() - judged), e, d, groups, scaling)
     return Correction(
         np.ravel(x), P, C, y, S, score, information, e, weights, psi_deriv,
-        tuple(map(tuple, groups)), scaling, float(values[3]),
+        tuple(map(tuple, groups)), scaling, float(values[_LOG_DENSITY]),
     )  # fmt: skip
 
 
 def weights_of(values: Array) -> Array:
     """Return the weights alone."""
-    m = int(values[1])
-    return values[4 + 2 * m : 4 + 3 * m].copy()
+    return values[_row(_WEIGHTS, int(values[_M]))].copy()
 
 
 class Judged(NamedTuple):
@@ -44,15 +53,15 @@ class Judged(NamedTuple):
 
 def judged_of(values: Array) -> Judged:
     """Return standardized innovations and psi' of a record."""
-    m = int(values[1])
-    return Judged(values[4 + m : 4 + 2 * m], values[4 + 3 * m : 4 + 4 * m])
+    m = int(values[_M])
+    return Judged(values[_row(_E, m)], values[_row(_PSI_DERIV, m)])
 
 
 def moments_of(values: Array) -> tuple[Array, Array, bool]:
     """Return y, S of a record, and whether every sensor was there."""
-    m = int(values[1])
-    at, weights = 4 + 8 * m, values[4 + 2 * m : 4 + 3 * m]
-    return values[4 : 4 + m], values[at : at + m * m].reshape(m, m), bool((weights == weights).all())
+    m = int(values[_M])
+    at, weights = _row(_ROWS, m).start, values[_row(_WEIGHTS, m)]
+    return values[_row(_Y, m)], values[at : at + m * m].reshape(m, m), bool((weights == weights).all())
 
 
 def _groups(order: Array) -> list[list[int]]:
@@ -97,7 +106,7 @@ class Taken(NamedTuple):
     @property
     def log_density(self) -> float:
         """Log-likelihood of the innovation under the density of psi."""
-        return float(self.record[3])
+        return float(self.record[_LOG_DENSITY])
 
     @property
     def weights(self) -> Array:
