@@ -17,7 +17,7 @@ from robust_filterpy.identification import (
     identify,
     validate,
 )
-from robust_filterpy.identification.estimation.beside import break_finding
+from robust_filterpy.identification.estimation.disturbances import break_finding
 from robust_filterpy.identification.estimation.trend import Break
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])

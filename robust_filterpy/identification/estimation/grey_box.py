@@ -9,7 +9,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
+from robust_filterpy.identification.estimation.disturbances import Explanation, Search, of_impulses
 from robust_filterpy.identification.estimation.prediction_error import evidence_of_outputs, minimised, sandwich
 from robust_filterpy.identification.models.grey_box import (
     GreyBox,
@@ -52,14 +52,14 @@ def identified_grey_box(
         equations.settled(z)
         return np.concatenate([one.y for one in equations.recordings]) - equations.residuals(z).reshape(y.shape)
 
-    def find(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
+    def find(u: Array, levels: Array, columns: Any, end: Any) -> Explanation:
         # Equations have no constant of their own: the level may be theirs before it breaks, or after.
         first = np.concatenate([np.broadcast_to(levels[part.start], levels[part].shape) for part in spans])
         models = []
         for own in (levels, levels - first) if levels.any() else (levels,):
             y = outputs - own
             model = _modelled(structure, of(y, u), measured, influence)
-            models.append(Beside(model, own, u, evidence_of_outputs(model.noise, y - alone(model, y, u), spans)))
+            models.append(Explanation(model, own, u, evidence_of_outputs(model.noise, y - alone(model, y, u), spans)))
         return max(models, key=lambda one: one.evidence)
 
     def starts(u: Array, plain: GreyBoxModel) -> list[Array]:

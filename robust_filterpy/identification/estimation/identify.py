@@ -14,7 +14,14 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.estimation.beside import TRENDS, Beside, Search, Settled, far_outside, of_impulses
+from robust_filterpy.identification.estimation.disturbances import (
+    TRENDS,
+    Explanation,
+    Search,
+    Settled,
+    far_outside,
+    of_impulses,
+)
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.left import parts_of, wraps
@@ -47,14 +54,14 @@ _LEAST_CLEAR_BESIDE: Final = 0.75
 
 
 def identified_polynomials(problem: Problem, y: Array, index: Any, trend: str | Settled) -> Model:
-    """Find the model of recordings of one output, shape (N, 1), beside whatever else these have."""
+    """Find the model of recordings of one output, shape (N, 1), with whatever else these have."""
     spans, own = problem.spans, y[:, 0]
 
-    def find(u: Array, levels: Array, columns: list[Array], end: Any) -> Beside:
+    def find(u: Array, levels: Array, columns: list[Array], end: Any) -> Explanation:
         at = np.hstack(columns) if columns else None
         estimate = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, end)
         moved = levels if at is None else levels + (at @ estimate.sizes)[:, None]
-        return Beside(estimate.model, moved, u, estimate.model.evidence, end=estimate.p)
+        return Explanation(estimate.model, moved, u, estimate.model.evidence, end=estimate.p)
 
     def alone(model: Model, y: Array, u: Array) -> Array:
         return np.concatenate([_output_of(model, y[part, 0], u[part]) for part in spans])[:, None]
@@ -70,7 +77,7 @@ def identified_polynomials(problem: Problem, y: Array, index: Any, trend: str | 
                 return
             yield replace(model, operating_point=acted.rest).simulate(u)[:, None]
 
-    def settled(best: Beside) -> Beside:
+    def settled(best: Explanation) -> Explanation:
         return _without_endless_motion(problem.of_inputs(best.u), own, best)
 
     search = Search(y, problem.u, spans, find, alone, starts, True, settled, index)
@@ -85,7 +92,7 @@ def identified_polynomials(problem: Problem, y: Array, index: Any, trend: str | 
     return replace(model, findings=(*best.findings, *_left(search, problem.of_inputs(best.u), best, model)))
 
 
-def _left(search: Search, problem: Problem, best: Beside, model: Model) -> tuple[Finding, ...]:
+def _left(search: Search, problem: Problem, best: Explanation, model: Model) -> tuple[Finding, ...]:
     """Find what the model leaves of its recordings."""
     structure, y, several = model.structure, search.y[:, 0], len(search.spans) > 1
     if not structure.n_inputs:
@@ -147,7 +154,7 @@ def _judged(model: Model, y: Array, u: Array, predicted: Array, several: bool) -
     return np.nan_to_num(output - model.level), left
 
 
-def _without_endless_motion(problem: Problem, y: Array, best: Beside) -> Beside:
+def _without_endless_motion(problem: Problem, y: Array, best: Explanation) -> Explanation:
     """Find the model again from rest if what was in motion when the recording began would outlast it."""
     model, own = best.model, y - best.levels[:, 0]
     slowest = float(np.abs(np.roots(model.parts.f)).max(initial=0.0))
@@ -186,12 +193,12 @@ def _output_of(model: Model, y: Array, u: Array) -> Array:
     return np.where(defined & dies, np.nan_to_num(run), rest)
 
 
-def _without_leverage(problem: Problem, y: Array) -> Beside:
+def _without_leverage(problem: Problem, y: Array) -> Explanation:
     """Find the linear regression on the caller's rows, without those far outside that y does not follow."""
 
-    def without(wrong: Any) -> Beside:
+    def without(wrong: Any) -> Explanation:
         model = estimated(problem, np.where(wrong, np.nan, y)).model
-        return Beside(model, np.zeros((y.size, 1)), problem.u)
+        return Explanation(model, np.zeros((y.size, 1)), problem.u)
 
     far = np.column_stack([far_outside(column) for column in problem.u.T]).any(axis=1)
     if not far.any():

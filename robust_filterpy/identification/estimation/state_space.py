@@ -10,7 +10,7 @@ from scipy.signal import dlsim
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.identification.estimation.beside import Beside, Search, of_impulses
+from robust_filterpy.identification.estimation.disturbances import Explanation, Search, of_impulses
 from robust_filterpy.identification.estimation.estimate import Units
 from robust_filterpy.identification.estimation.prediction_error import (
     Limits,
@@ -73,10 +73,10 @@ def identified_state_space(
     def each(y: Array, u: Array, of: Any) -> Array:
         return np.concatenate([of(y[part], u[part]) for part in spans])
 
-    def find(u: Array, levels: Array, columns: Any, end: Any) -> Beside:
+    def find(u: Array, levels: Array, columns: Any, end: Any) -> Explanation:
         model = _modelled(recording._replace(y=recording.y - levels, u=u), spans, structure, influence)
         left = each(recording.y - levels, u, model.residuals)
-        return Beside(model, levels, u, evidence_of_outputs(model.noise, left, spans))
+        return Explanation(model, levels, u, evidence_of_outputs(model.noise, left, spans))
 
     search = Search(
         recording.y, recording.u, spans, find, lambda model, y, u: each(y, u, model.free_run),

@@ -30,7 +30,7 @@ from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.estimation.beside import Settled
+from robust_filterpy.identification.estimation.disturbances import Settled
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.estimation.missing import THRESHOLDS
 from robust_filterpy.identification.estimation.trend import PRICE, Trend

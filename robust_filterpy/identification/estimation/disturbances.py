@@ -1,4 +1,4 @@
-"""The one driver of `identify`: a model of p outputs in k recordings beside what these have besides any model.
+"""The one driver of `identify`: a model of p outputs in k recordings, with the disturbances that these have.
 
 Steps and ramps of the level are taken off where the likelihood says so; inputs that are far outside the others are held
 back where the model is much likelier then; another plant, a closed loop and an output that wraps round are said.
@@ -35,8 +35,8 @@ _FARTHEST: Final = 0.05
 _STAYS: Final = 5.0
 
 
-class Beside(NamedTuple):
-    """A model beside whatever else a recording has.
+class Explanation(NamedTuple):
+    """A model, with whatever else a recording has.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Beside(NamedTuple):
     evidence : float
         Log-likelihood with the color of the residuals.
     findings : tuple of Finding
-        Of what is beside it.
+        Of what the recordings have besides.
     end : ndarray or None
         Where the search for another such model may begin.
     held : bool
@@ -71,7 +71,7 @@ class Beside(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """What a recording of one output has beside one model of it, for others of the same recording.
+    """What a recording of one output has besides one model of it, for others of the same recording.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Settled(NamedTuple):
 
     @classmethod
     def of(cls, model: Any, samples: int) -> Settled:
-        """Return what a model has beside it."""
+        """Return what the recording of a model has besides."""
         values = model.trend if model.trend.size else np.zeros(samples)
         input = next((one for one in model.findings if one.kind == "input outliers"), None)
         breaks = [
@@ -119,17 +119,17 @@ class Search(NamedTuple):
     spans : sequence of slice
         Samples of each recording.
     find : callable
-        find(u, levels, columns, end) gives the model beside levels; where it fits their sizes, these are moved by what
+        find(u, levels, columns, end) gives the model with levels; where it fits their sizes, these are moved by what
         the columns, shape (N, p) each, add, from where another such search ended.
     alone : callable
         alone(model, y, u) gives its outputs from inputs alone, shape (N, p).
     starts : callable
         starts(u, model) gives outputs that no level disturbs, shape (N, p), NaN where nothing tells them, from the
-        model beside constant levels.
+        model with constant levels.
     fits_sizes : bool
         Whether sizes of levels are found with the model; else they stay.
     settled : callable
-        settled(best) gives a model beside levels without what no recording can tell.
+        settled(best) gives a model with levels, without what no recording can tell.
     index : pandas.Index or None
         Times of the samples of a single recording.
     """
@@ -137,28 +137,28 @@ class Search(NamedTuple):
     y: Array
     u: Array
     spans: Any
-    find: Callable[..., Beside]
+    find: Callable[..., Explanation]
     alone: Callable[[Any, Array, Array], Array]
     starts: Callable[[Array, Any], Iterable[Array]]
     fits_sizes: bool = False
-    settled: Callable[[Beside], Beside] = lambda best: best
+    settled: Callable[[Explanation], Explanation] = lambda best: best
     index: Any = None
 
-    def best(self, trend: str | Settled) -> Beside:
-        """Find the model beside levels that break, and that with outliers of u held back; take it if much likelier."""
+    def best(self, trend: str | Settled) -> Explanation:
+        """Find the model with levels that break, and that with outliers of u held back; take it if much likelier."""
         # Both ways from the beginning: what an outlier of u leaves looks like steps of the level, or like slow motion.
         other, places = _held_back(self.u)
         if isinstance(trend, Settled):
             if trend.input is None:
-                return self._beside_levels(trend)
-            held = self._replace(u=other)._beside_levels(trend)
+                return self._with_levels(trend)
+            held = self._replace(u=other)._with_levels(trend)
             return held._replace(held=True, findings=(*held.findings, trend.input))
-        nominal = self._beside_levels(trend)
+        nominal = self._with_levels(trend)
         if not places.size:
             return nominal
         stage("the model without outliers of u")
         try:
-            held = self._replace(u=other)._beside_levels(trend)
+            held = self._replace(u=other)._with_levels(trend)
         except ValueError:
             return nominal
         gain = 2.0 * (held.evidence - nominal.evidence)
@@ -173,7 +173,7 @@ class Search(NamedTuple):
         return held._replace(held=True, findings=(*held.findings, finding))
 
     def left(
-        self, best: Beside, output: Array, residual: Array, rest: Array, direct: bool, meaning: str,
+        self, best: Explanation, output: Array, residual: Array, rest: Array, direct: bool, meaning: str,
         driven: Array | None = None, clear: Array | None = None,
     ) -> tuple[Finding, ...]:  # fmt: skip
         """Find what a model leaves: another plant, wraps, feedback; from residuals that no outlier touches, if any."""
@@ -194,8 +194,8 @@ class Search(NamedTuple):
             findings += feedback([(best.u[part] - rest, residual[part]) for part in self.spans], direct, meaning)
         return tuple(findings)
 
-    def _beside_levels(self, trend: str | Settled) -> Beside:
-        """Find the model beside levels that break."""
+    def _with_levels(self, trend: str | Settled) -> Explanation:
+        """Find the model with levels that break."""
         begin = trend.begin if isinstance(trend, Settled) else None
         if isinstance(trend, Settled) and trend.trend.breaks:
             breaks = {(0, 0): trend.trend}
@@ -219,7 +219,7 @@ class Search(NamedTuple):
                 best, best_worth = fitted if line else self._with_breaks(fitted, breaks, gain), worth
         return best
 
-    def _alternated(self, output: Array, line: bool) -> tuple[Beside | None, dict[tuple[int, int], Trend]]:
+    def _alternated(self, output: Array, line: bool) -> tuple[Explanation | None, dict[tuple[int, int], Trend]]:
         """Find levels and model in turns until the breaks stay where they are."""
         before: Any = None
         fitted, levels = None, {}
@@ -235,8 +235,8 @@ class Search(NamedTuple):
             output = self.alone(fitted.model, self.y - fitted.levels, self.u)
         return fitted, levels
 
-    def _fitted(self, breaks: dict[tuple[int, int], Trend], end: Any = None) -> Beside:
-        """Find the model beside breaks at given places."""
+    def _fitted(self, breaks: dict[tuple[int, int], Trend], end: Any = None) -> Explanation:
+        """Find the model with breaks at given places."""
         levels, columns = np.zeros(self.y.shape), []
         for (i, j), one in breaks.items():
             part = self.spans[i]
@@ -258,7 +258,7 @@ class Search(NamedTuple):
                     levels[i, j] = Trend(np.zeros(own.size), (Break("ramp", 0, 0.0, 0.0),))
         return levels
 
-    def _with_breaks(self, best: Beside, breaks: dict[tuple[int, int], Trend], gain: float) -> Beside:
+    def _with_breaks(self, best: Explanation, breaks: dict[tuple[int, int], Trend], gain: float) -> Explanation:
         """Return a model with its breaks in words."""
         findings: list[Finding] = []
         for (i, j), one in breaks.items():
