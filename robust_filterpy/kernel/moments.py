@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robust_filterpy import kernel
+from robust_filterpy._arrays import regardless
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices, length_and_direction
 from robust_filterpy.correction.result import Correction
@@ -32,7 +33,7 @@ def correction_of(values: Array, x: Array, P: Array) -> Correction:
     y, e, weights, psi_deriv, d, score, order, judged = rest[: _ROWS * m].reshape(_ROWS, m)
     S, C = rest[_ROWS * m : (_ROWS + m) * m].reshape(m, m), rest[(_ROWS + m) * m :].reshape(m, n).T
     groups = _groups(order[: np.count_nonzero(psi_deriv == psi_deriv)])
-    information = _information(S - np.diag(S.diagonal() - judged), e, d, groups, scaling)
+    information = regardless(_information, S - np.diag(S.diagonal() - judged), e, d, groups, scaling)
     return Correction(
         np.ravel(x), P, C, y, S, score, information, e, weights, psi_deriv,
         tuple(map(tuple, groups)), scaling, float(values[_LOG_DENSITY]),

@@ -156,6 +156,7 @@ def test_what_has_no_continuous_time_is_refused():
         identify(y, u, OutputError(1, 2)).to_continuous(1.0)
 
 
+@pytest.mark.nightly
 def test_equations_have_no_constant_of_their_own_where_the_level_of_one_recording_steps():
     rng, recordings = np.random.default_rng(521), []
     a = np.exp(-0.25)
