@@ -215,16 +215,16 @@ class TrackerBank(track.Following):
     >>> import numpy as np
     >>> from robust_filterpy.identification import ARX
     >>> rng = np.random.default_rng(1)
-    >>> gains = np.linspace(1.0, 2.0, 100)
+    >>> gains = np.linspace(1.0, 2.0, 5)
     >>> u = rng.choice([-1.0, 1.0], 400)
-    >>> y = np.zeros((400, 100))
+    >>> y = np.zeros((400, 5))
     >>> for k in range(1, 400):
-    ...     y[k] = 0.8 * y[k - 1] + gains * u[k - 1] + 0.1 * rng.normal(size=100)
+    ...     y[k] = 0.8 * y[k - 1] + gains * u[k - 1] + 0.1 * rng.normal(size=5)
     >>> y[rng.random(y.shape) < 0.01] = np.nan
-    >>> bank = TrackerBank(100, ARX(1, 1), R=0.01)
+    >>> bank = TrackerBank(5, ARX(1, 1), R=0.01)
     >>> result = bank.run(y, u, keep="last")
     >>> result.theta.shape, bool(np.abs(bank.coefficients.b[:, 0] - gains).max() < 0.05)
-    ((1, 100, 2), True)
+    ((1, 5, 2), True)
     """
 
     _name = "TrackerBank"
