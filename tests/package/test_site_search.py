@@ -14,7 +14,7 @@ FIRST = {
     "microcontroller": "edge.html",
     "SORT": "situations/box_tracker.html",
     "late": "fusion.html",
-    "fill value": "broken_recordings.html",
+    "fill value": "situations/gaps_and_fill_values.html",
     "missing data": "broken_recordings.html",
     "unknown noise": "situations/r_is_a_guess.html",
     "C code": "edge.html",
