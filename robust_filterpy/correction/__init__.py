@@ -5,7 +5,6 @@
 * `result`: what a correction returns.
 * `standardization`: T of a group of sensors, and of all of them in the order taken.
 * `spread`: how large a sensor's innovations usually are, learned.
-* `whitening`: T of correlated noise, for the smoothers.
 * `likelihood`: log-density of an innovation.
 * `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, given, learned, and as a psi.
 * `policies`: what a filter is given of noise: `Contaminated`, `Learnt`, `Scales`.

@@ -25,8 +25,7 @@ from robust_filterpy.correction import factor, learning, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.side_by_side import Models, Scales
-from robust_filterpy.correction.standardization import SingularInnovationError
-from robust_filterpy.correction.whitening import Inverse, singular_error, standardize
+from robust_filterpy.correction.standardization import SingularInnovationError, correlation_whitening, singular_error
 
 __all__ = ["Corrected", "correct"]
 
@@ -116,20 +115,19 @@ def correct(
     noise: NoiseClasses,
     process: Scales,
     M: Array | None = None,
-    inv: Inverse | None = None,
     readings: Array | None = None,
 ) -> Corrected:
     """Correct models of a filter by one measurement and learn the noise from it."""
     given = models.given
     if given is None or not noise.learns or noise.grouping != "component":
-        return _corrected(models, memory, z, H, R, noise, process, M, inv, readings)[0]
+        return _corrected(models, memory, z, H, R, noise, process, M, readings)[0]
     # What is learned of a sensor is in units of R; of the state's factor only what is inside here knows.
     seen = np.argmax(H != 0.0, axis=1)
     memory, root = memory.copy(), np.sqrt(given.factor)
     memory[:, learning.R_FACTOR] /= given.factor[seen]
     N = factor.scaled(R, given.factor[seen])
     corrected, logs = _corrected(
-        models, memory, z, H, N, noise, process, M if M is None else M * root[:, None] * root[seen], inv, readings
+        models, memory, z, H, N, noise, process, M if M is None else M * root[:, None] * root[seen], readings
     )
     (models, memory), parts = corrected[:2], corrected.models.parts
     memory = memory.copy()
@@ -149,7 +147,7 @@ def correct(
 
 def _corrected(
     models: Models, memory: Array, z: Array, H: Array, R: Array, noise: NoiseClasses, process: Scales,
-    M: Array | None, inv: Inverse | None, readings: Array | None,
+    M: Array | None, readings: Array | None,
 ) -> tuple[Corrected, Array]:  # fmt: skip
     """Return what `correct` does with R as it is, and the log densities of the readings, shape (m,)."""
     # Groups are taken one after the other, the most plausible first by the moments of all models together, so that the
@@ -202,17 +200,17 @@ def _corrected(
         # Between models that far innovations all but equal there would be rounding.
         reach = _TOGETHER * np.sqrt(np.diagonal(now.S, axis1=1, axis2=2).max(axis=0))
         innovation = side_by_side.collapse(shares, np.clip(now.y[:q], -reach, reach), now.S[:q], now.parts)
-        shared = _shared(*innovation, N, memory[part], noise, inv)
+        shared = _shared(*innovation, N, memory[part], noise)
     while groups:
         group = groups.pop(_most_plausible(now, groups))
         own = rows[group[:1]] if joint else rows[group]
         S = now.S[:, group[:, None], group]
-        if inv is None and (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
+        if (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
             raise singular_error(now.S[0], float(S[:, 0, 0].min()))
         # What the last sample was only models know that were there then.
         before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
-        scores = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, inv, joint, shared)
+        scores = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, joint, shared)
         own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
         shares, log_total, logs[part[group]] = _weighed(
             now.probabilities[:, group[0]], scores.log_densities, len(process.scales), fresh, float(chances[group[0]]),
@@ -273,11 +271,11 @@ def _slow(models: Models, process: Scales) -> tuple[Array, Array]:
     return side_by_side.collapse(side_by_side.slow(models, process), models.x[:q], models.P[:q], models.parts)
 
 
-def _shared(y: Array, S: Array, N: Array, memory: Array, noise: NoiseClasses, inv: Inverse | None) -> _Shared | None:
+def _shared(y: Array, S: Array, N: Array, memory: Array, noise: NoiseClasses) -> _Shared | None:
     """Return what an innovation says if all sensors are in the same class: y (m,), S and ordinary noise N (m, m)."""
     before = _chance(learning.predicted, memory, noise)[None]
     try:
-        scores = _scores(y[None], S[None], N, before, noise.scales, inv)
+        scores = _scores(y[None], S[None], N, before, noise.scales)
     except SingularInnovationError:
         # Where noise drowns in the uncertainty of the state, each sensor still tells of it, and all together nothing.
         return None
@@ -327,11 +325,11 @@ def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
 
 
 def _scores(
-    y: Array, S: Array, N: Array, before: Array, scales: Sequence[float], inv: Inverse | None, one_r: bool = False,
+    y: Array, S: Array, N: Array, before: Array, scales: Sequence[float], one_r: bool = False,
     shared: _Shared | None = None,
 ) -> _Scores:  # fmt: skip
     """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K)."""
-    inverses, log_dets = _inverted(S[:, None] + (np.array(scales) - 1.0)[:, None, None] * N, inv)
+    inverses, log_dets = _inverted(S[:, None] + (np.array(scales) - 1.0)[:, None, None] * N)
     y = np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:])
     # A sensor without noise is right however far off.
     y = _shortened(y, inverses) if N.any() else y
@@ -402,26 +400,19 @@ def _normalized(logs: Array) -> tuple[Array, float]:
     return weights / total, float(peak) + math.log(total)
 
 
-def _inverted(S: Array, inv: Inverse | None) -> tuple[Array, Array]:
+def _inverted(S: Array) -> tuple[Array, Array]:
     """Return the inverses and log determinants of S, shapes (..., m, m) and (...)."""
     m = S.shape[-1]
-    if inv is None:
-        try:
-            factors = np.linalg.cholesky(S)
-        except np.linalg.LinAlgError:
-            # It names the eigenvalue that is at fault, or finds that rounding alone was.
-            T = np.array([standardize(one, "innovation")[0] for one in S.reshape(-1, m, m)]).reshape(S.shape)
-            return np.swapaxes(T, -1, -2) @ T, -2.0 * np.linalg.slogdet(T)[1]
-        diagonals = np.diagonal(factors, axis1=-2, axis2=-1)
-        # Where S is singular but for rounding its factor is not.
-        halves = np.linalg.inv(factors)
-        return np.swapaxes(halves, -1, -2) @ halves, 2.0 * np.log(diagonals).sum(axis=-1)
-    # Through `standardize`, which refuses what is no inverse of a covariance.
-    inverses = np.array([standardize(one, "innovation", inv)[1] for one in S.reshape(-1, m, m)]).reshape(S.shape)
-    values = np.linalg.eigvalsh(0.5 * (inverses + np.swapaxes(inverses, -1, -2)))
-    # Directions that inv leaves out have no density.
-    regular = values > m * np.finfo(float).eps * values[..., -1:]
-    return inverses, -np.where(regular, np.log(np.where(regular, values, 1.0)), 0.0).sum(axis=-1)
+    try:
+        factors = np.linalg.cholesky(S)
+    except np.linalg.LinAlgError:
+        # It names the eigenvalue that is at fault, or finds that rounding alone was.
+        T = np.array([correlation_whitening(one) for one in S.reshape(-1, m, m)]).reshape(S.shape)
+        return np.swapaxes(T, -1, -2) @ T, -2.0 * np.linalg.slogdet(T)[1]
+    diagonals = np.diagonal(factors, axis1=-2, axis2=-1)
+    # Where S is singular but for rounding its factor is not.
+    halves = np.linalg.inv(factors)
+    return np.swapaxes(halves, -1, -2) @ halves, 2.0 * np.log(diagonals).sum(axis=-1)
 
 
 def _shortened(y: Array, inverses: Array) -> Array:

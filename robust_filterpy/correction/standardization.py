@@ -1,4 +1,4 @@
-"""T of one group of sensors, and of all of them in the order in which they were taken (paper 29, 36, 42)."""
+"""T of one group of sensors, of all of them in the order in which they were taken (paper 29, 36, 42), of a noise."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-__all__ = ["SingularInnovationError", "group_scaling", "is_cancelled", "ordered_scaling", "singular", "singular_error"]
+__all__ = [
+    "SingularInnovationError", "correlation_whitening", "group_scaling", "is_cancelled", "ordered_scaling", "singular",
+    "singular_error",
+]  # fmt: skip
 
 # What is left of a variance of 1 below this is rounding, not a sensor's own noise.
 _ROUNDING = 1e-13
@@ -65,6 +68,20 @@ def ordered_scaling(S: Array, order: tuple[tuple[int, ...], ...], scaling: str) 
     return T
 
 
+def correlation_whitening(S: Array) -> Array:
+    """Return T = Z^(-1/2) diag(S)^(-1/2), T S T' = I, Z the correlation matrix of S; raise if that has no inverse."""
+    # Of all such T this one keeps every component closest to its own sensor, in correlation, and depends neither on
+    # units nor on the order of the sensors (ZCA-cor: Kessy, Lewin and Strimmer, The American Statistician 72, 2018).
+    variances = S.diagonal()
+    if not ((variances > 0.0).all() and np.isfinite(S).all()):
+        raise singular_error(S, float(variances.min()))
+    unit = np.sqrt(variances)
+    values, vectors = np.linalg.eigh(S / unit / unit[:, None])
+    if not values[0] > len(S) * np.finfo(float).eps * values[-1]:
+        raise singular_error(S, float(values[0]))
+    return np.asarray((vectors / np.sqrt(values)).dot(vectors.T) / unit)
+
+
 def singular(S: Array) -> SingularInnovationError:
     """Return the error that says what is wrong with an S without inverse."""
     if not np.isfinite(S).all():
@@ -84,6 +101,6 @@ def singular_error(S: Array, least: float) -> SingularInnovationError:
             "look at both, and at the Q that predict adds to P"
         )
     return SingularInnovationError(
-        f"S = H P H' + R: singular (least eigenvalue {least:.3g}); make R positive definite, or set "
-        f"inv=numpy.linalg.pinv to ignore the directions that carry no information"
+        f"S = H P H' + R: singular (least eigenvalue {least:.3g}); make R positive definite, or, without "
+        f"noise=, set inv=numpy.linalg.pinv to ignore the directions that carry no information"
     )

@@ -67,7 +67,7 @@ def _step(
 
             def correct(before: Prior, P: Array, at: Array = at) -> Any:
                 """Correct with this P."""
-                return policy.corrected(before, at, P, z, H, R, None, None)
+                return policy.corrected(before, at, P, z, H, R, None, False)
 
             correction, carried = without_rounding(of, correct, Prior(memory, carried), P, H, R)
             require_finite_correction(correction)

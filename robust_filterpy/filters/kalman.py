@@ -390,7 +390,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
         def correct(before: Any, P: Array) -> Any:
             """Correct with this P."""
-            return self._policy.corrected(before, x.ravel(), P, np.atleast_1d(values), H, R, M, self._inverse)
+            return self._policy.corrected(before, x.ravel(), P, np.atleast_1d(values), H, R, M, self._skips)
 
         return without_rounding(type(self).__name__, correct, before, P, H, R)  # type: ignore[no-any-return]
 
@@ -450,11 +450,11 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         # Of the correction by this S only what psi leaves of y is used: the gain is K. No refusal counts.
         before, C = self._prior(m)._replace(carried=None), P @ H.T
         correction: Any = None
-        if self._inverse is None:
+        if not self._skips:
             correction = moments.correct(self._choices, before.memory, P, values, y, C, np.asarray(S, dtype=float), R)
         if correction is None:
             innovation = Innovation(values, y, C, S, R, H)
-            correction, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._inverse)
+            correction, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._skips)
         last = correction if isinstance(correction, Correction) else correction.as_arrays()
         self._learn(correction.memory, m)
         SI = self.SI
@@ -512,7 +512,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         if k < 1 or start + k > m:
             raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
         shown, S, SI, kept, z = self._record(), self._S, self._SI, self._kept, np.ravel(self.z).tolist()
-        settings = None if self.noise is not None else (self._choices, self._whole_memory(), self._inverse is not None)
+        settings = None if self.noise is not None else (self._choices, self._whole_memory(), self._skips)
         if H_i is None and self._correct_part(z_i, R_i, part):
             correction, values = self._record(), self.z
         else:
@@ -615,7 +615,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     def _steps_are_own(self) -> bool:
         """Return whether the kernel's steps of a recording are this filter's, by its class, its policy and itself."""
         serves = self._policy.by_kernel or self._policy.noise is not None
-        if not (self._by_kernel and serves and self._inverse is None):
+        if not (self._by_kernel and serves and not self._skips):
             return False
         own = RobustKalmanFilter
         methods = (("predict", own.predict), ("update", own.update))

@@ -67,7 +67,7 @@ class NonlinearFilterMixin(Shell):
         # C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual
         # is handed it.
         before = self._prior(len(y))
-        if self._policy.by_kernel and self._inverse is None:
+        if self._policy.by_kernel and not self._skips:
             taken = moments.correct(self._choices, before.memory, P, z, y, C, S, R)
             if taken is not None:
                 return taken, before.carried
@@ -77,7 +77,7 @@ class NonlinearFilterMixin(Shell):
             cross, spread = innovation_moments(P, C, R) if S is None else (C, S)
             innovation = Innovation(z, y, cross, spread, R, C if S is None else None)
             difference = difference_of(residual, shape)
-            return self._policy.corrected_by_moments(before, np.zeros(len(P)), P, innovation, self._inverse, difference)
+            return self._policy.corrected_by_moments(before, np.zeros(len(P)), P, innovation, self._skips, difference)
 
         return without_rounding(type(self).__name__, correct, before, P, C if S is None else None, R)
 

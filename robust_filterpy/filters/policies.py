@@ -46,7 +46,6 @@ from robust_filterpy.correction.policies import (
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.correction.standardization import ordered_scaling
-from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_refused, watched
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as half_step
@@ -148,26 +147,26 @@ class Bounded:
         return x, 0.5 * (P + P.T), carried
 
     def corrected(
-        self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+        self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, skips: bool
     ) -> tuple[Correction | moments.Taken, Any]:
         """Return the correction by a linear sensor."""
-        if self.by_kernel and inv is None:
+        if self.by_kernel and not skips:
             taken = moments.correct_linear(self.choices, before.memory, x, P, z, H, R, M)
             if taken is not None:
                 return taken, before.carried
         y = z - finite_product(H, x)
-        return self.corrected_by_moments(before, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), inv)
+        return self.corrected_by_moments(before, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), skips)
 
     def corrected_by_moments(
-        self, before: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool,
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction, Any]:  # fmt: skip
         """Return the correction, P widened where enough refused innovations agreed."""
         if self.learns:
-            last = correct_by_typical(before.memory, x, P, innovation, self.choices, inv is not None)
+            last = correct_by_typical(before.memory, x, P, innovation, self.choices, skips)
         else:
             _, y, C, S, _, _ = innovation
-            last = correct(x, P, y, C, S, self.choices, skip_singular=inv is not None)
+            last = correct(x, P, y, C, S, self.choices, skip_singular=skips)
         if self.patience is None or before.carried is None:
             return last, before.carried
         carried, full = watched(before.carried, self.patience, last, difference)
@@ -327,13 +326,13 @@ class Mixture:
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if carried is None else after
 
     def corrected(
-        self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, inv: Inverse | None
+        self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, skips: bool
     ) -> tuple[Correction | Mixed, Carried | None]:
         """Return the correction of every model, merged."""
         prior = self.current(before.carried, x, P)
         # Raises where H x is not finite.
         finite_product(H, x)
-        last, *merged = half_step.correct(prior.hypotheses, before.memory, z, H, R, self.classes, self.scales, M, inv)
+        last, *merged = half_step.correct(prior.hypotheses, before.memory, z, H, R, self.classes, self.scales, M)
         after = Carried(*last.models.packed, *merged)
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory)
@@ -347,7 +346,7 @@ class Mixture:
         return record, None if before.carried is None else after
 
     def corrected_by_moments(
-        self, before: Any, x: Array, P: Array, innovation: Innovation, inv: Inverse | None,
+        self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool,
         difference: Callable[[Array, Array], Array] = np.subtract,
     ) -> tuple[Correction | Mixed, Any]:  # fmt: skip
         """Return the correction of one model; what a line does not explain of z is a state of its own."""
@@ -362,7 +361,7 @@ class Mixture:
         y = np.where(H.any(axis=1), y, np.nan)
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
         prior = side_by_side.start(np.zeros(n + len(curvature)), states, process_scales(None))
-        last, *_ = half_step.correct(prior, before.memory, y, whole, R, self.classes, self.scales, None, inv, readings)
+        last, *_ = half_step.correct(prior, before.memory, y, whole, R, self.classes, self.scales, None, readings)
         unexplained = curvature if curvature.size else np.zeros((m, m))
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory) + unexplained

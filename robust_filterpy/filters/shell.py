@@ -145,6 +145,11 @@ class Shell(StateMixin):
         return self.inv
 
     @property
+    def _skips(self) -> bool:
+        """Whether directions that carry no information are left out, as by a user's inverse of S, and no error."""
+        return self._inverse is not None
+
+    @property
     def choices(self) -> Choices:
         """What an innovation is judged by: influence, scaling, information, grouping, checked."""
         return self._choices
@@ -389,7 +394,7 @@ class Shell(StateMixin):
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""
         memory = self._prior(len(y)).memory if self._learns_spread else None
-        return log_density(y, S, self._choices, memory, self._inverse is not None)
+        return log_density(y, S, self._choices, memory, self._skips)
 
     def _record(self) -> Any:
         """Return the last correction, or what makes one by `as_arrays`; x_post and P_post belong to it no longer."""
@@ -454,7 +459,7 @@ class Shell(StateMixin):
         if self._mahalanobis is None:
             y, last = np.ravel(self.y), self._arrays()
             # After `update_sequential` S and SI are not those of y.
-            SI = self.SI if last is None or self._inverse is not None else last.inverse
+            SI = self.SI if last is None or self._skips else last.inverse
             peak = float(np.abs(y).max()) or 1.0
             length = math.sqrt(max(float(y / peak @ SI @ (y / peak)), 0.0))
             self._mahalanobis = min(peak * length, sys.float_info.max)

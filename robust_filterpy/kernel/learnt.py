@@ -13,7 +13,6 @@ from robust_filterpy.correction import learning, learnt, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.side_by_side import Models, Scales
-from robust_filterpy.correction.whitening import Inverse
 from robust_filterpy.kernel.series import Rows, State, plain
 
 __all__ = ["Rows", "State", "begin", "correct", "predict", "rule", "run"]
@@ -91,21 +90,19 @@ def correct(
     noise: NoiseClasses,
     process: Scales,
     M: Array | None = None,
-    inv: Inverse | None = None,
     readings: Array | None = None,
 ) -> tuple[Corrected, Array, Array]:
     """Correct models of a filter by one measurement: `robust_filterpy.correction.learnt.correct`."""
-    if inv is None:
-        (m, n), state = H.shape, begin(models, memory)
-        weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
-        model = (_nothing(n), _nothing(n), H[None], R[None], None)
-        into = Rows(weights=weights, outlying=outlying, log_likelihood=likelihood)
-        said = None if readings is None else readings[None]
-        if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said, M=M):
-            after = Models.unpacked(*state[:3])
-            corrected = Corrected(after, state.learnt, float(likelihood[0]), weights[0], outlying[0])
-            return corrected, state.x, state.P
-    corrected = learnt.correct(models, memory, z, H, R, noise, process, M, inv, readings)
+    (m, n), state = H.shape, begin(models, memory)
+    weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
+    model = (_nothing(n), _nothing(n), H[None], R[None], None)
+    into = Rows(weights=weights, outlying=outlying, log_likelihood=likelihood)
+    said = None if readings is None else readings[None]
+    if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said, M=M):
+        after = Models.unpacked(*state[:3])
+        corrected = Corrected(after, state.learnt, float(likelihood[0]), weights[0], outlying[0])
+        return corrected, state.x, state.P
+    corrected = learnt.correct(models, memory, z, H, R, noise, process, M, readings)
     return corrected, *side_by_side.merged(corrected.models, process)
 
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from robust_filterpy import _checks, kernel
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.whitening import standardize
+from robust_filterpy.correction.standardization import correlation_whitening
 from robust_filterpy.filters.problem import finite, read
 from robust_filterpy.kernel.series import plain
 
@@ -294,7 +294,7 @@ def _scalings(R: Array, observed: Array) -> Array:
         there, T = np.frombuffer(part, dtype=bool), np.zeros((m, m))
         if there.any():
             pick = np.ix_(there, there)
-            T[pick] = standardize(np.frombuffer(R_k).reshape(m, m)[pick], "innovation")[0]
+            T[pick] = correlation_whitening(np.frombuffer(R_k).reshape(m, m)[pick])
         return T
 
     pairs = [(R[s % len(R), k % R.shape[1]], observed[s, k]) for s in range(series) for k in range(steps)]
