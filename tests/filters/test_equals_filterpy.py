@@ -1,4 +1,4 @@
-"""Without a finite threshold the filter is filterpy's, on every path and for every attribute.
+"""Without a finite threshold the filter is filterpy's: on every path, in every form of an argument, in all it shows.
 
 Where filterpy 1.4.5 lacks a method or an argument of 2.0.0, the comparison is with the definition.
 """
@@ -7,36 +7,28 @@ import numpy as np
 import pytest
 import scipy.stats
 import support
+from filterpy.common import Saver, inv_diagonal
 from filterpy.kalman import KalmanFilter
+from support import column
 
 from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.influence import Linear
 
 pytestmark = pytest.mark.core
 
-INFINITE = [Linear(), Huber(np.inf)]
 NDIMS = [1, 2]
-ATTRIBUTES = (*support.STATE, "y", "K", "S", "SI")
+SHOWN = (*support.STATE, "y", "K", "S", "SI")
+needs_2 = pytest.mark.skipif(not support.FILTERPY_2, reason="filterpy 1.4.5 has no update_sequential")
 
 
-def pair(problem, ndim=2, influence=INFINITE[0], **choices):
+def pair(problem, ndim=2, influence=Linear(), **choices):
     """A robust filter without threshold and filterpy's, loaded alike."""
     robust = support.make(RobustKalmanFilter, problem, ndim, influence=influence, **choices)
     return robust, support.make(KalmanFilter, problem, ndim)
 
 
-def gaussian_log_likelihood(kf):
-    """The definition, from what the filter shows."""
-    return scipy.stats.multivariate_normal(cov=kf.S).logpdf(np.ravel(kf.y))
-
-
 @pytest.mark.parametrize("dims, influence, ndim", [
-    pytest.param((1, 1), Linear(), 2, marks=pytest.mark.nightly),
-    pytest.param((2, 1), Huber(np.inf), 1, marks=pytest.mark.nightly),
-    ((3, 2), Linear(), 1),
-    pytest.param((4, 4), Huber(np.inf), 2, marks=pytest.mark.nightly),
-    ((7, 4), Linear(), 2),
-    pytest.param((20, 5), Huber(np.inf), 2, marks=pytest.mark.nightly),
+    ((3, 2), Linear(), 1), ((7, 4), Huber(np.inf), 2), pytest.param((20, 5), Linear(), 2, marks=pytest.mark.nightly),
 ])  # fmt: skip
 def test_equals_kalman_for_infinite_threshold_over_10000_steps(dims, influence, ndim):
     problem = support.random_problem(sum(dims), *dims)
@@ -49,99 +41,110 @@ def test_equals_kalman_for_infinite_threshold_over_10000_steps(dims, influence, 
         # Every step for the state, now and then for what filterpy computes slowly.
         assert np.abs(robust.x - plain.x).max() <= 1e-10 * np.abs(plain.x).max()
         if k % 100 == 0:
-            support.assert_same_state(robust, plain, ATTRIBUTES)
+            support.assert_same_state(robust, plain, SHOWN)
             assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-10)
-    support.assert_same_state(robust, plain, ATTRIBUTES)
+
+
+def steady(kf, z, k, u):
+    kind = "" if k < 40 else "_steadystate"
+    getattr(kf, f"predict{kind}")(u)
+    getattr(kf, f"update{kind}")(z)
+
+
+def steady_with_a_gain_from_elsewhere(kf, z, k, other):
+    if k == 0:
+        kf.K = 0.1 * other.H.T
+        kf.S = kf.SI = np.eye(len(z))
+    kf.predict_steadystate()
+    kf.update_steadystate(z)
+
+
+def another_height(kf, k):
+    """dim_z is written anew between two calls."""
+    other = support.random_problem(10, len(kf.x), 1 + k % 4)
+    kf.dim_z, kf.H, kf.R = 1 + k % 4, other.H.copy(), other.R.copy()
+    kf.predict()
+    kf.update(np.arange(kf.dim_z) + 1.0)
+
+
+def one_input(kf, o, k):
+    """Inputs for one step, of the filter's kind of column."""
+    return column(kf, o.B[0] + k)
+
+
+# What is done to both filters at each step: with z, the number of the step and the matrices of another problem.
+PROGRAMS = {
+    "matrices of a call": lambda kf, z, k, o: (
+        kf.predict(one_input(kf, o, k), B=o.B, F=o.F, Q=o.Q), kf.update(column(kf, z), R=o.R, H=o.H)
+    ),
+    "numbers of a call": lambda kf, z, k, o: (kf.predict(Q=0.3), kf.update(z, R=0.7)),
+    "inputs": lambda kf, z, k, o: (kf.predict(one_input(kf, o, k)), kf.update(z)),
+    "no B": lambda kf, z, k, o: (setattr(kf, "B", None), kf.predict(0), kf.update(z)),
+    "correlated": lambda kf, z, k, o: (
+        kf.predict(), kf.update_correlated(z, R=None if k % 2 else o.R + kf.R)
+    ),
+    "steady state": lambda kf, z, k, o: steady(kf, z, k, one_input(kf, o, k)),
+    "fading": lambda kf, z, k, o: (setattr(kf, "alpha", 1.0 + 0.02 * (k % 26)), kf.predict(), kf.update(z)),
+    "a row of zeros": lambda kf, z, k, o: (kf.H[:1].fill(0.0), kf.predict(), kf.update(z)),
+    "another dim_z": lambda kf, z, k, o: another_height(kf, k),
+    "pinv": lambda kf, z, k, o: (setattr(kf, "inv", np.linalg.pinv), kf.predict(), kf.update(z)),
+}  # fmt: skip
+
+
+@pytest.mark.pairwise
+@pytest.mark.parametrize("ndim", NDIMS)
+@pytest.mark.parametrize("dims", [(1, 1), (4, 2), (7, 4), pytest.param((20, 5), marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_every_program_of_calls_gives_what_filterpy_gives(name, dims, ndim):
+    problem = support.random_problem(4, *dims, dim_u=2)
+    filters = robust, plain = pair(problem, ndim)
+    for k, z in enumerate(support.simulate(problem, 60, seed=4)[0]):
+        other = support.random_problem(1000 + k, *dims, dim_u=2)
+        for kf in filters:
+            PROGRAMS[name](kf, z, k, other)
+        support.assert_same_state(robust, plain, SHOWN, rtol=1e-9)
+        assert robust.z.shape == plain.z.shape and robust.weights.shape == robust.y.shape
+        if "steady" not in name:
+            assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
+
+
+def test_a_gain_from_elsewhere_serves_the_steady_state():
+    problem = support.random_problem(9, 4, 2)
+    robust, plain = pair(problem)
+    for k, z in enumerate(support.simulate(problem, 30, seed=5)[0]):
+        for kf in (robust, plain):
+            steady_with_a_gain_from_elsewhere(kf, z, k, problem)
+        support.assert_same_state(robust, plain, (*support.STATE, "y", "K"))
 
 
 @pytest.mark.pairwise
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("information", ["realized", "expected", "weight"])
-@pytest.mark.parametrize("grouping", ["component", "joint"])
-@pytest.mark.parametrize("influence", INFINITE, ids=repr)
-def test_equals_kalman_whatever_the_information_and_the_grouping(ndim, information, grouping, influence):
+@pytest.mark.parametrize("scaling, grouping", [
+    ("innovation", "component"), ("innovation", "joint"), ("learnt", "component"), ("learnt", "joint"),
+    ("bounded", "component"),
+])  # fmt: skip
+@pytest.mark.parametrize("influence", [Linear(), Huber(np.inf)], ids=repr)
+def test_no_choice_matters_without_a_threshold(ndim, information, grouping, scaling, influence):
     problem = support.random_problem(5, 4, 3)
-    robust, plain = pair(problem, ndim, influence, information=information, grouping=grouping)
+    # S is not below one, where the bounded scaling of a sensor is the innovation's.
+    problem = support.with_(problem, R=problem.R + np.eye(3))
+    robust, plain = pair(problem, ndim, influence, information=information, grouping=grouping, scaling=scaling)
     support.assert_same_along(robust, plain, support.simulate(problem, 50, seed=2, contamination=0.2)[0])
 
 
-def test_bounded_scaling_equals_kalman_where_s_is_not_below_one():
-    problem = support.random_problem(5, 4, 3)
-    problem = support.with_(problem, R=problem.R + np.eye(3))
-    robust, plain = pair(problem, scaling="bounded")
-    support.assert_same_along(robust, plain, support.simulate(problem, 50, seed=2)[0])
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
-@pytest.mark.parametrize("dims", [(1, 1), (4, 2), (7, 4), (20, 5)])
-def test_update_with_per_call_matrices(ndim, dims):
-    rng = np.random.default_rng(3)
-    problem = support.random_problem(4, *dims, dim_u=2)
-    robust, plain = pair(problem, ndim)
-    for z in support.simulate(problem, 60, seed=4)[0]:
-        u = rng.normal(size=(2, 1) if ndim == 2 else 2)
-        F, B = support.stable(rng, dims[0]), rng.normal(size=(dims[0], 2))
-        Q, R = support.spd(rng, dims[0], 0.1), support.spd(rng, dims[1])
-        H = rng.normal(size=(dims[1], dims[0]))
-        for kf in (robust, plain):
-            kf.predict(u, B=B, F=F, Q=Q)
-            kf.update(support.column(kf, z), R=R, H=H)
-        support.assert_same_state(robust, plain)
-        np.testing.assert_array_equal(np.ravel(robust.z), z)
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
-@pytest.mark.parametrize("dims", [(1, 1), (4, 2), (20, 5)])
-def test_update_correlated(ndim, dims):
-    problem = support.random_problem(8, *dims)
-    robust, plain = pair(problem, ndim)
-    rng = np.random.default_rng(0)
-    for k, z in enumerate(support.simulate(problem, 60, seed=4)[0]):
-        R = None if k % 2 else support.spd(rng, dims[1]) + problem.R
-        for kf in (robust, plain):
-            kf.predict()
-            kf.update_correlated(z, R=R)
-        support.assert_same_state(robust, plain, rtol=1e-9)
-        assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
+@needs_2
 @pytest.mark.parametrize("blocks", [[(0, 1), (1, 1), (2, 1)], [(0, 2), (2, 1)], [(0, 3)], [(1, 2), (0, 1)]])
-def test_update_sequential_equals_updates_with_one_block_after_another(ndim, blocks):
-    problem = support.random_problem(8, 4, 3)
-    robust, plain = pair(problem, ndim)
-    for z in support.simulate(problem, 20, seed=4)[0]:
-        robust.predict()
-        plain.predict()
-        x, P = plain.x[..., 0] if ndim == 2 else plain.x, plain.P
-        for start, length in blocks:
-            rows = slice(start, start + length)
-            robust.update_sequential(start, z[rows] if length > 1 else z[start])
-            H, R = problem.H[rows], problem.R[rows, rows]
-            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-            y = z[rows] - H @ x
-            x, P = x + K @ y, P - K @ H @ P
-            support.assert_close(np.ravel(robust.y)[rows], y, what="y")
-            support.assert_close(robust.K[:, rows], K, what="K")
-            np.testing.assert_array_equal(np.ravel(robust.z)[rows].astype(float), z[rows])
-        plain.x, plain.P = x.reshape(plain.x.shape), P
-        support.assert_close(robust.x, plain.x, what="x")
-        support.assert_close(robust.P, plain.P, what="P")
-        support.assert_close(robust.x_post, plain.x, what="x_post")
-        support.assert_close(robust.P_post, plain.P, what="P_post")
-
-
-@pytest.mark.skipif(not support.FILTERPY_2, reason="filterpy 1.4.5 has no update_sequential")
-def test_update_sequential_equals_filterpys():
+def test_update_sequential_is_filterpys(blocks):
     problem = support.random_problem(8, 4, 3)
     robust, plain = pair(problem)
-    rng = np.random.default_rng(0)
-    for z in support.simulate(problem, 20, seed=4)[0]:
-        H, R = rng.normal(size=(1, 4)), support.spd(rng, 2)
+    for k, z in enumerate(support.simulate(problem, 20, seed=4)[0]):
         for kf in (robust, plain):
             kf.predict()
-            kf.update_sequential(0, z[:2].copy(), R_i=R)
-            kf.update_sequential(2, float(z[2]), R_i=0.4, H_i=H)
+            for start, length in blocks:
+                other = support.random_problem(100 + k, 4, length)
+                of_call = {"R_i": other.R, "H_i": other.H} if k % 2 else {}
+                kf.update_sequential(start, z[start : start + length].copy() if length > 1 else z[start], **of_call)
         support.assert_same_state(robust, plain, (*support.STATE, "y", "K"))
         np.testing.assert_array_equal(robust.z.astype(float), plain.z.astype(float))
 
@@ -153,12 +156,9 @@ def test_blocks_of_independent_sensors_are_one_update(ndim, blocks):
     problem = support.with_(support.random_problem(8, 4, 3), R=np.diag([0.5, 1.0, 2.0]))
     robust, plain = pair(problem, ndim)
     for z in support.simulate(problem, 20, seed=4)[0]:
-        for kf in (robust, plain):
-            kf.predict()
-        start = 0
-        for length in blocks:
-            robust.update_sequential(start, z[start : start + length])
-            start += length
+        robust.predict(), plain.predict()
+        for start, length in zip(np.cumsum([0, *blocks]), blocks, strict=False):
+            robust.update_sequential(int(start), z[start : start + length])
         plain.update(z)
         support.assert_same_state(robust, plain, support.STATE)
         assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
@@ -167,71 +167,177 @@ def test_blocks_of_independent_sensors_are_one_update(ndim, blocks):
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
-def test_steady_state(ndim):
-    problem = support.random_problem(9, 4, 2, dim_u=1)
-    robust, plain = pair(problem, ndim)
-    u = np.ones((1, 1) if ndim == 2 else 1)
-
-    def step(kf, k_and_z):
-        kind = "" if k_and_z[0] < 60 else "_steadystate"
-        getattr(kf, f"predict{kind}")(u)
-        getattr(kf, f"update{kind}")(k_and_z[1])
-
-    support.assert_same_along(robust, plain, enumerate(support.simulate(problem, 100, seed=4)[0]), step)
-
-
-def test_steady_state_with_a_gain_from_elsewhere():
-    problem = support.random_problem(9, 4, 2)
-    donor = pair(problem)[1]
-    support.through(donor, support.simulate(problem, 60, seed=4)[0])
-    robust, plain = pair(problem)
-    for kf in (robust, plain):
-        kf.K, kf.P = donor.K.copy(), donor.P.copy()
-
-    def step(kf, z):
-        kf.predict_steadystate()
-        kf.update_steadystate(z)
-
-    zs = support.simulate(problem, 30, seed=5)[0]
-    support.assert_same_along(robust, plain, zs, step, (*support.STATE, "y", "K"))
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
-@pytest.mark.parametrize("alpha", [1.0, 1.02, 1.5])
-def test_fading_memory(ndim, alpha):
-    problem = support.random_problem(9, 3, 2)
-    robust, plain = pair(problem, ndim)
-    for kf in (robust, plain):
-        kf.alpha = alpha
-        assert kf.alpha == pytest.approx(alpha)
-    support.assert_same_along(robust, plain, support.simulate(problem, 20, seed=4)[0])
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
-def test_get_prediction_with_per_call_matrices_is_what_predict_does(ndim):
+def test_what_can_be_asked_without_a_step(ndim):
     problem, other = support.random_problem(11, 4, 2, dim_u=1), support.random_problem(12, 4, 2, dim_u=1)
     robust, plain = pair(problem, ndim)
-    u = np.ones((1, 1) if ndim == 2 else 1)
+    u, z = np.ones((1, 1) if ndim == 2 else 1), column(plain, [1.0, 2.0])
     for arguments in ({}, {"u": u}, {"u": u, "B": other.B}, {"F": other.F}, {"Q": other.Q}, {"Q": 0.25}):
         x, P = robust.get_prediction(**arguments)
         support.load(plain, problem, ndim).predict(**arguments)
         support.assert_close(x, plain.x)
         support.assert_close(P, plain.P)
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
-def test_residual_measurement_and_likelihoods(ndim):
-    robust, plain = pair(support.random_problem(11, 4, 2), ndim)
-    z = support.column(plain, [1.0, 2.0])
+    support.load(plain, problem, ndim)
     for kf in (robust, plain):
         kf.predict()
         kf.update(z)
     support.assert_close(robust.residual_of(z), plain.residual_of(z))
     support.assert_close(robust.measurement_of_state(plain.x), plain.measurement_of_state(plain.x))
-    assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-10)
-    assert robust.log_likelihood == pytest.approx(gaussian_log_likelihood(plain), rel=1e-10)
     assert robust.likelihood == pytest.approx(plain.likelihood, rel=1e-10)
-    y = np.ravel(plain.y)
-    assert robust.mahalanobis == pytest.approx(np.sqrt(y @ plain.SI @ y), rel=1e-10)
+    assert robust.mahalanobis == pytest.approx(np.sqrt(np.ravel(plain.y) @ plain.SI @ np.ravel(plain.y)), rel=1e-10)
     expected = scipy.stats.multivariate_normal(np.ravel(plain.H @ plain.x), plain.S).logpdf(np.ravel(z))
     assert robust.log_likelihood_of(z) == pytest.approx(expected, rel=1e-10)
+
+
+ONE = [3, 3.5, np.float64(3.5), np.array(3.5), [3], (3,), [[3]], np.array([[3]])]
+TWO = [[1.0, 2.0], (1, 2), [[1.0], [2.0]], [[1.0, 2.0]], np.array([1, 2]), np.array([[1.0], [2.0]])]
+
+
+@pytest.mark.pairwise
+@pytest.mark.parametrize("z", ONE + TWO, ids=range(len(ONE + TWO)))
+@pytest.mark.parametrize("ndim", NDIMS)
+@pytest.mark.parametrize("method", ["update", "update_correlated", "update_steadystate", "get_update"])
+def test_forms_of_a_measurement(z, ndim, method):
+    robust, plain = filters = pair(support.random_problem(9, 3, np.size(z)), ndim)
+    for kf in filters:
+        kf.update([0.5, 0.6][: np.size(z)])
+    returned = [getattr(kf, method)(z) for kf in filters]
+    support.assert_same_state(robust, plain)
+    assert robust.z.shape == plain.z.shape
+    for ours, theirs in zip(*returned, strict=True) if method == "get_update" else ():
+        support.assert_close(ours, theirs)
+
+
+@pytest.mark.parametrize("ndim", NDIMS)
+def test_integer_arrays(ndim):
+    robust, plain = RobustKalmanFilter(2, 1, influence=Linear()), KalmanFilter(2, 1)
+    for kf in (robust, plain):
+        kf.x = np.array([[1], [2]]) if ndim == 2 else np.array([1, 2])
+        kf.P, kf.Q, kf.R = 50 * np.eye(2, dtype=int), np.eye(2, dtype=int), np.array([[5]])
+        kf.F, kf.H = np.array([[1, 1], [0, 1]]), np.array([[1, 0]])
+        kf.update(4)
+    support.assert_same_along(robust, plain, range(5))
+
+
+@pytest.mark.parametrize("ndim", NDIMS)
+def test_numbers_as_attributes(ndim):
+    """R, P and Q as numbers: predict adds Q to every entry of P, as filterpy does, and says so."""
+    robust, plain = pair(support.cart(), ndim)
+    for kf in (robust, plain):
+        kf.R, kf.Q, kf.P = 5, 0.0001, 7.0
+    with pytest.warns(UserWarning, match=r"Q: expected a matrix, got the number 0.0001, which is added to every entry"):
+        support.assert_same_along(robust, plain, range(5))
+    for kf in (robust, plain):
+        kf.R = 2.5
+        kf.update(3.0)
+    support.assert_same_state(robust, plain)
+    # Without a prediction a number as P is a multiple of the identity.
+    robust.P, plain.P = 7.0, 7.0 * np.eye(2)
+    for kf in (robust, plain):
+        kf.update(3.0)
+    support.assert_same_state(robust, plain, ("x", "P", "K", "S"))
+
+
+@pytest.mark.filterwarnings("ignore:Q. expected a matrix")
+@pytest.mark.parametrize("Q", [0.25, 1, np.float32(0.25), np.float64(0.25), np.int64(1), np.array(0.25)], ids=repr)
+def test_a_number_as_q_is_what_it_is_in_filterpy(Q):
+    """Its batch_filter passes it to each prediction, where it means times I."""
+    zs, found = [1.0, 2.0, None, 3.0], []
+    for make in (KalmanFilter, lambda n, m: RobustKalmanFilter(n, m, influence=Linear())):
+        steps, whole = make(2, 1), make(2, 1)
+        for kf in (steps, whole):
+            kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), Q
+        support.through(steps, zs)
+        found.append((steps.P, *whole.batch_filter(zs)))
+    for theirs, ours in zip(*found, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+@pytest.mark.parametrize("ndim", NDIMS)
+@pytest.mark.parametrize("height", [1, 4])
+def test_h_of_another_height_for_one_call(ndim, height):
+    """filterpy 1.4.5 cannot; the definition is a filter of that dim_z."""
+    problem, other = support.random_problem(9, 4, 3), support.random_problem(10, 4, height)
+    robust = pair(problem, ndim)[0]
+    plain = support.make(KalmanFilter, support.with_(problem, H=other.H, R=other.R, M=other.M), ndim)
+    z = np.arange(height) + 1.0
+    robust.update(column(robust, z), R=other.R, H=other.H)
+    plain.update(z)
+    support.assert_same_state(robust, plain, ("x", "P", "x_post", "P_post", "y", "K", "S", "SI"))
+
+
+def test_an_inverse_of_the_users():
+    problem = support.with_(support.random_problem(13, 2, 2), P=np.eye(2), Q=np.eye(2), F=0.9 * np.eye(2), H=np.eye(2))
+    robust, plain = pair(support.with_(problem, R=np.diag([1.0, 2.0])))
+    robust.inv = plain.inv = inv_diagonal
+    support.assert_same_along(robust, plain, support.simulate(problem, 10, seed=1)[0])
+
+
+def test_as_it_is_built():
+    robust, plain = RobustKalmanFilter(3, 2, 1), KalmanFilter(3, 2, 1)
+    assert isinstance(robust, KalmanFilter)
+    for name in (*SHOWN, "F", "H", "Q", "R"):
+        np.testing.assert_array_equal(getattr(robust, name), getattr(plain, name), err_msg=name)
+    assert robust.B is None and robust.alpha == 1.0 and robust.inv is np.linalg.inv and not robust.M.any()
+    assert (robust.dim_x, robust.dim_z, robust.dim_u) == (3, 2, 1)
+    assert robust.log_likelihood == plain.log_likelihood and robust.likelihood == plain.likelihood
+    robust.test_matrix_dimensions()
+
+
+def batches(problem, n, rng, ndim):
+    """The ways to call batch_filter."""
+    us = {"us": list(rng.normal(size=(n, 1, 1) if ndim == 2 else (n, 1)))}
+    others = [support.random_problem(k, 4, 2, 1) for k in range(n)]
+    lists = {f"{name}s": [getattr(other, name) for other in others] for name in "FQHRB"}
+    return {"plain": {}, "update_first": {"update_first": True}, "control": us, "lists": {**us, **lists}}
+
+
+def batch_by_definition(kf, zs, us=None, update_first=False, **lists):
+    """The loop that batch_filter stands for; filterpy 1.4.5's refuses None beside columns."""
+    out = ([], [], [], [])
+    for k, z in enumerate(zs):
+        one = {name[0]: values[k] for name, values in lists.items()}
+        for step in ("update", "predict") if update_first else ("predict", "update"):
+            if step == "predict":
+                kf.predict(None if us is None else us[k], **{n: v for n, v in one.items() if n in "FQB"})
+            else:
+                kf.update(z, **{n: v for n, v in one.items() if n in "HR"})
+            for series, value in zip(out[2:] if step == "predict" else out[:2], (kf.x, kf.P), strict=True):
+                series.append(value.copy())
+    return tuple(map(np.array, out))
+
+
+@pytest.mark.parametrize("ndim", NDIMS)
+@pytest.mark.parametrize("case", ["plain", "update_first", "control", "lists"])
+@pytest.mark.parametrize("missing", [False, True])
+def test_batch_filter_and_smoother(ndim, case, missing):
+    problem, n = support.random_problem(14, 4, 2, dim_u=1), 40
+    arguments = batches(problem, n, np.random.default_rng(0), ndim)[case]
+    robust, plain = pair(problem, ndim)
+    if "us" not in arguments:
+        # Without B, so that filterpy's default us=0 multiplies nothing.
+        robust.B = plain.B = None
+    zs = [column(plain, z) for z in support.simulate(problem, n, seed=3)[0]]
+    if missing:
+        zs[3] = zs[20] = zs[21] = None
+    saver = Saver(robust)
+    ours = robust.batch_filter(zs, saver=saver if case == "control" else None, **arguments)
+    theirs = plain.batch_filter(zs, **arguments) if support.FILTERPY_2 else batch_by_definition(plain, zs, **arguments)
+    for a, b in zip(ours, theirs, strict=True):
+        support.assert_close(a, b)
+    support.assert_same_state(robust, plain, (*support.STATE, "K", "S", "SI"))
+    if case == "control":
+        support.assert_close(np.array(saver.x), ours[0])
+    matrices = {name: arguments.get(name) for name in ("Fs", "Qs")}
+    smoothed = robust.rts_smoother(*ours[:2], **matrices), plain.rts_smoother(*theirs[:2], **matrices)
+    for a, b in zip(*smoothed, strict=True):
+        support.assert_close(a, b, rtol=1e-9)
+
+
+def test_batch_filter_of_an_array_and_of_scalars():
+    robust, plain = pair(support.cart())
+    zs = support.simulate(support.cart(), 30, seed=3)[0]
+    for form in (zs, zs[:, 0], list(zs[:, 0]), zs[:, :, None]):
+        for kf in (robust, plain):
+            support.load(kf, support.cart())
+        for a, b in zip(robust.batch_filter(form), plain.batch_filter(form), strict=True):
+            support.assert_close(a, b)
