@@ -351,6 +351,11 @@ def assert_corrected(kf, reference, rtol=1e-9):
         assert_close(getattr(kf, name), getattr(reference, name), rtol, name)
     assert_close(reference.prior + kf.K @ np.ravel(kf.y_bounded), reference.x, rtol, "K y_bounded", size)
     assert_close(kf.SI, np.linalg.inv(reference.S), rtol, "SI")
+    length = np.sqrt(np.ravel(kf.y) @ np.linalg.solve(reference.S, np.ravel(kf.y)))
+    np.testing.assert_allclose(kf.mahalanobis, length, rtol=1e-7)
+    np.testing.assert_array_equal(kf.x_post, kf.x)
+    for name in ("e", "weights", "clipped", "y_bounded"):
+        assert getattr(kf, name).shape == kf.y.shape == (len(reference.y), 1)[: kf.x.ndim], name
 
 
 def without_kernel(monkeypatch):

@@ -16,6 +16,8 @@ from robust_filterpy.correction import Scales
 NONE = Contaminated(0.0)
 BOTH = {"grouping": "joint", "noise": Contaminated(0.1, 10.0), "process": Contaminated(0.2, 6.0)}
 KINDS = [
+    pytest.param(RobustKalmanFilter, {}, id="default"),
+    pytest.param(RobustKalmanFilter, {"grouping": "joint", "scaling": "innovation"}, id="joint"),
     pytest.param(told, BOTH, id="matched"),
     pytest.param(told, {**BOTH, "grouping": "component"}, id="matched-component"),
     pytest.param(two_sided, {}, id="two-sided"),
@@ -118,26 +120,32 @@ def test_a_jump_that_nothing_denies_widens_P():
         assert kf.log_likelihood == 0.0
 
 
+@pytest.mark.parametrize("ndim", [1, 2])
 @pytest.mark.parametrize("cls, options", KINDS)
-def test_looking_changes_nothing(cls, options):
+def test_looking_changes_nothing_and_says_what_a_call_would_do(cls, options, ndim):
     problem = random_problem(2, 4, 2)
-    kf = make(cls, problem, 1, **options)
+    kf = make(cls, problem, ndim, **options)
     zs = simulate(problem, 6, 2, contamination=0.5)[0]
     advance(kf, zs[:5])
+    for z in (zs[5], [1e6, 0.1], [np.nan, 5.0], [np.nan, np.nan], None):
+        kf.predict()
+        _ = kf.log_likelihood, kf.likelihood, kf.y, kf.S, kf.SI, kf.mahalanobis
+        before, memory = support.snapshot(kf), kf.state()
+        x, P = kf.get_update(z)
+        kf.get_prediction(), kf.get_update(None), kf.log_likelihood_of(z), kf.residual_of(zs[0].reshape(kf.y.shape))
+        # What is handed out may be written into.
+        for found in (kf.get_update(z), kf.get_prediction()):
+            found[0][:], found[1][:] = 77.0, 77.0
+        assert repr(kf)
+        support.assert_unchanged(before, kf)
+        np.testing.assert_equal(kf.state(), memory)
+        kf.update(z)
+        np.testing.assert_array_equal(kf.x, x)
+        np.testing.assert_array_equal(kf.P, P)
+        x, P = kf.get_prediction()
     kf.predict()
-    _ = kf.log_likelihood, kf.likelihood, kf.y, kf.S, kf.SI, kf.mahalanobis
-    before, memory = support.snapshot(kf), kf.state()
-    kf.get_prediction(), kf.get_update(zs[5]), kf.get_update(None), kf.log_likelihood_of(zs[5]), repr(kf)
-    support.assert_unchanged(before, kf)
-    np.testing.assert_equal(kf.state(), memory)
-    x, P = kf.get_update(zs[5])
-    kf.update(zs[5])
-    np.testing.assert_array_equal(kf.x, x)
-    np.testing.assert_array_equal(kf.P, P)
-    x, P = kf.get_prediction()
-    kf.predict()
-    np.testing.assert_array_equal(kf.x, x)
-    np.testing.assert_array_equal(kf.P, P)
+    support.assert_close(kf.x, x, 1e-14)
+    support.assert_close(kf.P, P, 1e-14)
 
 
 def test_correlated_noise_equals_kalman_for_ordinary_noise():

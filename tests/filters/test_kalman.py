@@ -1,13 +1,13 @@
-"""One update of the robust filter is the correction of the paper, and it shows what it did."""
+"""Every correction of the robust filter is that of the paper, shows what it did, and bounds what an outlier does."""
 
 import numpy as np
 import pytest
 import scipy.stats
 import support
-from filterpy.kalman import KalmanFilter
 from statsmodels.robust import norms
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.influence.information import expected_information
 
@@ -16,8 +16,8 @@ pytestmark = pytest.mark.core
 K = 1.345
 FORMULAS = support.HuberFormulas(K)
 SCALINGS = ["innovation", "bounded", "unit"]
-COMPONENT = [("component", information) for information in ("realized", "expected", "weight")]
-JOINT = [("joint", information) for information in ("realized", "weight")]
+GROUPED = [("component", information) for information in ("realized", "expected", "weight")]
+GROUPED += [("joint", information) for information in ("realized", "weight")]
 NDIMS = [1, 2]
 
 
@@ -27,18 +27,21 @@ def robust(problem=None, ndim=2, **choices):
 
 
 @pytest.mark.pairwise
+@pytest.mark.parametrize("method", ["update", "update_correlated"])
 @pytest.mark.parametrize("scaling", SCALINGS)
-@pytest.mark.parametrize("grouping, information", COMPONENT + JOINT)
+@pytest.mark.parametrize("grouping, information", GROUPED)
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("z", [[0.1, -0.2, 0.3], [0.1, 40.0, 0.2], [-30.0, 1e4, 7.0]])
 @pytest.mark.parametrize("dim_z", [1, 2, 3])
-def test_update_is_the_correction(scaling, grouping, information, ndim, z, dim_z):
+def test_update_is_the_correction(method, scaling, grouping, information, ndim, z, dim_z):
     z, problem = z[:dim_z], support.mild(4, dim_z)
     choices = {"scaling": scaling, "grouping": grouping, "information": information}
-    kf = robust(problem, ndim, **choices)
-    reference = support.reference_correction(problem.x, problem.P, z, problem.H, problem.R, FORMULAS, **choices)
-    kf.update(z)
+    kf, M = robust(problem, ndim, **choices), problem.M if method == "update_correlated" else None
+    reference = support.reference_correction(problem.x, problem.P, z, problem.H, problem.R, FORMULAS, M=M, **choices)
+    getattr(kf, method)(z)
     support.assert_corrected(kf, reference, rtol=1e-7 if grouping == "joint" else 1e-9)
+    assert kf.clipped.dtype == bool
+    np.testing.assert_array_equal(np.ravel(kf.clipped), reference.weights < 1.0)
 
 
 @pytest.mark.parametrize("norm", [norms.TukeyBiweight(), norms.Hampel(), norms.HuberT(2.0), norms.AndrewWave()])
@@ -91,66 +94,6 @@ def test_joint_expected_information_is_the_mean_over_the_chi_distribution():
     support.assert_close(kf.P, problem.P - d * C @ np.linalg.inv(S) @ C.T, 1e-6)
 
 
-@pytest.mark.parametrize("ndim", NDIMS)
-def test_equals_kalman_until_something_is_clipped(ndim):
-    problem = support.random_problem(24, 4, 2)
-    ours, theirs = robust(problem, ndim, influence=Huber(2.5)), support.make(KalmanFilter, problem, ndim)
-    for z in support.simulate(problem, 300, seed=3)[0]:
-        for kf in (ours, theirs):
-            kf.predict()
-            kf.update(z)
-        if ours.clipped.any():
-            break
-        support.assert_same_state(ours, theirs, rtol=1e-9)
-    assert ours.clipped.any(), "nothing was clipped, so nothing was shown"
-    assert np.abs(ours.x - theirs.x).max() > 1e-6
-
-
-@pytest.mark.parametrize("scaling", SCALINGS)
-@pytest.mark.parametrize("grouping", ["component", "joint"])
-@pytest.mark.parametrize("ndim", NDIMS)
-def test_what_the_filter_shows(scaling, grouping, ndim):
-    problem = support.mild(4, 3)
-    kf = robust(problem, ndim, scaling=scaling, grouping=grouping)
-    shape = (3, 1) if ndim == 2 else (3,)
-    kf.predict()
-    kf.update([0.1, 300.0, -0.2])
-    for name in ("y", "e", "weights", "clipped", "y_bounded"):
-        assert getattr(kf, name).shape == shape, name
-    assert kf.clipped.dtype == bool
-    assert kf.T.shape == (3, 3)
-    e = np.ravel(kf.e)
-    support.assert_close(e, kf.T @ np.ravel(kf.y), what="e")
-    length = np.full(3, np.linalg.norm(e)) if grouping == "joint" else np.abs(e)
-    support.assert_close(np.ravel(kf.weights), np.minimum(1, K / length), what="weights")
-    np.testing.assert_array_equal(np.ravel(kf.clipped), length > K)
-    assert kf.clipped.any()
-    support.assert_close(np.ravel(kf.T @ kf.y_bounded), np.ravel(kf.weights) * e, what="T y_bounded")
-    support.assert_close(kf.x_post, kf.x_prior + kf.K @ kf.y_bounded, what="x_post")
-    support.assert_close(kf.y, np.reshape([0.1, 300.0, -0.2], shape) - kf.H @ kf.x_prior, what="y is raw")
-    assert kf.mahalanobis == pytest.approx(np.sqrt(np.ravel(kf.y) @ kf.SI @ np.ravel(kf.y)), rel=1e-9)
-
-
-@pytest.mark.parametrize("scaling", ["innovation", "bounded"])
-def test_k_is_the_gain_before_psi(scaling):
-    problem = support.random_problem(24, 4, 2)
-    problem = support.with_(problem, R=problem.R + np.eye(2))
-    ours, theirs = robust(problem, scaling=scaling), support.make(KalmanFilter, problem)
-    for kf in (ours, theirs):
-        kf.update([50.0, -70.0])
-    support.assert_close(ours.K, theirs.K)
-    support.assert_close(ours.S, theirs.S)
-    support.assert_close(ours.SI, theirs.SI)
-
-
-def test_k_is_the_papers_gain_coefficient_under_unit_scaling():
-    kf = robust(support.mild(4, 1), scaling="unit")
-    C = kf.P @ kf.H.T
-    kf.update(30.0)
-    support.assert_close(kf.K, C)
-    np.testing.assert_array_equal(kf.T, np.eye(1))
-
-
 def test_a_sensor_with_a_zero_row_in_h_is_not_one_of_the_group():
     """A tracker's unseen point: what it reports must not decide whether the others are clipped."""
     seen = support.random_problem(25, 4, 2)
@@ -164,25 +107,133 @@ def test_a_sensor_with_a_zero_row_in_h_is_not_one_of_the_group():
         support.assert_same_state(with_garbage, without, ("x", "P"))
 
 
-def test_before_the_first_update():
+def test_as_it_is_built():
     kf = RobustKalmanFilter(3, 2)
-    assert np.all(np.isnan(kf.weights)) and not kf.clipped.any()
-    assert not kf.e.any() and not kf.y_bounded.any()
+    assert kf.influence == Huber(1.345)
+    assert (kf.scaling, kf.information, kf.grouping) == ("learnt", "realized", "component")
+    assert np.all(np.isnan(kf.weights)) and not kf.clipped.any() and not kf.e.any() and not kf.y_bounded.any()
     assert kf.weights.shape == kf.clipped.shape == kf.e.shape == kf.y_bounded.shape == (2, 1)
     assert kf.T.shape == (2, 2)
+    text = repr(RobustKalmanFilter(2, 1, influence=Huber(1.5), scaling="bounded", information="weight"))
+    for part in ("RobustKalmanFilter", "Huber(threshold=1.5)", "bounded", "weight", "component", "dim_x = 2"):
+        assert part in text, part
+    kf.update([1.0, 1e6])
+    assert "spread" in repr(kf) and "weights" in repr(kf)
 
 
-def test_bounded_scaling_is_unit_where_s_is_below_one_and_innovation_above():
-    below, above = support.mild(), support.random_problem(25, 4, 2)
-    below = support.with_(below, R=0.1 * np.eye(2))
-    # Sensors without correlation, for which S^(-1/2) is the innovation's scaling.
-    H, R = np.eye(2, 4), 2.0 * np.eye(2)
-    above = support.with_(above, H=H, R=R, P=np.diag(np.diag(above.P)))
-    for problem, other in ((below, "unit"), (above, "innovation")):
-        one, two = robust(problem, scaling="bounded"), robust(problem, scaling=other)
-        for kf in (one, two):
-            kf.update([0.3, 100.0])
-        support.assert_same_state(one, two, (*support.STATE, "y", "K", "S", "T", "e", "weights"))
+@pytest.mark.parametrize("missing_first", [False, True])
+def test_choices_can_be_changed_between_calls(missing_first):
+    problem = support.mild()
+    kf = robust(problem)
+    if missing_first:
+        kf.update(None)
+    for scaling in SCALINGS:
+        for grouping, information in GROUPED:
+            for influence in (Huber(0.8), Huber(2.0)):
+                choices = {"scaling": scaling, "grouping": grouping, "information": information, "influence": influence}
+                support.load(kf, problem)
+                for name, value in choices.items():
+                    setattr(kf, name, value)
+                    assert getattr(kf, name) == value
+                fresh = robust(problem, **choices)
+                for one in (kf, fresh):
+                    one.update([0.1, 30.0])
+                support.assert_same_state(kf, fresh, ("x", "P", "K", "T", "e", "weights"), rtol=1e-14)
+
+
+def test_a_singular_s_is_said_and_a_pseudo_inverse_is_obeyed():
+    H = np.array([[1.0, 0.0], [1.0, 0.0]])
+    kf = robust(support.with_(support.cart(), H=H, R=1e-10 * np.eye(2), P=1e30 * np.eye(2), M=np.zeros((2, 2))))
+    before = support.snapshot(kf)
+    with pytest.raises(np.linalg.LinAlgError):
+        kf.update([1.0, 1.0])
+    support.assert_unchanged(before, kf)
+    kf.inv = np.linalg.pinv
+    kf.update([1.0, 1.0])
+    support.assert_close(kf.SI, np.linalg.pinv(kf.S), 1e-12)
+    assert np.all(np.isfinite(kf.x)) and kf.x[0, 0] == pytest.approx(1.0, abs=1e-6)
+
+
+PATHS = {
+    "update": lambda kf, z: kf.update(z),
+    "update with R and H": lambda kf, z: kf.update(np.reshape(z, kf.y.shape), R=kf.R + np.eye(2), H=kf.H + 0.1),
+    "update_correlated": lambda kf, z: kf.update_correlated(z),
+    "update_sequential": lambda kf, z: kf.update_sequential(0, np.array(z)),
+    "update_steadystate": lambda kf, z: kf.update_steadystate(z),
+    "batch_filter": lambda kf, z: kf.batch_filter([np.reshape(z, kf.y.shape)]),
+    "batch_filter update_first": lambda kf, z: kf.batch_filter([np.reshape(z, kf.y.shape)], update_first=True),
+}
+
+
+@pytest.mark.pairwise
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("ndim", NDIMS)
+@pytest.mark.parametrize("influence", [Huber(), Hampel(), TukeyBiweight(), StudentT()], ids=repr)
+def test_every_path_bounds_the_correction(path, ndim, influence):
+    """Once clipped, a larger outlier moves the state no further."""
+    problem = support.random_problem(26, 4, 2)
+    states = []
+    for size in (1e6, 1e12, 1e300):
+        kf = robust(problem, ndim, influence=influence)
+        kf.update([0.1, 0.2])
+        PATHS[path](kf, [size, -size])
+        states.append((np.ravel(kf.x), kf.P))
+        support.assert_positive_definite(kf.P)
+    for x, P in states[1:]:
+        np.testing.assert_allclose(x, states[0][0], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(P, states[0][1], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("ndim", NDIMS)
+def test_update_sequential_is_one_correction_for_each_block(ndim):
+    problem = support.random_problem(27, 4, 3)
+    kf, x, P = robust(problem, ndim), problem.x, problem.P
+    for rows, z in ((slice(0, 2), np.array([0.3, 80.0])), (slice(2, 3), np.array([-60.0]))):
+        reference = support.reference_correction(x, P, z, problem.H[rows], problem.R[rows, rows], FORMULAS)
+        kf.update_sequential(rows.start, z)
+        x, P = reference.x, reference.P
+        support.assert_close(np.ravel(kf.x), x, 1e-9, "x")
+        support.assert_close(kf.P, P, 1e-9, "P")
+        for name in ("y", "e", "weights"):
+            support.assert_close(np.ravel(getattr(kf, name))[rows], getattr(reference, name), 1e-9, name)
+        support.assert_close(kf.K[:, rows], reference.K, 1e-9, "K")
+    assert kf.x.shape == ((4, 1) if ndim == 2 else (4,))
+
+
+@pytest.mark.parametrize("ndim", NDIMS)
+def test_steady_state_is_not_spoilt_by_the_outlier_before(ndim):
+    problem = support.random_problem(28, 4, 2)
+    calm, upset = robust(problem, ndim), robust(problem, ndim)
+    zs = support.simulate(problem, 60, seed=1)[0]
+    for kf in (calm, upset):
+        support.through(kf, zs)
+        kf.predict()
+    x, P = calm.x.copy(), calm.P.copy()
+    calm.update(zs[0])
+    upset.update([1e9, -1e9])
+    support.assert_close(upset.K, calm.K)
+    for kf in (calm, upset):
+        kf.x, kf.P = x.copy(), P.copy()
+        kf.predict_steadystate()
+        kf.update_steadystate([0.4, 90.0])
+        support.assert_close(kf.x_post, kf.x_prior + kf.K @ kf.y_bounded)
+        e = np.ravel(kf.T @ kf.y)
+        support.assert_close(np.ravel(kf.T @ kf.y_bounded), np.clip(e, -K, K), 1e-9)
+        np.testing.assert_array_equal(np.ravel(kf.clipped), np.abs(e) > K)
+    support.assert_close(calm.x, upset.x)
+
+
+def test_unit_scaling_refuses_to_make_p_indefinite():
+    kf = robust(support.with_(support.cart(), P=10 * np.eye(2)), scaling="unit")
+    before = support.snapshot(kf)
+    assert issubclass(NotPositiveDefiniteError, np.linalg.LinAlgError)
+    for call in (kf.update, kf.get_update, kf.update_correlated, lambda z: kf.update_sequential(0, z)):
+        with pytest.raises(NotPositiveDefiniteError, match="H P H'"):
+            call(0.5)
+        support.assert_unchanged(before, kf)
+    kf.scaling = "bounded"
+    kf.update(0.5)
+    support.assert_positive_definite(kf.P)
 
 
 @pytest.mark.parametrize("place, growth", [(1e3, None), (1e5, 1e6), (1e9, 1e6)])
@@ -200,15 +251,13 @@ def test_at_a_jump_that_is_believed_S_grows_by_a_million_at_most(path, place, gr
     assert grown[63] == pytest.approx(growth, rel=1e-9) if growth else 1e5 < grown[63] < 1e6
 
 
-@pytest.mark.parametrize("first", [0.0, 1.5e-14, -1e-13, 1e-11])
-def test_a_first_innovation_of_rounding_is_no_custom(first):
+@pytest.mark.parametrize("first", [1.5e-14, -1e-13, 1e-11])
+def test_a_first_innovation_of_rounding_is_not_typical(first):
     """The state was set from the first reading, by way of a computation, and that reading is then taken once more."""
     zs = 100.0 + 0.3 * np.arange(60) + np.random.default_rng(0).normal(size=60)
     found = []
     for off in (0.0, first):
-        kf = RobustKalmanFilter(2, 1)
-        kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.eye(2)
-        kf.P, kf.x = 10.0 * np.eye(2), np.array([[zs[0]], [0.0]])
+        kf = robust(support.with_(support.cart(), x=np.array([[zs[0]], [0.0]]), P=10.0 * np.eye(2)), scaling="learnt")
         kf.update(zs[0] + off)
         found.append(kf.batch_filter(zs[1:])[0])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
