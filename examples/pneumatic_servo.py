@@ -91,7 +91,6 @@ def one_experiment(given: Conditions, out: Path, say: Progress) -> dict[str, Ide
     recording = recordings[ROBUST]
     draw_recording(given, recordings, out / "servo_recording.png")
     recording.to_csv(out / "servo_recording.csv")
-    recording.to_mat(out / "servo_recording.mat")
     data = signals_of(recording, given)
     models = models_of_a_stretch(data, say)
     draw_model(models, out / "servo_model.png")

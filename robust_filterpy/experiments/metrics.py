@@ -1,4 +1,4 @@
-"""What the runs of a study show: errors per step, ratios to a reference, percentages of fit, and intervals of these.
+"""What the runs of a study show: intervals of means, of ratios to a reference, and of any other statistic.
 
 The functions take arrays with a leading axis of runs, such as ``monte_carlo(..).stacked()`` gives.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,47 +15,6 @@ from numpy.random import Generator, default_rng
 from numpy.typing import ArrayLike, NDArray
 
 from robust_filterpy import _checks
-
-
-def mean_square_error(x_hat: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
-    """Average the squared length of the error over the runs, step by step.
-
-    ``MSE(k) = mean over runs of ||x_hat(k) - x(k)||^2``
-
-    Parameters
-    ----------
-    x_hat : array_like, shape (runs, steps) or (runs, steps, ...)
-        Estimates; the axes after the second are the components of one state.
-    x : array_like, of the shape of `x_hat`, or of that without its first axis
-        True states, of each run or the same in all.
-
-    Returns
-    -------
-    ndarray, shape (steps,)
-        In the squared unit of x. NaN where an estimate is NaN: a run that diverged is not left out.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit, or `x_hat` has no axis of steps.
-
-    Examples
-    --------
-    >>> mean_square_error([[1.0, 2.0], [3.0, 2.0]], [1.0, 1.0])
-    array([2., 1.])
-    """
-    estimate, truth = np.asarray(x_hat, dtype=float), np.asarray(x, dtype=float)
-    if estimate.ndim < 2 or 0 in estimate.shape:
-        raise ValueError(
-            f"x_hat: expected shape (runs, steps) or (runs, steps, n), none of them 0, got {estimate.shape}; "
-            "use x_hat[None] for a single run"
-        )
-    if truth.shape not in (estimate.shape, estimate.shape[1:]):
-        raise ValueError(
-            f"x: expected shape {estimate.shape} or {estimate.shape[1:]} as x_hat has it, got {truth.shape}"
-        )
-    squared = (estimate - truth) ** 2
-    return squared.sum(axis=tuple(range(2, estimate.ndim))).mean(axis=0)
 
 
 class Interval(NamedTuple):
@@ -119,9 +78,9 @@ def bootstrap_interval(
     """
     from scipy import stats
 
-    function = _statistic(statistic)
-    given = samples if isinstance(samples, tuple) else (samples,)
-    arrays = _same_runs(given, [f"samples[{i}]" for i in range(len(given))])
+    named: dict[str, Any] = {"mean": np.mean, "median": np.median, "rms": _rms, "ratio": _ratio_of_means}
+    function = statistic if callable(statistic) else named[_checks.option("statistic", statistic, named)]
+    arrays = _same_runs(samples if isinstance(samples, tuple) else (samples,))
     if not callable(statistic) and len(arrays) != (2 if statistic == "ratio" else 1):
         wanted = "a tuple of two arrays" if statistic == "ratio" else "one array"
         raise ValueError(
@@ -132,8 +91,7 @@ def bootstrap_interval(
         raise ValueError(f"samples: expected at least 2 runs, got {len(arrays[0])}")
     if not 0 < level < 1:
         raise ValueError(f"level: expected a number between 0 and 1, got {level!r}; use 0.95 for 95 percent")
-    if method not in ("BCa", "percentile", "basic"):
-        raise ValueError(f"method: expected 'BCa', 'percentile' or 'basic', got {_checks.shown(method)}")
+    _checks.option("method", method, ("BCa", "percentile", "basic"))
     _checks.count("n_resamples", n_resamples, 2)
 
     # Of a study with many steps all resamples at once would not fit into memory.
@@ -154,26 +112,14 @@ def bootstrap_interval(
     return Interval(*(field if field.ndim else float(field) for field in fields))
 
 
-def _same_runs(values: Iterable[ArrayLike], names: Sequence[str]) -> tuple[NDArray[np.float64], ...]:
+def _same_runs(values: Sequence[ArrayLike]) -> tuple[NDArray[np.float64], ...]:
     """Return float arrays of one shape with an axis of runs."""
     arrays = tuple(np.asarray(value, dtype=float) for value in values)
-    for array, name in zip(arrays, names, strict=True):
-        if array.ndim == 0 or array.size == 0:
-            raise ValueError(f"{name}: expected shape (runs, ...), got {array.shape}")
-        if array.shape != arrays[0].shape:
-            raise ValueError(f"{name}: expected shape {arrays[0].shape} as {names[0]} has it, got {array.shape}")
+    for i, array in enumerate(arrays):
+        if array.size == 0 or array.ndim == 0 or array.shape != arrays[0].shape:
+            wanted = "(runs, ...)" if not i else f"{arrays[0].shape} as samples[0] has it"
+            raise ValueError(f"samples[{i}]: expected shape {wanted}, got {array.shape}")
     return arrays
-
-
-def _statistic(statistic: str | Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function of that name, or the caller's own."""
-    functions: dict[str, Any] = {"mean": np.mean, "median": np.median, "rms": _rms, "ratio": _ratio_of_means}
-    if callable(statistic):
-        return statistic
-    if statistic not in functions:
-        raise ValueError(f"statistic: expected a callable or one of {', '.join(functions)}, got {statistic!r}")
-    function: Callable[..., Any] = functions[statistic]
-    return function
 
 
 def _rms(samples: NDArray[np.float64], axis: int) -> Any:

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import collections.abc
 import dataclasses
-import inspect
-import operator
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,6 +23,7 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
+from robust_filterpy import _checks
 from robust_filterpy._progress import progress_bar, stages
 from robust_filterpy._warning import warn
 
@@ -93,41 +92,12 @@ def outcomes_of(
     yield from parallel(task(trial, root, index) for index in indices)
 
 
-def check_trial(trial: Trial) -> None:
-    """Refuse what every run would fail with."""
-    mend = "trial: expected a callable that takes one numpy Generator, got "
-    if not callable(trial):
-        raise TypeError(f"{mend}{trial!r}; use lambda rng: ... or functools.partial")
-    try:
-        signature = inspect.signature(trial)
-    except (TypeError, ValueError):
-        return
-    try:
-        signature.bind(None)
-    except TypeError as error:
-        raise TypeError(f"{mend}signature {signature}: {error}") from None
-
-
-def integer(name: str, value: Any) -> int:
-    """Return an integer of any integer type."""
-    if not isinstance(value, bool | np.bool_):
-        try:
-            return operator.index(value)
-        except TypeError:
-            pass
-    raise TypeError(f"{name}: expected an integer, got {value!r}")
-
-
 def run_numbers(runs: int | Iterable[int]) -> list[int]:
     """Return the numbers of the runs to do."""
-    if isinstance(runs, Iterable) and not isinstance(runs, str) and bool(getattr(runs, "ndim", True)):
-        numbers = [integer("runs", run) for run in runs]
-    else:
-        numbers = list(range(integer("runs", runs)))
-    if not numbers or min(numbers) < 0:
-        raise ValueError(f"runs: expected at least one run, numbered from 0, got {runs!r}")
-    if len(set(numbers)) < len(numbers):
-        raise ValueError("runs: expected every run once, found one repeated; a repeated run is the same run")
+    every = runs if isinstance(runs, Iterable) else range(_checks.count("runs", runs, 1))
+    numbers = [_checks.count("runs", run) for run in every]
+    if not numbers or len(set(numbers)) < len(numbers):
+        raise ValueError(f"runs: expected at least one run and every run once, got {runs!r}")
     return numbers
 
 
@@ -293,7 +263,7 @@ def monte_carlo(
     Raises
     ------
     TypeError
-        If `trial` cannot be called with one argument, or `runs`, `n_jobs` or `seed` is of the wrong type.
+        If `trial` cannot be called, or `runs`, `n_jobs` or `seed` is of the wrong type.
     ValueError
         If `runs` is empty or negative or repeats a run, `n_jobs` is 0, or `seed` has spawned children already
         (the runs would get their random numbers).
@@ -327,13 +297,12 @@ def monte_carlo(
     >>> bool(rerun(lambda rng: rng.normal(), study.seed, 7) == study.results[7])
     True
     """
-    check_trial(trial)
+    if not callable(trial):
+        raise TypeError(f"trial: expected a callable that takes one numpy Generator, got {trial!r}")
     indices = run_numbers(runs)
     root = root_seed(seed)
-    if n_jobs is not None:
-        n_jobs = integer("n_jobs", n_jobs)
-        if n_jobs == 0:
-            raise ValueError("n_jobs: expected a positive number, -1 for all processors, or None, got 0")
+    if n_jobs is not None and not (isinstance(n_jobs, int) and n_jobs < 0):
+        _checks.count("n_jobs", n_jobs, 1)
     outcomes = outcomes_of(trial, root, indices, n_jobs)
     bar = progress_bar(len(indices), progress, " runs", "monte_carlo")
 
@@ -397,13 +366,9 @@ def rerun(trial: Trial, seed: Seed, index: int) -> Any:
     >>> bool((rerun(trial, 0, 5) == monte_carlo(trial, 8, seed=0).results[5]).all())
     True
     """
-    check_trial(trial)
     if seed is None:
         raise ValueError("seed: expected the study's seed, got None; use result.seed")
-    index = integer("index", index)
-    if index < 0:
-        raise ValueError(f"index: expected the number of a run, 0 or more, got {index}")
-    return trial(default_rng(child_of(root_seed(seed), index)))
+    return trial(default_rng(child_of(root_seed(seed), _checks.count("index", index))))
 
 
 def _warn_of(failures: Sequence[Failure], stopped: str | None, done: int, runs: int) -> None:

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "testing"))
 
 from filterpy.kalman import KalmanFilter
-from users_filters import WRONG_FILTERS
+from wrong_filters import WRONG_FILTERS
 
 from robust_filterpy.testing import ChecksFailed, check_filter
 

@@ -31,7 +31,7 @@ from robust_filterpy.testing.assertions.robustness import (
     assert_sensor_order_irrelevant,
     assert_unit_equivariant,
 )
-from robust_filterpy.testing.assertions.tracking import assert_interval_coverage, assert_stable_model
+from robust_filterpy.testing.assertions.tracking import assert_interval_coverage
 from robust_filterpy.testing.scenarios.models import random_stable
 from robust_filterpy.testing.scenarios.runs import TrackerRun, load
 
@@ -219,14 +219,6 @@ def test_drifting_parameters_are_tracked_against_a_reference():
     assert_tracks(runs, at_least=1.0, relative_to=runs)
     still = altered(tracked(told_tracker, "fir", range(30), drift=0.01), lambda theta: 0.0 * theta + theta[20])
     fails(lambda: assert_tracks(still, at_least=0.5, skip=20), "efficiency")
-
-
-def test_stability_of_a_model_is_that_of_its_roots():
-    scenario = draw("output error", 5, rng=0)
-    theta = np.tile([-1.5, 0.7, 1.0, 0.5], (5, 1))
-    assert_stable_model(TrackerRun(theta, scenario=scenario))
-    theta[3] = [-2.1, 1.05, 1.0, 0.5]
-    fails(lambda: assert_stable_model(TrackerRun(theta, scenario=scenario)), "after sample 3", "modulus 1.28")
 
 
 def test_coverage_bounds_are_binomial():

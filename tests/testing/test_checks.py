@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from right_estimators import FILTERS
-from users_filters import WRONG_FILTERS
-from wrong_filters import PLAIN, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
+from wrong_filters import PLAIN, WRONG_FILTERS, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.testing import ChecksFailed, check_filter, filter_checks

@@ -9,6 +9,7 @@ import copy
 import math
 
 import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
 
 PLAIN = ("robust", "nan", "validates")
 ROBUST = ("nan", "validates", "likelihood")
@@ -120,27 +121,6 @@ class TextbookRobust(Textbook):
 # Innovation and gain
 
 
-@wrong("measurement_noise_is_R")
-class MeasurementCountedTwice(Textbook):
-    """Two corrections by one measurement."""
-
-    def update(self, z):
-        super().update(z)
-        super().update(z)
-
-
-@wrong("measurement_at_its_prediction_moves_nothing")
-class InnovationOfStaleState(Textbook):
-    """y = z - H x with the x before the prediction."""
-
-    def predict(self, u=None):
-        self.before = self.x.copy()
-        super().predict(u)
-
-    def innovation(self, z):
-        return z - self.H @ getattr(self, "before", np.zeros_like(self.x))
-
-
 @wrong("innovation_and_its_covariance_are_shown")
 class ShownInnovationOfTheOtherSign(Textbook):
     """x is right, y is shown as H x - z."""
@@ -160,15 +140,6 @@ class ShownSWithoutR(Textbook):
             self.S = self.S - self.noise()
 
 
-@wrong("correction_is_the_kalman_gain_times_the_innovation")
-class GainOfCorrectedP(Textbook):
-    """P is corrected first, and its P+ makes the gain."""
-
-    def corrected(self, x, K, y):
-        P = super().shrunk(self.P, K, self.S)
-        return x + self.gain(P, self.covariance(P)) @ y
-
-
 @wrong("correction_leaves_P_minus_K_S_K")
 class JosephOfOtherSign(Textbook):
     """P+ = (I - K H) P (I - K H)' - K R K'."""
@@ -179,16 +150,6 @@ class JosephOfOtherSign(Textbook):
 
 
 # Memory
-
-
-@wrong("nothing_is_remembered_but_x_and_P")
-class GainOfStepBefore(Textbook):
-    """The gain that the last update computed."""
-
-    def gain(self, P, S):
-        K = super().gain(P, S)
-        last, self.last = getattr(self, "last", K), K
-        return last
 
 
 @wrong("nothing_is_remembered_but_x_and_P")
@@ -263,16 +224,6 @@ class GainFrozenLate(Counts):
         if self.count <= 100:
             self.frozen = super().gain(P, S)
         return self.frozen
-
-
-@wrong("small_innovations_are_believed", not_claimed=(*PLAIN, "memoryless"))
-class RLearntFromTheFirstHundred(Counts):
-    """R is what it was when it had been told a hundred times."""
-
-    def noise(self):
-        if self.count <= 100:
-            self.kept = self.R.copy()
-        return self.kept
 
 
 # Missing measurements
@@ -485,6 +436,193 @@ class LikelihoodOfRobustFilterNotNormalised(TextbookRobust):
             self.log_likelihood = -0.5 * min(d, self.k) ** 2 - self.k * max(d - self.k, 0.0)
 
 
+# Prediction
+
+
+@wrong("prediction_moves_the_state_by_F", "none_is_no_information", "nothing_is_remembered_but_x_and_P")
+class PredictsOnceAMeasurement(Textbook):
+    """A second predict() before the next measurement does nothing, as a guard against calling it twice."""
+
+    moved_already = False
+
+    def predict(self, u=None):
+        if not self.moved_already:
+            super().predict(u)
+            self.moved_already = True
+
+    def update(self, z):
+        super().update(z)
+        self.moved_already = self.moved_already and z is None
+
+
+@wrong("units_change_nothing", "prediction_moves_the_covariance_by_F", "nothing_is_remembered_but_x_and_P")
+class VarianceWithACeiling(Textbook):
+    """No variance grows above 1e4."""
+
+    def spread(self, P):
+        P = super().spread(P)
+        shrink = np.sqrt(np.minimum(1.0, 1e4 / np.diag(P)))
+        return shrink[:, None] * P * shrink
+
+
+@wrong("control_input_moves_the_prediction", "nothing_is_remembered_but_x_and_P")
+class HoldsTheLastInput(Textbook):
+    """predict() without u takes the u of the call before."""
+
+    held = None
+
+    def predict(self, u=None):
+        self.held = self.held if u is None else u
+        super().predict(self.held)
+
+
+# Correction
+
+
+@wrong("measurement_counts_at_once", "nothing_is_remembered_but_x_and_P", "measurement_makes_the_state_more_certain")
+class RepeatedReadingIsNoReading(Textbook):
+    """A measurement equal to the one before is taken for the same one, delivered twice."""
+
+    last = None
+
+    def update(self, z):
+        same = z is not None and self.last is not None and np.array_equal(np.ravel(z), self.last)
+        self.last = None if z is None else np.array(z, dtype=float).ravel()
+        if not same:
+            super().update(z)
+
+
+@wrong("integers_are_numbers_like_any_other", "measurement_counts_at_once", "measurement_makes_the_state_more_certain")
+class ZeroIsNothing(Textbook):
+    """`if not np.any(z)`: a measurement of zeros is taken for none."""
+
+    def update(self, z):
+        super().update(None if z is None or not np.any(z) else z)
+
+
+# What is remembered
+
+
+@wrong("nothing_is_remembered_but_x_and_P")
+class StartsAnewNowAndThen(Textbook):
+    """Every five hundredth correction begins with P of the start, against divergence."""
+
+    count, start = 0, None
+
+    def update(self, z):
+        self.start = self.P if self.start is None else self.start
+        self.count += 1
+        if self.count % 500 == 0:
+            self.P = self.start
+        super().update(z)
+
+
+@wrong("estimates_handed_out_stay_as_they_were")
+class RingOfStates(Textbook):
+    """x is a row of a buffer for the last fifty states, which is written over in turn."""
+
+    row = 0
+
+    def update(self, z):
+        super().update(z)
+        if not hasattr(self, "ring"):
+            self.ring = np.zeros((50, self.dim_x, 1))
+        self.row = (self.row + 1) % 50
+        self.ring[self.row] = self.x
+        self.x = self.ring[self.row]
+
+
+@wrong("pickles_go_on_alike", "deepcopies_go_on_alike")
+class StoresWhatItShows(Textbook):
+    """What is stored are x, P and the matrices, without the deviation of a slow average that corrects the sensor."""
+
+    offset = 0.0
+
+    def innovation(self, z):
+        y = super().innovation(z)
+        self.offset = 0.99 * self.offset + 0.01 * y
+        return y - self.offset
+
+    def __getstate__(self):
+        return {name: value for name, value in self.__dict__.items() if name != "offset"}
+
+    def __deepcopy__(self, memo):
+        twin = type(self)(self.dim_x, self.dim_z)
+        twin.__dict__.update(copy.deepcopy(self.__getstate__()))
+        return twin
+
+
+# Missing sensors, bad input, what is shown
+
+
+@wrong("nan_is_a_sensor_that_is_not_there", not_claimed=("robust", "validates"))
+class NaNIsARowOfZeros(Textbook):
+    """The missing sensor's row of H and its innovation are 0; its noise still has its part in that of the others."""
+
+    def update(self, z):
+        if z is None:
+            return
+        z, H = np.reshape(np.asarray(z, dtype=float), (-1, 1)), self.H
+        missing = np.isnan(z[:, 0])
+        self.H = np.where(missing[:, None], 0.0, H)
+        super().update(np.where(missing[:, None], 0.0, z))
+        self.H = H
+
+
+@wrong("bad_input_is_refused_and_changes_nothing", not_claimed=("robust", "nan"))
+class RefusesTooLate(Textbook):
+    """What is wrong raises, after the innovation of it has been put away."""
+
+    def update(self, z):
+        super().update(z)
+        if not (np.isfinite(self.x).all() and np.isfinite(self.P).all() and np.linalg.eigvalsh(self.P).min() > -1e-9):
+            raise ValueError(f"z: expected finite numbers, got {z}")
+
+
+# Extended
+
+
+@wrong("nonlinear_sensor_is_linearised_at_the_prediction")
+class JacobianOfTheStateBefore(ExtendedKalmanFilter):
+    """The Jacobian is that of the corrected state of the step before, which is at hand."""
+
+    def predict(self, u=0):
+        self.before = self.x.copy()
+        super().predict(u)
+
+    def update(self, z, HJacobian, Hx, **more):
+        before = getattr(self, "before", self.x)
+        super().update(z, lambda x, *args: HJacobian(before, *args), Hx, **more)
+
+
+# Robust
+
+
+@wrong("nothing_is_remembered_but_x_and_P", "arguments_are_not_written_to", not_claimed=ROBUST)
+class DistrustsForGood(TextbookRobust):
+    """A far measurement makes R ten times as large, and R stays so."""
+
+    def update(self, z):
+        if z is not None:
+            y = self.innovation(np.reshape(np.asarray(z, dtype=float), (-1, 1)))
+            if self.length(y, self.covariance(self.P)) > 5.0:
+                self.R = 10.0 * self.R
+        super().update(z)
+
+
+@wrong("influence_of_one_measurement_is_bounded", "order_of_sensors_changes_nothing", not_claimed=ROBUST)
+class WatchesTheFirstSensor(TextbookRobust):
+    """Only the first sensor is known to have outliers, and only it is bounded."""
+
+    def length(self, y, S):
+        return abs(y[0, 0]) / math.sqrt(S[0, 0])
+
+    def bounded(self, y, d):
+        y = y.copy()
+        y[0] *= min(1.0, self.k / max(d, 1e-300))
+        return y
+
+
 def fault(name, words, *caught_by, of=Textbook, not_claimed=None, **parts):
     """Put a class on the list that differs from a right one in these parts alone."""
     claims = not_claimed or (ROBUST if of is TextbookRobust else PLAIN)
@@ -501,26 +639,21 @@ fault("TransposedTransitionOfP", "P = F' P F + Q.", "prediction_moves_the_covari
 fault("FadingMemoryLeftOn", "P = 1.05 F P F' + Q.", "prediction_moves_the_covariance_by_F",
       spread=lambda self, P: 1.05 * self.F @ P @ self.F.T + self.Q)
 fault("ForgottenQ", "P = F P F'.", "prediction_adds_Q_once", spread=lambda self, P: self.F @ P @ self.F.T)
-fault("QOnDiagonal", "The correlations of Q left out.", "prediction_adds_Q_once",
-      spread=lambda self, P: self.F @ P @ self.F.T + np.diag(np.diag(self.Q)))
 fault("InputThroughF", "x = F (x + B u).", "control_input_moves_the_prediction",
       driven=lambda self, u: self.F @ Textbook.driven(self, u))
-fault("RHalved", "Half of R.", "measurement_noise_is_R", noise=lambda self: self.R / 2)
-fault("ROnDiagonal", "The correlations of R left out.", "measurement_noise_is_R",
+fault("ROnDiagonal", "The correlations of R left out.", "correction_is_the_kalman_gain_times_the_innovation",
       noise=lambda self: np.diag(np.diag(self.R)))
-fault("ROfFirstSensor", "The first sensor's variance for all.", "measurement_noise_is_R",
+fault("ROfFirstSensor", "The first sensor's variance for all.", "correction_is_the_kalman_gain_times_the_innovation",
       "order_of_sensors_changes_nothing", noise=lambda self: self.R[0, 0] * np.eye(self.dim_z))
 fault("BiasedSensor", "An offset left in from a calibration.", "measurement_at_its_prediction_moves_nothing",
       innovation=lambda self, z: Textbook.innovation(self, z) + 0.2)
 fault("SignOfGain", "x+ = x - K y.", "estimate_moves_towards_the_measurement",
       corrected=lambda self, x, K, y: x - K @ y)
 fault("GainWithoutS", "K = P H', not divided by S.", "estimate_moves_towards_the_measurement",
-      "ordinary_data_keep_everything_finite", gain=lambda self, P, S: P @ self.H.T)
+      gain=lambda self, P, S: P @ self.H.T)
 fault("InverseEntryByEntry", "K = P H' / S, right for one sensor.",
       "correction_is_the_kalman_gain_times_the_innovation",
       corrected=lambda self, x, K, y: x + self.P @ self.H.T / self.S.sum(axis=1) @ y)
-fault("HalfGain", "Half of the step, for safety; P as if it were whole.",
-      "correction_is_the_kalman_gain_times_the_innovation", corrected=lambda self, x, K, y: x + 0.5 * K @ y)
 fault("PNotUpdated", "P+ = P.", "measurement_makes_the_state_more_certain", shrunk=lambda self, P, K, S: P)
 fault("POnDiagonal", "The correlations of P+ left out.", "correction_leaves_P_minus_K_S_K",
       "measurement_makes_the_state_more_certain",
@@ -531,15 +664,9 @@ fault("PNeverSymmetrised",
 fault("QDroppedLate", "After a thousand corrections the process is taken for free of noise.",
       "prediction_adds_Q_once", of=Counts,
       spread=lambda self, P: self.F @ P @ self.F.T + (self.Q if self.count <= 1000 else 0.0))
-fault("Retires", "Each correction counts a little less than the one before, as in stochastic approximation.",
-      "small_innovations_are_believed", of=Counts,
-      corrected=lambda self, x, K, y: x + K @ y * 0.9995**self.count)
 fault("CounterOverflows", "A counter of eight bits turns the sign of the step when it overflows.",
       "small_innovations_are_believed", of=Counts,
       corrected=lambda self, x, K, y: x + K @ y * (1 if self.count % 256 < 128 else -1))
-fault("FadesLate", "A fading memory that nobody asked for, once the filter has settled.",
-      "prediction_adds_Q_once", of=Counts,
-      spread=lambda self, P: Counts.spread(self, P) * (1.0 if self.count <= 500 else 1.02))
 fault("NaNIsItsPrediction",
       "A missing component is taken for what was predicted, and P shrinks as if it had been measured.",
       "nan_is_a_sensor_that_is_not_there", not_claimed=("robust", "validates"),
@@ -552,9 +679,6 @@ fault("PseudoInverse", "The pseudo-inverse of S takes a sensor in small units fo
       gain=lambda self, P, S: P @ self.H.T @ np.linalg.pinv(S, rcond=1e-6))
 fault("RoundedState", "x is kept to eight digits after the point.", "units_change_nothing",
       corrected=lambda self, x, K, y: np.round(Textbook.corrected(self, x, K, y), 8))
-fault("LikelihoodWithoutDeterminant", "-y' S^-1 y / 2 - m log(2 pi)/2.",
-      "likelihood_is_the_gaussian_density_of_the_innovation",
-      likelihood=lambda self, y, S: Textbook.likelihood(self, y, S) + 0.5 * np.linalg.slogdet(S)[1])
 fault("LikelihoodWithoutConstant", "Without log 2 pi.", "likelihood_is_the_gaussian_density_of_the_innovation",
       likelihood=lambda self, y, S: Textbook.likelihood(self, y, S) + 0.5 * self.dim_z * math.log(2 * math.pi))
 fault("LikelihoodOfTheResidual", "That of z - H x+, after the update.",
@@ -587,27 +711,16 @@ fault("WeightsFromR", "The innovation is judged by R alone.", "innovations_are_j
 fault("WeightsFromPredictedState", "The innovation is judged by H P H' alone.",
       "innovations_are_judged_by_their_own_deviation", of=TextbookRobust,
       length=lambda self, y, S: TextbookRobust.length(self, y, S - self.noise() + 1e-9 * S))
-fault("Timid", "Bounded far out only: most outliers come through.", "outliers_cost_little", of=TextbookRobust,
-      k=9.5)
 fault("Deaf", "A threshold of .1: good data are cut, and P knows it.", "innovations_are_white",
       "clean_data_are_used_well", of=TextbookRobust, k=0.1)
 fault("QThroughF", "P = F (P + Q) F'.", "prediction_adds_Q_once", "prediction_moves_the_covariance_by_F",
       spread=lambda self, P: self.F @ (P + self.Q) @ self.F.T)
-fault("Jitter", "A millionth on the diagonal of P at each step, for stability.", "prediction_adds_Q_once",
-      "units_change_nothing", "prediction_moves_the_covariance_by_F",
-      spread=lambda self, P: Textbook.spread(self, P) + 1e-6 * np.eye(self.dim_x))
-fault("EveryInnovationIsAnAngle", "Innovations are wrapped to half a turn either way, lengths too.",
-      "units_change_nothing", "correction_is_the_kalman_gain_times_the_innovation", "a_true_jump_is_followed",
-      innovation=lambda self, z: (Textbook.innovation(self, z) + math.pi) % (2.0 * math.pi) - math.pi)
 fault("DeadBand", "An innovation below a tenth of its deviation moves nothing.", "small_innovations_are_believed",
       "correction_is_the_kalman_gain_times_the_innovation",
       corrected=lambda self, x, K, y: x + K @ y * ((y.T @ np.linalg.solve(self.S, y)).item() >= 0.01 * self.dim_z))
 fault("NothingIsNegative", "A state below zero is set to zero: a level cannot be negative.",
       "mirror_image_of_the_data_gives_the_mirror_image", "correction_is_the_kalman_gain_times_the_innovation",
       corrected=lambda self, x, K, y: np.maximum(Textbook.corrected(self, x, K, y), 0.0))
-fault("LikelihoodOfAllSoFar", "log_likelihood is the sum since the start.",
-      "likelihood_is_the_gaussian_density_of_the_innovation",
-      likelihood=lambda self, y, S: self.log_likelihood + Textbook.likelihood(self, y, S))
 # fmt: on
 
 

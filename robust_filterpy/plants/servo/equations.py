@@ -190,13 +190,13 @@ def pneumatic_servo(
     Parameters
     ----------
     parameters : PneumaticParameters, optional
-    alpha : float, callable or (times, values)
+    alpha : float or callable
         Heat coefficient, dimensionless, within [1, 1.3997]; a function of time in s, or a path that is interpolated
         linearly.
-    beta : float, callable or (times, values), optional
+    beta : float or callable, optional
         Bound parameter, within [0.075, 1.3297]. By default eq (6) with the parameters' discharge coefficient and the
         nominal temperature: ``alpha(t) C_d``.
-    supply : float, callable or (times, values), optional
+    supply : float or callable, optional
         Absolute supply pressure in Pa, at least the atmosphere's. By default the parameters'.
     outputs : sequence of str
         Which of the states are outputs, in which order.
@@ -214,7 +214,7 @@ def pneumatic_servo(
         If alpha, beta or supply leaves its range (for a function: when the system is evaluated there), or an output
         is not a state.
     TypeError
-        If alpha, beta or supply is of none of the three kinds.
+        If alpha, beta or supply is neither a number nor a function.
 
     Notes
     -----
@@ -272,7 +272,7 @@ def _coefficient_functions(
     if beta is not None:
         return alpha_at, coefficient_function(beta, "beta", BETA_RANGE)
     discharge = parameters.discharge_coefficient
-    if not callable(alpha) and not isinstance(alpha, tuple):
+    if not callable(alpha):
         constant = beta_coefficient(alpha_at(0.0), discharge)
         return alpha_at, lambda t: constant
     return alpha_at, coefficient_function(lambda t: alpha_at(t) * discharge, "beta", BETA_RANGE)

@@ -304,9 +304,6 @@ class ServoLinearization(NamedTuple):
         The same with its inputs held over dt.
     valve_to_position : control.TransferFunction
         Discrete, m per unit of the valve's command; it has a pole at 1.
-    valve_to_velocity : control.TransferFunction
-        Discrete, m/s per unit of the valve's command: the difference of successive positions over dt, which is the
-        mean velocity of the period before.
     reference_to_position : control.TransferFunction
         Discrete, the loop of `simulate_servo` closed, its dead band compensated.
     """
@@ -315,7 +312,6 @@ class ServoLinearization(NamedTuple):
     continuous: control.StateSpace
     discrete: control.StateSpace
     valve_to_position: control.TransferFunction
-    valve_to_velocity: control.TransferFunction
     reference_to_position: control.TransferFunction
 
 
@@ -391,8 +387,7 @@ def linearize_servo(
     to_position = _transfer_function(a, b, row, dt)
     opening = b * (1 - p.dead_band)
     closed = _transfer_function(a - opening @ feedback(A, gains), gains.gain * opening, row, dt)
-    velocity_model = _differenced(to_position, dt)
-    return ServoLinearization(point, _in_si_units(scaled), _in_si_units(held), to_position, velocity_model, closed)
+    return ServoLinearization(point, _in_si_units(scaled), _in_si_units(held), to_position, closed)
 
 
 def chosen_gains(p: PneumaticParameters, gain: float | None, damping: float | None) -> PositionGains:
@@ -423,12 +418,3 @@ def _transfer_function(a: Any, b: Any, c: Any, dt: float) -> control.TransferFun
     denominator = np.poly(a)
     numerator = (np.poly(a - b @ c) - denominator)[1:]
     return control.tf(numerator, denominator, dt)
-
-
-def _differenced(to_position: control.TransferFunction, dt: float) -> control.TransferFunction:
-    """Return (1 - 1/z)/dt times the transfer function: the pole at 1 goes, one at 0 comes."""
-    import control
-
-    numerator, denominator = to_position.num[0][0], to_position.den[0][0]
-    reduced, _ = np.polydiv(denominator, [1.0, -1.0])
-    return control.tf(numerator / dt, np.append(reduced, 0.0), dt)

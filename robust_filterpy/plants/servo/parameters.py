@@ -173,8 +173,8 @@ def as_parameters(parameters: PneumaticParameters | None) -> PneumaticParameters
     return parameters
 
 
-#: A number, a function of time, or a pair (times, values) that is interpolated linearly.
-Coefficient: TypeAlias = "float | Callable[[float], float] | tuple[ArrayLike, ArrayLike]"
+#: A number, or a function of time.
+Coefficient: TypeAlias = "float | Callable[[float], float]"
 
 ALPHA_RANGE = (1.0, 1.3997)
 BETA_RANGE = (0.075, 1.3297)
@@ -294,18 +294,11 @@ def coefficient_function(value: Coefficient, name: str, limits: tuple[float, flo
             return now
 
         return function
-    if isinstance(value, tuple):
-        if len(value) != 2:
-            raise ValueError(f"{name}: expected a pair (times, values), got a tuple of length {len(value)}")
-        times, path = _increasing(value[0], f"times of {name}"), checked(value[1], name, limits)
-        if path.shape != times.shape:
-            raise ValueError(f"{name}: expected as many values as times {times.shape}, got shape {path.shape}")
-        return lambda t: float(np.interp(t, times, path))
     constant = checked(value, name, limits)
     if constant.ndim:
         raise TypeError(
-            f"{name}: expected a number, a function of time or a pair (times, values), got an array of shape "
-            f"{constant.shape}; use (t, {name})"
+            f"{name}: expected a number or a function of time, got an array of shape {constant.shape}; use "
+            f"lambda t: np.interp(t, times, {name})"
         )
     number = float(constant)
     return lambda t: number

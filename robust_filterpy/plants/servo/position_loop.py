@@ -81,7 +81,7 @@ def sampled_reference(reference: ArrayLike | Callable[[float], float], dt: float
 
 def _samples(value: Signal, t: Array, name: str, limits: tuple[float, float]) -> Array:
     """Return a signal at the sampling times."""
-    if not callable(value) and not isinstance(value, tuple) and np.ndim(value):
+    if not callable(value) and np.ndim(value):
         samples = checked(value, name, limits)
         if samples.shape != t.shape:
             raise ValueError(f"{name}: expected one value for each of the {t.size} samples, got shape {samples.shape}")
@@ -167,18 +167,6 @@ class ServoRecording(NamedTuple):
         header = ",".join(f"{name} [{unit}]" for name, unit in UNITS.items())
         np.savetxt(path, np.column_stack(self), fmt="%.17g", delimiter=",", header=header, comments="")
 
-    def to_mat(self, path: str | PathLike[str]) -> None:
-        """Write a MATLAB file (level 5) with a column vector for each signal and a structure ``units``.
-
-        Parameters
-        ----------
-        path : str or path-like
-            File to write; one that is there is overwritten. ``.mat`` is appended where it is missing.
-        """
-        from scipy.io import savemat
-
-        savemat(str(path), {**self._asdict(), "units": UNITS}, oned_as="column")
-
 
 #: Unit of each signal.
 UNITS = dict(zip(ServoRecording._fields, "s m 1 m m/s Pa Pa 1 1 N Pa m Pa Pa m m/s^2".split(), strict=True))
@@ -222,11 +210,11 @@ def simulate_servo(
         Valve opening per acceleration, in s^2/m. By default that of `position_gains`.
     compensation : float
         Share of the parameters' dead band that the controller steps over, in [0, 1].
-    alpha, beta : float, callable, (times, values) or array_like, shape (N,)
+    alpha, beta : float, callable or array_like, shape (N,)
         Coefficients of eq (2) as in `pneumatic_servo`, or one value a sample. They are held from sample to sample.
-    load : float, callable, (times, values) or array_like, shape (N,)
+    load : float, callable or array_like, shape (N,)
         Load force in N against positive motion, held from sample to sample.
-    supply : float, callable, (times, values) or array_like, shape (N,), optional
+    supply : float, callable or array_like, shape (N,), optional
         Absolute supply pressure in Pa, held from sample to sample. By default the parameters'.
     noise : array_like, shape (N, 3), optional
         What the sensors of position, P_a and P_b add to the truth, in m, Pa, Pa: noise and outliers.

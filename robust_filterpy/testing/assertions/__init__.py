@@ -3,7 +3,7 @@
 * `consistency`: NIS, NEES, bias, whiteness, a covariance that stays one.
 * `robustness`: bounded influence, the way back from a jump, efficiency; units, order, missing samples.
 * `contracts`: refused calls, copies, two filters that are the same.
-* `tracking`: parameters found and followed, stable models, honest intervals.
+* `tracking`: parameters found and followed, honest intervals.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
-"""Does a tracker find the parameters, follow them, keep its model stable, and know how sure it is?"""
+"""Does a tracker find the parameters, follow them, and know how sure it is?"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from robust_filterpy import _checks
-from robust_filterpy.identification.models.regressor import is_stable
 from robust_filterpy.testing.assertions.contracts import at_least_one, fail, probability
 from robust_filterpy.testing.assertions.robustness import ratio_of_errors
 from robust_filterpy.testing.scenarios.runs import TrackerRun, as_tracker_runs
@@ -95,30 +93,6 @@ def assert_tracks(
         np.array([np.mean(np.sum(run.error[skip:] ** 2, axis=1)) for run in which]) for which in (tested, best)
     )
     fail([ratio_of_errors(errors, reference, at_least, false_alarm)])
-
-
-def assert_stable_model(runs: Any) -> None:
-    """Assert that the model is stable after every sample: what it feeds back has its roots inside the unit circle.
-
-    Parameters
-    ----------
-    runs : TrackerRun or list of TrackerRun
-        From `run_tracker`. Structures that feed back nothing of their own (ARX, FIR) are always fine.
-
-    Raises
-    ------
-    AssertionError
-        If not; it names the sample.
-    """
-    for run in as_tracker_runs(runs):
-        parts = run.known.structure.stable_parts
-        for (k, theta), part in product(enumerate(run.theta), parts):
-            if not is_stable(theta[part].tolist()):
-                radius = float(np.abs(np.roots([1.0, *np.nan_to_num(theta[part])])).max())
-                raise AssertionError(
-                    f"the model is unstable after sample {k}: {run.known.structure} with {theta[part]} has a pole of "
-                    f"modulus {radius:.3g}; a free run of it overflows"
-                )
 
 
 def assert_interval_coverage(

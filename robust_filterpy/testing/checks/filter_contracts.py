@@ -414,18 +414,6 @@ def likelihood_integrates_to_one(subject: FilterSubject) -> None:
         raise AssertionError(f"the likelihood integrates to {integral:.3g} over z, expected 1: it is no density")
 
 
-@promise(LATER)
-def ordinary_data_keep_everything_finite(subject: FilterSubject) -> None:
-    """On 50 ordinary measurements x and P stay finite and the error stays below 1000 standard deviations."""
-    model = subject.model()
-    kf = subject.new(model)
-    for k, z in enumerate(subject.recording(model, 50)):
-        runs.step(kf, z, model)
-        x, P = state(kf)
-        if not (np.isfinite(P).all() and furthest(model.H @ x - z, model.R) < 1e3):
-            raise AssertionError(f"after step {k} the state has run away from the measurements, or is not finite")
-
-
 @promise(LATER, "exact")
 def recording_is_filtered_as_by_the_kalman_filter(subject: FilterSubject) -> None:
     """x and P are those of filterpy's KalmanFilter, call by call, over a recording."""

@@ -151,30 +151,6 @@ def measurement_makes_the_state_more_certain(subject: FilterSubject) -> None:
 
 
 @promise(PROMISES, "exact")
-def measurement_noise_is_R(subject: FilterSubject) -> None:
-    """The R that the step of x and the shrinking of P imply is the R that was given, correlations included."""
-    model = subject.model(2, 2).with_(H=np.array([[1.0, 0.4], [-0.3, 1.0]]))
-    got, P = _gain(subject, model)
-    plus = _posterior(subject, model)
-    HPH = model.H @ P @ model.H.T
-    try:
-        # K S = P H' and P+^-1 - P^-1 = H' R^-1 H.
-        by_gain = np.linalg.solve(got, P @ model.H.T) - HPH
-        root = np.linalg.inv(model.H)
-        by_covariance = np.linalg.inv(root.T @ (np.linalg.inv(plus) - np.linalg.inv(P)) @ root)
-    except np.linalg.LinAlgError:
-        raise AssertionError("the correction is singular: no R gives this gain") from None
-    size = np.abs(model.R).max()
-    agree = np.abs(by_gain - by_covariance).max() <= 1e-5 * size
-    if agree and np.abs(by_gain - model.R).max() > 1e-5 * size:
-        shown = ", ".join(f"{ratio:.3g}" for ratio in np.diagonal(by_gain) / np.diagonal(model.R))
-        raise AssertionError(
-            f"R acts as {np.round(by_gain, 4).tolist()} where {np.round(model.R, 4).tolist()} was given: variances are "
-            f"{shown} times as large"
-        )
-
-
-@promise(PROMISES, "exact")
 def correction_is_the_kalman_gain_times_the_innovation(subject: FilterSubject) -> None:
     """x+ - x = P H' S^-1 (z - H x) with S = H P H' + R."""
     model = subject.model()
@@ -195,24 +171,6 @@ def correction_leaves_P_minus_K_S_K(subject: FilterSubject) -> None:
     I_KH = np.eye(len(P)) - K @ model.H
     slips = (P, "P: it was not corrected"), (I_KH @ P @ I_KH.T, "(I - K H) P (I - K H)', without K R K'")
     _compare(got, P - K @ S @ K.T, "P - K S K'", "".join(_alike(got, slip, name) for slip, name in slips))
-
-
-@promise(PROMISES, "exact")
-def two_sensors_after_one_another_are_both_at_once(subject: FilterSubject) -> None:
-    """With independent noises, updates by one sensor after another are one update by both."""
-    model = subject.model()
-    model = model.with_(R=np.diag(np.diagonal(model.R)))
-    z = subject.recording(model, 1)[0]
-    both = subject.at_prior(model)
-    runs.measure(both, z, model)
-    x, P = model.x, model.P
-    for i in range(2):
-        one = model.of_sensors([i]).with_(x=x, P=P)
-        kf = subject.at_prior(one)
-        runs.measure(kf, z[[i]], one)
-        x, P = state(kf)
-    _require_near(both.x, x, P, "x differs by {} of its standard deviations", 1e-6)
-    _compare(state(both)[1], P, "P after the sensors one by one", "")
 
 
 @promise(PROMISES)

@@ -8,7 +8,6 @@ name                    good for
 constant velocity       the usual tracker in the plane: four states, two sensors, a velocity that nobody measures
 level                   one number that wanders and sometimes jumps: does a filter believe what is true?
 paper                   equations 31-34 of the paper: three of four states are seen through the model alone
-vehicle                 Yang and Boyd's vehicle: outliers in the process as well as in the measurement
 two sensors             rates of 1 and 1/5, metres seen as kilometres and m/s as km/h: units, order, missing samples
 range and bearing       a nonlinear sensor, for extended and sigma-point filters
 random stable           any size, full F, H, Q, R and B: a transposed or forgotten matrix has nowhere to hide
@@ -196,18 +195,6 @@ def paper(P0: float = 0.1) -> StateModel:
     return StateModel(np.zeros(4), P0 * np.eye(4), F, np.eye(1, 4), 0.001 * np.eye(4), np.array([[0.1]]))
 
 
-def vehicle(jump_probability: float = 0.1) -> StateModel:
-    """Return the vehicle of Yang and Boyd (2025): gusts and position fixes, state [p_1, p_2, v_1, v_2]."""
-    dt, drag = 0.05, 0.05
-    one, zero = np.eye(2), np.zeros((2, 2))
-    B = np.sqrt(10) * np.vstack([0.5 * dt * dt * one, dt * one])
-    return StateModel(
-        x=np.array([0.0, 0.0, 5.0, 5.0]), P=1e-9 * np.eye(4), H=np.eye(2, 4), Q=B @ B.T, R=5 * one,
-        F=np.block([[one, dt * (1 - 0.5 * drag * dt) * one], [zero, (1 - drag * dt) * one]]),
-        jump_probability=_checks.fraction("jump_probability", jump_probability),
-    )  # fmt: skip
-
-
 def two_sensors() -> StateModel:
     """Return a cart, in m and m/s, whose position comes in km every fifth sample and whose speed in km/h at each."""
     dt = 0.1
@@ -254,6 +241,6 @@ def random_stable(
 
 #: What `draw` knows by name.
 MODELS: dict[str, Callable[..., StateModel]] = {
-    "constant velocity": constant_velocity, "level": level, "paper": paper, "vehicle": vehicle,
-    "two sensors": two_sensors, "range and bearing": range_bearing, "random stable": random_stable,
+    "constant velocity": constant_velocity, "level": level, "paper": paper, "two sensors": two_sensors,
+    "range and bearing": range_bearing, "random stable": random_stable,
 }  # fmt: skip

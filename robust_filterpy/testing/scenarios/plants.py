@@ -1,4 +1,4 @@
-"""Plants to identify, with everything known: what `draw` makes of "arx", "output error", "armax", "fir" and "servo".
+"""Plants to identify, with everything known: what `draw` makes of "arx", "output error", "armax" and "fir".
 
 A plant is a discrete `control.TransferFunction`, or theta itself, with parameters that stand still, drift or jump.
 
@@ -9,7 +9,6 @@ arx           A(q) y = B(q) u + v                              exact answers: re
 output error  y = B(q)/A(q) u + v                              bias: measured outputs in phi give a wrong a
 armax         A(q) y = B(q) u + C(q) v                         noise with a color of its own
 fir           y = B(q) u + v                                   robustness alone: no outlier is in phi
-servo         the pneumatic servo in its position loop         a plant that no linear model is equal to
 ============  ===============================================  ====================================================
 """
 
@@ -32,7 +31,6 @@ from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 from robust_filterpy.plants.drift import random_walk, stable
 from robust_filterpy.plants.linear import linear_parameters
-from robust_filterpy.plants.servo import simulate_servo
 from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
 from robust_filterpy.testing.scenarios.runs import TrackerRun, run_tracker
 
@@ -53,8 +51,8 @@ class Plant:
     ----------
     structure : Structure
         What phi is made of, of one input.
-    theta : ndarray, shape (n_theta,), or None
-        Parameters to start from; None for a plant that has none.
+    theta : ndarray, shape (n_theta,)
+        Parameters to start from.
     sigma : float
         Deviation of the ordinary noise, in the unit of y.
     drift : float
@@ -66,7 +64,7 @@ class Plant:
     """
 
     structure: Structure
-    theta: Array | None
+    theta: Array
     sigma: float = 0.5
     drift: float = 0.0
     jump_probability: float = 0.0
@@ -92,7 +90,7 @@ class PlantScenario:
         Input; measured output, NaN where missing.
     y_clean : ndarray, shape (N,)
         Output without noise.
-    theta : ndarray, shape (N, n_theta), or None
+    theta : ndarray, shape (N, n_theta)
         True parameters, row k those that make y(k).
     R : float
         Variance of the ordinary noise.
@@ -108,7 +106,7 @@ class PlantScenario:
     u: Array
     y: Array
     y_clean: Array
-    theta: Array | None
+    theta: Array
     R: float
     Q: Array
     is_outlier: np.ndarray
@@ -138,12 +136,11 @@ class PlantScenario:
     @cached_property
     def reference(self) -> TrackerRun:
         """The Kalman tracker that starts at the truth, with P = I, and knows every label and every jump."""
-        start = 0.0 if self.theta is None else self.theta[0]
-        tracker = self.load(ParameterTracker(self.structure, influence=Linear(), theta=start, P=1.0))
+        tracker = self.load(ParameterTracker(self.structure, influence=Linear(), theta=self.theta[0], P=1.0))
         measured = np.isfinite(self.noise_ratio)
         y = np.where(measured, self.y, np.nan)
         variance = self.R * np.where(measured, self.noise_ratio, 1.0) ** 2
-        if self.theta is None or not self.is_jump.any():
+        if not self.is_jump.any():
             result = tracker.run(y, self.u, variance)
             return TrackerRun(result.theta, result.std, tracker.P, self.theta, self)
         moves = np.diff(self.theta, axis=0, prepend=self.theta[:1])
@@ -172,7 +169,7 @@ def armax(system: control.TransferFunction | None = None, c: ArrayLike = (-0.8,)
     """Return a plant whose noise has a color, A(q) y = B(q) u + C(q) v."""
     c = _checks.finite_vector("c", c)
     plant = linear(lambda na, nb, nk: ARMAX(na, nb, c.size, nk), system, **options)
-    return replace(plant, theta=np.concatenate((_required(plant.theta), c)))
+    return replace(plant, theta=np.concatenate((plant.theta, c)))
 
 
 def fir(b: ArrayLike = (1.0, 0.5, -0.3, 0.2), **options: Any) -> Plant:
@@ -181,15 +178,9 @@ def fir(b: ArrayLike = (1.0, 0.5, -0.3, 0.2), **options: Any) -> Plant:
     return Plant(FIR(b.size), b, **options)
 
 
-def servo(order: int = 4, sigma: float = 0.05) -> Plant:
-    """Return the pneumatic servo in its position loop, positions in cm, to be fitted by an output-error model."""
-    return Plant(OutputError(order, order), None, sigma)
-
-
 #: What `draw` knows by name.
 PLANTS: dict[str, Callable[..., Plant]] = {
     "arx": partial(linear, ARX), "output error": partial(linear, OutputError), "armax": armax, "fir": fir,
-    "servo": servo,
 }  # fmt: skip
 
 
@@ -199,16 +190,11 @@ def draw_plant(
     """Draw a recording of a plant; see `robust_filterpy.testing.draw`."""
     structure, kinds, sigma = plant.structure, objects(contamination), np.array([plant.sigma])
     v = plant.sigma * rng.standard_normal((steps, 1))
-    theta, is_jump = None, np.zeros(steps, dtype=bool)
-    if plant.theta is None:
-        u = 1.0 * np.repeat(rng.choice([-1.0, 1.0], -(-steps // 10)), 10)[:steps]
-        clean = np.asarray(100.0 * simulate_servo(u / 100.0, 0.01).position, dtype=float)
-    else:
-        theta, is_jump = _path(plant, steps, jumps, rng)
-        u = rng.choice([-1.0, 1.0], steps)
-        clean = _output(structure, theta, u, None)
+    theta, is_jump = _path(plant, steps, jumps, rng)
+    u = rng.choice([-1.0, 1.0], steps)
+    clean = _output(structure, theta, u, None)
     noise = spoilt(v, np.zeros_like(v), sigma, [kind for kind in kinds if of_noise(kind)], rng)
-    y = clean + noise.z[:, 0] if theta is None else _output(structure, theta, u, noise.z[:, 0])
+    y = _output(structure, theta, u, noise.z[:, 0])
     seen = spoilt(y[:, None], clean[:, None], sigma, [kind for kind in kinds if not of_noise(kind)], rng)
     both = Spoilt(seen.z, seen.noise_ratio * noise.noise_ratio, seen.is_outlier | noise.is_outlier)
     missing = np.isnan(both.z[:, 0])
@@ -231,7 +217,7 @@ def _path(
     plant: Plant, steps: int, jumps: Mapping[int, ArrayLike], rng: np.random.Generator
 ) -> tuple[Array, np.ndarray]:
     """Return the parameters of each sample, and at which they jump."""
-    theta, na = _required(plant.theta), plant.structure.na + plant.structure.nf
+    theta, na = plant.theta, plant.structure.na + plant.structure.nf
     shifts = jump_rows(jumps, steps, theta.size)
     still = slice(theta.size - plant.structure.nc, None)
     accept = stable(na)
@@ -259,10 +245,3 @@ def _output(structure: Structure, theta: Array, u: Array, v: Array | None) -> Ar
         v = scipy.signal.lfilter(np.concatenate(([1.0], c)), [1.0], v)
     simulate = simulate_output_error if structure.nf else simulate_arx
     return simulate(theta[:, : na + nb], u, noise=v, na=na, nb=nb, nk=nk).y
-
-
-def _required(theta: Array | None) -> Array:
-    """Return theta, which all plants but the servo have."""
-    if theta is None:
-        raise ValueError("theta: expected the plant's parameters, got None")
-    return theta
