@@ -43,7 +43,7 @@ _OF_NOISE: Final = ((5, 10), (22, 17))
 
 
 # Arrays of as many sensors, or numbers, as there are.
-_ANY_LENGTH: Final = ("learnt", "insisting", "random", "generator")
+_ANY_LENGTH: Final = ("learnt", "insisting", "random")
 
 
 class StateError(ValueError):

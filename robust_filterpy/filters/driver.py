@@ -5,49 +5,98 @@ Where rounding has made a P indefinite, the nearest covariance takes its place, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from robust_filterpy._arrays import measured, regardless, require_finite_prediction
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import Array, entries, shown
 from robust_filterpy._warning import RobustFilterWarning, warn
 from robust_filterpy.correction.standardization import SingularInnovationError
 from robust_filterpy.filters.policies import Carried, Policy, Prior
+from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel.series import Rows, State
 
-__all__ = ["require_finite_correction", "run", "without_rounding"]
+__all__ = ["at_step", "columns_of", "require_finite_correction", "run", "take_steps", "without_rounding"]
 
 
 def run(
-    policy: Policy, state: State, zs: Array, model: tuple[Any, ...], shown: Rows,
+    policy: Policy, state: State, zs: Array, model: tuple[Any, ...], into: Rows,
     *, of: str, first: int = 0, last: int | None = None, alpha_sq: float = 1.0, update_first: bool = False,
     every: int = 1,
 ) -> None:  # fmt: skip
     """Take steps of a recording, in place; what is raised names the step, and has its number as ``step``.
 
     model: F, Q, H, R, B u, one a step or one for all; of: whose steps they are, for a warning; every: distance of the
-    steps that have a row in what is shown.
+    steps that have a row in what is into.
     """
     last = len(zs) if last is None else last
     how = {"alpha_sq": alpha_sq, "update_first": update_first, "every": every}
     while first < last:
-        first = policy.advance(state, zs, model, shown, first=first, last=last, **how)
+        first = policy.advance(state, zs, model, into, first=first, last=last, **how)
         if first == last:
             return
         matrices = tuple(None if part is None else part[first % len(part)] for part in model)
         row = (first + 1) // every - 1 if (first + 1) % every == 0 else None
-        try:
-            regardless(_step, policy, state, zs[first], (*matrices, alpha_sq), update_first, shown, row, of)
-        except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-            error.args, error.step = (f"step {first}: {error}", *error.args[1:]), first  # type: ignore[union-attr]
-            raise
+        with at_step(first):
+            regardless(_step, policy, state, zs[first], (*matrices, alpha_sq), update_first, into, row, of)
         first += 1
 
 
+@contextmanager
+def at_step(step: int) -> Iterator[None]:
+    """Name the step in what is raised, and let it have its number as ``step``, unless it has one."""
+    try:
+        yield
+    except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+        if not hasattr(error, "step"):
+            error.args, error.step = (f"step {step}: {error}", *error.args[1:]), step  # type: ignore[union-attr]
+        raise
+
+
+def take_steps(kf: Any, places: Iterable[int], take: Callable[[int], None], saver: Any) -> None:
+    """Take steps of a recording by a filter's own methods, all of them or none."""
+    if saver is not None and not callable(getattr(saver, "save", None)):
+        raise TypeError(
+            f"saver: expected an object with save(), such as filterpy.common.Saver(kf), got {type(saver).__name__}"
+        )
+    with unchanged_if_refused(kf):
+        for k in places:
+            with at_step(k):
+                take(k)
+                if saver is not None:
+                    saver.save()
+
+
+def columns_of(given: dict[str, Any]) -> list[Any]:
+    """Return the columns of a recording, each with an entry for every step; None and a number are all of them."""
+    given = {name: entries(name, values) for name, values in given.items()}
+    try:
+        n = len(given["zs"])
+    except TypeError:
+        raise TypeError(f"zs: expected a sequence of measurements, got {shown(given['zs'])}") from None
+    columns: list[Any] = []
+    for name, values in given.items():
+        if values is None or (name == "dts" and np.ndim(values) == 0):
+            columns.append([values] * n)
+            continue
+        require_entries(name, values, n, "measurements in zs")
+        # An iterator reads what has a length but no places, as the values of a dictionary or a data frame's column.
+        columns.append(values if isinstance(values, np.ndarray) else list(values))
+    return columns
+
+
+def require_entries(name: str, values: Any, steps: int, of: str) -> None:
+    """Raise unless there is an entry for each step, or nothing at all."""
+    if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
+        got = len(values) if hasattr(values, "__len__") else shown(values)
+        raise ValueError(f"{name}: expected an entry for each of the {steps} {of}, got {got}")
+
+
 def _step(
-    policy: Policy, state: State, z: Array, model: tuple[Any, ...], update_first: bool, shown: Rows, row: int | None,
+    policy: Policy, state: State, z: Array, model: tuple[Any, ...], update_first: bool, into: Rows, row: int | None,
     of: str,
 ) -> None:  # fmt: skip
     """Take one step by the definition and show it in a row, if it has one."""
@@ -60,7 +109,7 @@ def _step(
         if predicts:
             x, P, carried = policy.predicted(carried, x, P, F, Q, Bu, alpha_sq)
             require_finite_prediction(x, P)
-            _show(shown.means_p, shown.covariances_p, row, x, P)
+            _show(into.means_p, into.covariances_p, row, x, P)
             continue
         if measured(z, len(z)) is not None:
             at = x
@@ -74,18 +123,18 @@ def _step(
             x, P, weights, log_density = correction.x, correction.P, correction.weights, correction.log_density
             memory = memory if correction.memory is None else correction.memory
             outlying = getattr(correction, "outlier_probabilities", 0.0)
-        _show(shown.means, shown.covariances, row, x, P)
+        _show(into.means, into.covariances, row, x, P)
     state.x[:], state.P[:], state.learnt[:] = x, P, memory
     if len(state.means):
         for whole, now in zip(state[:3], policy.current(carried, x, P), strict=False):
             whole[:] = now
-    if shown.log_likelihood is not None:
-        shown.log_likelihood[:] += log_density
-    for column, value in ((shown.weights, weights), (shown.outlying, outlying)):
+    if into.log_likelihood is not None:
+        into.log_likelihood[:] += log_density
+    for column, value in ((into.weights, weights), (into.outlying, outlying)):
         if column is not None and row is not None:
             column[row] = value
-    if shown.scale is not None and row is not None:
-        shown.scale[row] = policy.process_scale(carried, len(x))
+    if into.scale is not None and row is not None:
+        into.scale[row] = policy.process_scale(carried, len(x))
 
 
 def _show(means: Array | None, covariances: Array | None, row: int | None, x: Array, P: Array) -> None:

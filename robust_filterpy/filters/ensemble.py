@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import EnsembleKalmanFilter
-from robust_filterpy._state import read, spelt
+from robust_filterpy._state import StateError, read, spelt
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
@@ -202,18 +203,18 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 
     def _moving(self) -> dict[str, Any]:
         """Return x, P, the members and where the random numbers are."""
-        words, name = _numbered(self.rng.bit_generator.state)
-        return {**super()._moving(), "sigmas": self.sigmas, "random": words, "generator": spelt(name)}
+        drawn = json.dumps(self.rng.bit_generator.state, default=np.ndarray.tolist)
+        return {**super()._moving(), "sigmas": self.sigmas, "random": spelt(drawn)}
 
     def _go_on(self, entries: dict[str, Array]) -> None:
         """Take over a checked state, with a generator of its own at the same place."""
-        now, name = self.rng.bit_generator, read(entries["generator"])
-        if name != type(now).__name__ or entries["random"].size != _numbered(now.state)[0].size:
-            raise ValueError(
-                f"state: expected random numbers of a {type(now).__name__}, got those of a {name or 'none'}"
-            )
-        generator = type(now)()
-        generator.state = _put_back(now.state, entries["random"].tolist()[::-1])
+        generator, drawn = type(self.rng.bit_generator)(), {}
+        try:
+            drawn = json.loads(read(entries["random"]))
+            generator.state = drawn
+        except (ValueError, TypeError, KeyError, OverflowError):
+            name, other = type(generator).__name__, drawn.get("bit_generator", "none")
+            raise StateError(f"state: expected random numbers of a {name}, got those of a {other}") from None
         super()._go_on(entries)
         self.sigmas, self.rng = entries["sigmas"], np.random.Generator(generator)
 
@@ -233,33 +234,3 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
 def _rows(values: list[Any]) -> Array:
     """Return vectors, columns or numbers of the members, one a row."""
     return np.array(values, dtype=float).reshape(len(values), -1)
-
-
-def _numbered(value: Any) -> tuple[Array, str]:
-    """Return the state of a bit generator as numbers below 2^32, which floats hold exactly, and its name."""
-    words: list[float] = []
-
-    def note(part: Any) -> None:
-        """Note the words of a part, the lowest first."""
-        if isinstance(part, dict):
-            for name in sorted(part):
-                note(part[name])
-        elif isinstance(part, np.ndarray):
-            for number in part.ravel().tolist():
-                note(number)
-        elif not isinstance(part, str):
-            words.extend((int(part) >> shift) & 0xFFFFFFFF for shift in range(0, 128, 32))
-
-    note(value)
-    return np.array(words, dtype=float), str(value["bit_generator"])
-
-
-def _put_back(like: Any, words: list[float]) -> Any:
-    """Return a state like another one with these words, which are taken from the end of the list."""
-    if isinstance(like, dict):
-        return {name: _put_back(like[name], words) for name in sorted(like)}
-    if isinstance(like, np.ndarray):
-        return np.array([_put_back(0, words) for _ in range(like.size)], dtype=like.dtype).reshape(like.shape)
-    if isinstance(like, str):
-        return like
-    return sum(int(words.pop()) << shift for shift in range(0, 128, 32))

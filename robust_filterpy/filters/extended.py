@@ -255,6 +255,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         Hx: Callable[..., ArrayLike],
         Rs: Any = None,
         us: Any = None,
+        *,
         args: Any = (),
         hx_args: Any = (),
         residual: Callable[[Any, Any], Any] = np.subtract,

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.options import Grouping, Information, Scaling
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.filters.policies import Options, with_options
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["batch_filter", "predict", "rts_smoother", "update"]
 
 
+@with_options
 def update(
     x: Any,
     P: Any,
@@ -22,11 +25,7 @@ def update(
     R: Any,
     H: Any = None,
     return_all: bool = False,
-    *,
-    influence: Influence = Huber(),
-    scaling: Scaling = "innovation",
-    information: Information = "realized",
-    grouping: Grouping = "component",
+    **options: Unpack[Options],
 ) -> tuple[Any, ...]:
     """Correct a state by a measurement whose influence is bounded: `filterpy.kalman.update` and the choices.
 
@@ -47,8 +46,9 @@ def update(
         Measurement matrix, by default 1.
     return_all : bool, default False
         Whether y, K, S and log_likelihood are returned too.
-    influence, scaling, information, grouping
-        As in `RobustKalmanFilter`; a single call knows no typical innovation, so "learnt" bounds nothing here.
+    influence, scaling, information, grouping, noise, process, patience
+        As in `RobustKalmanFilter`, but for the default scaling, "innovation": a single call knows no typical
+        innovation, so "learnt" bounds nothing here.
 
     Returns
     -------
@@ -75,7 +75,8 @@ def update(
     n = max(mean.size, 1)
     H = np.eye(1, n) if H is None else _checks.numbers("H", H)
     H = H.reshape(1, n) if H.ndim < 2 and H.size == n else H
-    kf = _filter(x, P, len(H) if H.ndim else 1, influence, scaling, information, grouping)
+    options.setdefault("scaling", "innovation")
+    kf = _filter(x, P, len(H) if H.ndim else 1, **options)
     kf.update(z, R, H)
     x_post, P_post = _as_given(kf, mean)
     if not return_all:
@@ -114,7 +115,7 @@ def predict(x: Any, P: Any, F: Any = 1, Q: Any = 0, u: Any = 0, B: Any = 1, alph
         As in `RobustKalmanFilter.predict`.
     """
     mean = _checks.numbers("x", x)
-    kf = _filter(x, P, 1, Huber(), "innovation", "realized", "component")
+    kf = _filter(x, P, 1)
     kf.alpha = alpha
     n = kf.dim_x
     moved = np.dot(_checks.numbers("B", B), _checks.numbers("u", u))
@@ -125,6 +126,7 @@ def predict(x: Any, P: Any, F: Any = 1, Q: Any = 0, u: Any = 0, B: Any = 1, alph
     return _as_given(kf, mean)
 
 
+@with_options
 def batch_filter(
     x: Any,
     P: Any,
@@ -137,11 +139,7 @@ def batch_filter(
     us: Any = None,
     update_first: bool = False,
     saver: Any = None,
-    *,
-    influence: Influence = Huber(),
-    scaling: Scaling = "learnt",
-    information: Information = "realized",
-    grouping: Grouping = "component",
+    **options: Unpack[Options],
 ) -> tuple[Array, Array, Array, Array]:
     """Filter a recording: `filterpy.kalman.batch_filter` and the choices.
 
@@ -161,7 +159,7 @@ def batch_filter(
         Whether each step corrects first and then predicts.
     saver : filterpy.common.Saver, optional
         Its ``save()`` is called after each step.
-    influence, scaling, information, grouping
+    influence, scaling, information, grouping, noise, process, patience
         As in `RobustKalmanFilter`.
 
     Returns
@@ -176,7 +174,7 @@ def batch_filter(
     """
     if not hasattr(Hs, "__len__") or len(Hs) == 0:
         raise ValueError(f"Hs: expected an entry for each measurement, got {_checks.shown(Hs)}")
-    kf = _filter(x, P, len(np.atleast_2d(Hs[0])), influence, scaling, information, grouping)
+    kf = _filter(x, P, len(np.atleast_2d(Hs[0])), **options)
     return kf.batch_filter(zs, Fs, Qs, Hs, Rs, None if us is None else Bs, us, update_first, saver)
 
 
@@ -216,13 +214,11 @@ def rts_smoother(Xs: Array, Ps: Array, Fs: Any, Qs: Any) -> tuple[Array, Array, 
     return RobustKalmanFilter(n, 1).rts_smoother(Xs, Ps, Fs, Qs)
 
 
-def _filter(
-    x: Any, P: Any, m: int, influence: Influence, scaling: Scaling, information: Information, grouping: Grouping
-) -> RobustKalmanFilter:
+def _filter(x: Any, P: Any, m: int, **options: Unpack[Options]) -> RobustKalmanFilter:
     """Return a filter at this state."""
     mean = _checks.numbers("x", x)
     n = max(mean.size, 1)
-    kf = RobustKalmanFilter(n, m, influence=influence, scaling=scaling, information=information, grouping=grouping)
+    kf = RobustKalmanFilter(n, m, **options)
     kf.x = mean.reshape(1) if mean.ndim == 0 else mean.copy()
     kf.P = _checks.numbers("P", P)
     return kf

@@ -11,9 +11,8 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter, unsce
 from robust_filterpy._arrays import measured
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
-from robust_filterpy.filters.driver import without_rounding
+from robust_filterpy.filters.driver import columns_of, take_steps, without_rounding
 from robust_filterpy.filters.shell import Shell
-from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel import moments
 
 #: Whether the installed filterpy draws new points from the predicted covariance for the correction; 1.4.5 does not.
@@ -83,30 +82,16 @@ class NonlinearFilterMixin(Shell):
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""
-        if not hasattr(zs, "__len__"):
-            raise TypeError(f"zs: expected a sequence of measurements, got {zs!r}")
-        if saver is not None and not callable(getattr(saver, "save", None)):
-            raise TypeError(f"saver: expected an object with a method save(), got {saver!r}")
-        each = []
-        for name, values in columns.items():
-            values = [values] * len(zs) if values is None or (name == "dts" and np.ndim(values) == 0) else values
-            if len(values) != len(zs):
-                raise ValueError(
-                    f"{name}: expected an entry for each of the {len(zs)} measurements in zs, got {len(values)}"
-                )
-            each.append(values)
-        means, covariances = np.zeros((len(zs), self.dim_x)), np.zeros((len(zs), self.dim_x, self.dim_x))
-        k = 0
-        with unchanged_if_refused(self):
-            try:
-                for k, (z, *values) in enumerate(zip(zs, *each, strict=True)):
-                    step(z, *values)
-                    means[k], covariances[k] = np.ravel(self.x), self.P
-                    if saver is not None:
-                        saver.save()
-            except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-                error.args = (f"step {k}: {error}", *error.args[1:])
-                raise
+        table = columns_of({"zs": zs, **columns})
+        n, steps = self.dim_x, len(table[0])
+        means, covariances = np.zeros((steps, n)), np.zeros((steps, n, n))
+
+        def take(k: int) -> None:
+            """Take one step."""
+            step(*(column[k] for column in table))
+            means[k], covariances[k] = np.ravel(self.x), self.P
+
+        take_steps(self, range(steps), take, saver)
         return means, covariances
 
 

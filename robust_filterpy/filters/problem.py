@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._arrays import control_term, measurement_rows, process_noise, stack, state_of
-from robust_filterpy._checks import Array, all_covariances, entries, shown
-from robust_filterpy.filters.driver import run
+from robust_filterpy._checks import Array, all_covariances, entries
+from robust_filterpy.filters.driver import columns_of, require_entries, run, take_steps
 from robust_filterpy.filters.notices import look_at_recording, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import ordinary_noise
 from robust_filterpy.filters.shell import Shell
-from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel.series import Rows
 
 __all__ = ["Problem", "RecordingMixin", "finite", "read"]
@@ -81,7 +80,7 @@ def _inputs(B: Any, Bs: Any, us: Any, n: int, steps: int) -> Array:
         return np.zeros((1, n))
     us, Bs = entries("us", us), entries("Bs", Bs)
     for name, values in (("us", us), ("Bs", Bs)):
-        _require_entries(name, values, steps, "measurements")
+        require_entries(name, values, steps, "measurements")
     if B is None and Bs is None:
         raise ValueError("us: expected no inputs for a filter without B; set kf.B")
     matrices: Any
@@ -113,49 +112,39 @@ class RecordingMixin(Shell):
         self, given: dict[str, Any], update_first: bool, saver: Any, by_kernel: bool, scales: Array | None
     ) -> tuple[Array, Array, Array, Array]:
         """Return what `RobustKalmanFilter.batch_filter` does; whatever is raised, the filter is then as it was."""
-        if saver is not None and not callable(getattr(saver, "save", None)):
-            raise TypeError(
-                f"saver: expected an object with save(), such as filterpy.common.Saver(kf), got {type(saver).__name__}"
-            )
-        given = {name: entries(name, values) for name, values in given.items()}
-        columns = _columns(given)
-        n, dim_x = len(given["zs"]), self.dim_x
+        columns = columns_of(given)
+        n, dim_x = len(columns[0]), self.dim_x
         shape = (n, dim_x) if np.ndim(self.x) == 1 else (n, dim_x, 1)
         means, means_p = np.zeros(shape), np.zeros(shape)
         covariances, covariances_p = np.zeros((n, dim_x, dim_x)), np.zeros((n, dim_x, dim_x))
         rows = self._read(**given) if by_kernel and n else None
         # The filter's own are the last step and the last with a measurement: what they leave in it stays.
         own: Iterable[int] = range(n)
+        begins: dict[int, int] = {}
         if rows is not None:
             shown = Rows(*(a.reshape(n, -1) for a in (means, covariances, means_p, covariances_p)))
             shown = shown._replace(weights=np.full(rows.zs.shape, np.nan), scale=scales)
             seen = np.flatnonzero(~np.isnan(rows.zs).all(axis=1))
             own = sorted({*seen[-1:].tolist(), n - 1})
-        k = 0
-        with unchanged_if_refused(self):
-            for stop in own:
-                if rows is not None and k < stop:
-                    self._run(rows, shown, bool(update_first), k, stop)
-                k = stop
-                z, F, Q, H, R, B, u = (None if column is None else column[k] for column in columns)
-                try:
-                    if update_first:
-                        self.update(z, R=R, H=H)
-                        means[k], covariances[k] = self.x, self.P
+            begins = dict(zip(own, [0, *(k + 1 for k in own)], strict=False))
+
+        def take(k: int) -> None:
+            """Take a step, after those before it that are the kernel's."""
+            if rows is not None and begins[k] < k:
+                self._run(rows, shown, bool(update_first), begins[k], k)
+            z, F, Q, H, R, B, u = (column[k] for column in columns)
+            for corrects in (bool(update_first), not update_first):
+                if corrects:
+                    self.update(z, R=R, H=H)
+                    means[k], covariances[k] = self.x, self.P
+                else:
                     self.predict(u=u, B=B, F=F, Q=Q)
                     means_p[k], covariances_p[k] = self.x, self.P
-                    if not update_first:
-                        self.update(z, R=R, H=H)
-                        means[k], covariances[k] = self.x, self.P
-                    if scales is not None:
-                        scales[k] = self.process_scale
-                    if saver is not None:
-                        saver.save()
-                except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-                    error.args = (f"step {k}: {error}", *error.args[1:])
-                    raise
-                k += 1
-            return means, covariances, means_p, covariances_p
+            if scales is not None:
+                scales[k] = self.process_scale
+
+        take_steps(self, own, take, saver)
+        return means, covariances, means_p, covariances_p
 
     def _read(self, zs: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any, Bs: Any, us: Any) -> Problem | None:
         """Return a recording as arrays, None if the call is for the filter's own methods."""
@@ -220,29 +209,6 @@ def _innovations(rows: Problem, shown: Rows, update_first: bool, first: int, las
         means = np.concatenate([means[:1], means[:-1]])
     H = np.broadcast_to(rows.H, (len(rows.zs), *rows.H.shape[1:]))[first:last]
     return rows.zs[first:last] - np.einsum("kij,kj->ki", H, means)
-
-
-def _require_entries(name: str, values: Any, steps: int, of: str) -> None:
-    """Raise unless there is an entry for each step, or nothing at all."""
-    if values is not None and (not hasattr(values, "__len__") or len(values) < steps):
-        got = len(values) if hasattr(values, "__len__") else shown(values)
-        raise ValueError(f"{name}: expected an entry for each of the {steps} {of}, got {got}")
-
-
-def _columns(given: dict[str, Any]) -> list[Any]:
-    """Return the columns, each with an entry for every step, or None."""
-    try:
-        n = len(given["zs"])
-    except TypeError:
-        raise TypeError(f"zs: expected a sequence of measurements, got {shown(given['zs'])}") from None
-    columns = []
-    for name, values in given.items():
-        _require_entries(name, values, n, "measurements in zs")
-        columns.append(values)
-    # An iterator reads what has a length but no places, such as the values of a dictionary or a data frame's column.
-    return [
-        None if column is None else column if isinstance(column, np.ndarray) else list(column) for column in columns
-    ]
 
 
 def _symmetric(stack: Array) -> bool:

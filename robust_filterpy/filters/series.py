@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,15 +18,16 @@ from robust_filterpy._checks import Array, numbers
 from robust_filterpy._state import widened
 from robust_filterpy.correction import side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
-from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
-from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import FILLED
 from robust_filterpy.filters.driver import run
 from robust_filterpy.filters.notices import say_stuck_among
-from robust_filterpy.filters.policies import Carried, policy_of
-from robust_filterpy.influence.functions import Huber, Influence
+from robust_filterpy.filters.policies import Carried, Options, policy_of, with_options
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.series import Model, Output, Rows
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["FilteredSeries", "began", "continued", "filter_series"]
 
@@ -247,6 +248,7 @@ class FilteredSeries(NamedTuple):
         return brief(self)
 
 
+@with_options
 def filter_series(
     zs: ArrayLike,
     F: ArrayLike,
@@ -256,18 +258,13 @@ def filter_series(
     x0: ArrayLike | None = None,
     P0: ArrayLike | None = None,
     *,
-    influence: Influence = Huber(),
-    scaling: Scaling | None = None,
-    information: Information = "realized",
-    grouping: Grouping = "component",
-    noise: Contaminated | Learnt | str | None = None,
-    process: Contaminated | Scales | str | None = None,
     learnt: ArrayLike | None = None,
     state: Mapping[str, Any] | None = None,
     keep: str | int = "all",
     covariance: str = "full",
     refused: str = "raise",
     n_threads: int | None = None,
+    **options: Unpack[Options],
 ) -> FilteredSeries:
     """Filter S series of N measurements each, every step a prediction and then a correction.
 
@@ -285,8 +282,8 @@ def filter_series(
         Mean before the first prediction.
     P0 : array_like, shape (dim_x, dim_x) or (S, dim_x, dim_x)
         Its covariance.
-    influence, scaling, information, grouping, noise, process
-        As in `RobustKalmanFilter`; with ``noise=Learnt()`` what is learned is each series' own.
+    influence, scaling, information, grouping, noise, process, patience
+        As in `RobustKalmanFilter`, without patience; with ``noise=Learnt()`` what is learned is each series' own.
     learnt : array_like, shape (1 or dim_z, w), or (S, ..) for each series its own, optional
         What was learned of the noise before the first step: the ``learnt`` of a filter, or of a state, with the same
         ``noise=``.
@@ -352,7 +349,9 @@ def filter_series(
         x0, P0 = state["x"], state["P"]
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
     steps, output = given.z.shape[1], given.output
-    policy = policy_of(influence, scaling, information, grouping, noise, process)
+    if options.get("patience") is not None:
+        raise ValueError(f"patience: expected None for filter_series, got {options['patience']!r}; a filter counts")
+    policy = policy_of(**options)
     is_mixture = policy.noise is not None
     stands = began(policy, given, learnt) if state is None else continued(policy, given, state)
     before = None if is_mixture or "spread" not in stands else stands["spread"][:, :, FILLED].copy()

@@ -133,7 +133,7 @@ def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: 
     seen = ~np.isnan(z)
     if not seen.any():
         return state, np.full(len(z), np.nan)
-    estimate, hypotheses = policy.corrected(state, state.x, state.P, z, H, R, None, None)
+    estimate, hypotheses = policy.corrected(state, state.x, state.P, z, H, R, None, False)
     memory = estimate.memory
     if memory is None:
         memory = state.memory

@@ -13,6 +13,7 @@ from robust_filterpy._arrays import control_term, measured, noise_covariance, pr
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Grouping
+from robust_filterpy.filters.driver import at_step
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.linear_pass import Recording, Smooth, Weighting, problem, smoothing_pass
 from robust_filterpy.smoothing.rules import Belief, Learnt, Mixture, Rule, rule_of
@@ -339,11 +340,8 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
             raise ValueError(f"us: expected an entry for each of the {len(zs)} measurements, got {len(us)}")
         latest = []
         for k, z in enumerate(zs):
-            try:
+            with at_step(k):
                 live.smooth(z, None if us is None else us[k])
-            except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-                error.args = (f"step {k}: {error}", *error.args[1:])
-                raise
             latest.append(live.x)
         shape = (len(latest), *np.shape(self.x))
         return np.array(live.xSmooth).reshape(shape), np.array(latest).reshape(shape)

@@ -129,8 +129,9 @@ class Extended:
 
     def filtered(self) -> tuple[Array, Array]:
         """Run a robust filter."""
-        functions = self.HJacobian, self.Hx, self.Rs, self.us, self.args, self.hx_args, self.residual
-        return _robust_copy(self.kf).batch_filter(self.zs, *functions)  # type: ignore[no-any-return]
+        given = self.zs, self.HJacobian, self.Hx, self.Rs, self.us
+        further = {"args": self.args, "hx_args": self.hx_args, "residual": self.residual}
+        return _robust_copy(self.kf).batch_filter(*given, **further)  # type: ignore[no-any-return]
 
 
 class SigmaPoints:
