@@ -345,8 +345,11 @@ def test_a_simulation_takes_as_many_steps_as_its_outputs_ask_for():
 def test_what_does_not_fit_a_simulation_is_named():
     model, _, u = found("physics")
     t = np.arange(u.size) / 1.0
-    with pytest.raises(ValueError, match=r"u: expected finite numbers, got .* in sample 7"):
-        model.simulate(np.where(t == 7.0, np.nan, u), t)
+    with pytest.raises(ValueError, match=r"u: expected finite numbers .* got .*inf"):
+        model.simulate(np.where(t == 7.0, np.inf, u), t)
+    with pytest.warns(UserWarning, match="u: missing in 1 of"):
+        run = model.simulate(np.where(t == 7.0, np.nan, u), t)
+    np.testing.assert_array_equal(run, model.simulate(np.where(t == 7.0, u[6], u), t))
     with pytest.raises(ValueError, match="u: expected the inputs that f takes, got 0"):
         model.simulate(None, t)
     with pytest.raises(ValueError, match="x0: expected 1 states"):

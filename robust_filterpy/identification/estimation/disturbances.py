@@ -17,6 +17,7 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.left import another_gain, feedback, unlike, wraps
 from robust_filterpy.identification.estimation.trend import PRICE, Break, Trend, impulse_output, piecewise_level
 from robust_filterpy.identification.models.results import Finding
+from robust_filterpy.identification.models.signals import held
 from robust_filterpy.influence.regression import mad_scale
 
 TRENDS: Final = ("none", "constant", "line", "breaks")
@@ -307,13 +308,9 @@ def break_finding(change: Any, index: Any, gain: float, samples: int, u: Array) 
 
 def _held_back(u: Array) -> tuple[Array, Any]:
     """Return inputs with the value before in the place of each that is unlike the others, and in which samples."""
-    u, far = u.copy(), np.zeros(u.shape, dtype=bool)
-    for j, column in enumerate(u.T):
-        odd = far[:, j] = _odd(column)
-        # The last ordinary value before each; at the beginning the first one.
-        last = np.maximum.accumulate(np.where(odd, -1, np.arange(odd.size)))
-        column[:] = column[np.where(last < 0, int(np.argmin(odd)), last)]
-    return u, np.flatnonzero(far.any(axis=1))
+    far: Any = np.column_stack([u[:, :0], *(_odd(column) for column in u.T)]).astype(bool)
+    ordinary = np.take_along_axis(u, far.argmin(axis=0)[None], axis=0)
+    return held(np.where(far, np.nan, u), ordinary), np.flatnonzero(far.any(axis=1))
 
 
 def _odd(u: Array) -> Any:

@@ -10,7 +10,12 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.disturbances import Explanation, Search, of_impulses
-from robust_filterpy.identification.estimation.prediction_error import evidence_of_outputs, minimised, sandwich
+from robust_filterpy.identification.estimation.prediction_error import (
+    Limits,
+    evidence_of_outputs,
+    minimised,
+    sandwich,
+)
 from robust_filterpy.identification.models.grey_box import (
     GreyBox,
     GreyBoxModel,
@@ -48,9 +53,9 @@ def identified_grey_box(
 
     def alone(model: GreyBoxModel, y: Array, u: Array) -> Array:
         equations = structure.residuals_of(of(y, u), model.starts, False)
-        z = equations.p.free(model.theta)
-        equations.settled(z)
-        return np.concatenate([one.y for one in equations.recordings]) - equations.residuals(z).reshape(y.shape)
+        equations.settled(model.theta)
+        left = equations.residuals(model.theta).reshape(y.shape)
+        return np.concatenate([one.y for one in equations.recordings]) - left
 
     def find(u: Array, levels: Array, columns: Any, end: Any) -> Explanation:
         # Equations have no constant of their own: the level may be theirs before it breaks, or after.
@@ -81,8 +86,7 @@ def _modelled(
     """Return the model of recordings as they are."""
     starts = np.repeat(structure.x0[None], len(recordings), axis=0)
     model = structure.residuals_of(recordings, starts, structure.start == "free")
-    z = np.concatenate((model.p.free(model.p.centre), np.zeros(model.n - model.k)))
-    if not model.settled(z):
+    if not model.settled(model.first):
         raise ValueError(
             "p0: expected first guesses with which f has finite outputs; the equations are unstable there, or too "
             "stiff for 128 steps between samples"
@@ -97,13 +101,14 @@ def _modelled(
     least = np.maximum(ROUNDING**2 * np.nanstd(outputs, 0) ** 2, np.finfo(float).tiny)
     noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), which)
     stage("search from the first guesses")
-    end = minimised(model, z, noise, rows, rows, _FIRST_STEPS)
+    limits = Limits(model.lower, model.upper)
+    end = minimised(model, model.first, noise, rows, rows, _FIRST_STEPS, limits)
     model.steps = 1
     model.settled(end.p)
     stage("noise learned, search again")
     learnt = end.noise if influence is not None else end.noise.learnt()
-    end = minimised(model, end.p, learnt, rows, rows)
-    return _as_model(structure, model, end, rows)
+    end = minimised(model, end.p, learnt, rows, rows, limits=limits)
+    return _as_model(structure, model, end, rows, limits)
 
 
 def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
@@ -119,17 +124,16 @@ def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
             raise ValueError(f"{name}: expected finite numbers with p0 and x0, got {value}")
 
 
-def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any) -> GreyBoxModel:
+def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, limits: Limits) -> GreyBoxModel:
     """Return what was found, with what the recording cannot tell."""
     z, noise, k = end.p, end.noise, model.k
-    residual, J = model.residuals(z)[rows], model.jacobian(z)[rows]
-    slope = model.p.slope(z[:k])
-    P, colour = sandwich(J, residual, noise, k)
-    P = P[:k, :k] * np.outer(slope, slope)
-    theta = model.p.parameters(z[:k])
+    theta, residual, J = z[:k], model.residuals(z)[rows], model.jacobian(z)[rows]
+    untold, unseen = _untold(structure, model, J, noise, residual, theta)
+    # As of a model of polynomials: what ended at a bound has no variance, and the others then have.
+    P, colour = sandwich(np.where(limits.held(z, J.T @ noise.psi(residual)), 0.0, J), residual, noise, k)
+    P = P[:k, :k]
     weights = np.full(rows.size, np.nan)
     weights[rows] = noise.weights(residual)
-    untold, unseen = _untold(structure, model, J, noise, residual, theta, slope)
     P[unseen, unseen] = np.inf
     total = rows.sum() / max(rows.sum() - model.n, 1)
     values = structure.p0 | dict(zip(structure.free_names, theta.tolist(), strict=True))
@@ -150,19 +154,17 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any) -> 
 
 
 def _untold(
-    structure: GreyBox, model: GreyResiduals, J: Array, noise: Noises, residual: Array, theta: Array, slope: Array
+    structure: GreyBox, model: GreyResiduals, J: Array, noise: Noises, residual: Array, theta: Array
 ) -> tuple[tuple[tuple[str, ...], ...], Any]:
     """Return the parameters along whose directions a standard deviation is large, and where there is nothing."""
-    size = np.where(theta == 0.0, model.p.size, np.abs(theta))
+    size = np.where(theta == 0.0, model.size[: theta.size], np.abs(theta))
     weighted = J * np.sqrt(noise.slope(residual) / noise.variance)[:, None]
     k = theta.size
     if model.n > k:
         # What the starts explain tells nothing of the parameters.
         basis = np.linalg.qr(weighted[:, k:])[0]
         weighted = weighted[:, :k] - basis @ (basis.T @ weighted[:, :k])
-    _, values, right = np.linalg.svd(
-        weighted[:, :k] * size / np.where(slope == 0.0, np.inf, slope), full_matrices=False
-    )
+    _, values, right = np.linalg.svd(weighted[:, :k] * size, full_matrices=False)
     groups, unseen = [], np.zeros(k, dtype=bool)
     for value, direction in zip(values, right, strict=True):
         if value * _UNTOLD < 1.0:

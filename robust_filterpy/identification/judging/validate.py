@@ -124,9 +124,6 @@ def _of_outputs(model: Any, measured: Array, signal: Array, predictor: Any, q: A
     P = np.diag(np.full(q.size, np.inf))
     P[:k, :k] = model.P
     levelled = isinstance(model, StateSpaceModel)
-    if not levelled:
-        slope = predictor.p.slope(q[:k])
-        J[:, :, :k] *= np.divide(1.0, slope, out=np.zeros(k), where=slope != 0.0)
     memory = _memory_of_states(model) if levelled else np.zeros((0, 1, 1))
     tested = np.where(_untouched(memory, seen, weights), residual, np.nan)
     return Judged(measured, residual, tested, signal, model.noise, model.weights, J, P, levelled)

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.noise import Noise, Noises
-from robust_filterpy.identification.models.recording import ANY_TIMES, recorded
+from robust_filterpy.identification.models.recording import ANY_TIMES, columns_of, recorded
 from robust_filterpy.identification.models.results import Finding, Identified
-from robust_filterpy.identification.models.signals import TimeAxis, trend_of
+from robust_filterpy.identification.models.signals import Signals, TimeAxis, held_input, trend_of
 from robust_filterpy.influence.regression import robust_regression
 
 _DIFFERENCE: Final = 1e-5
@@ -55,60 +55,21 @@ class GreyRecording(NamedTuple):
         return bool(np.ptp(steps) <= _EQUAL * np.median(steps)) if steps.size else True
 
 
-class Scale(NamedTuple):
-    """Parameters in free numbers: z around 0, within bounds.
-
-    Attributes
-    ----------
-    centre, size, low, high : ndarray, shape (k,)
-        p = center + size z; with bounds a smooth function that stays between them.
-    """
-
-    centre: Array
-    size: Array
-    low: Array
-    high: Array
-
-    def free(self, p: Array) -> Array:
-        """Return the free numbers of parameters, shape (k,)."""
-        lower, upper = np.isfinite(self.low), np.isfinite(self.high)
-        width = np.where(lower & upper, self.high - self.low, 1.0)
-        share = np.clip((p - np.where(lower, self.low, 0.0)) / width, 1e-9, 1.0 - 1e-9)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            both = np.log(share / (1.0 - share))
-            above, below = np.log((p - self.low) / self.size), np.log((self.high - p) / self.size)
-        free = (p - self.centre) / self.size
-        return np.where(lower & upper, both, np.where(lower, above, np.where(upper, -below, free)))
-
-    def parameters(self, z: Array) -> Array:
-        """Return the parameters of free numbers, shape (k,) or (k, m)."""
-        part = (slice(None),) + (None,) * (z.ndim - 1)
-        low, high, centre, size = self.low[part], self.high[part], self.centre[part], self.size[part]
-        lower, upper = np.isfinite(low), np.isfinite(high)
-        bounded = np.clip(z, -40.0, 40.0)
-        with np.errstate(invalid="ignore"):
-            both = low + (high - low) / (1.0 + np.exp(-bounded))
-            above, below = low + size * np.exp(bounded), high - size * np.exp(-bounded)
-        return np.where(lower & upper, both, np.where(lower, above, np.where(upper, below, centre + size * z)))
-
-    def slope(self, z: Array) -> Array:
-        """Return dp/dz, shape (k,)."""
-        return np.asarray(self.parameters(z + 1e-6) - self.parameters(z - 1e-6)) / 2e-6
-
-
 class GreyResiduals:
     """Residuals of recordings, one row of y after the other.
 
-    The free parameters are [z of the parameters, z of the start of each recording if it is free].
+    The free parameters are those of the equations, then the start of each recording if it is free.
 
     Parameters
     ----------
     f, h : function
-        As of a `GreyBox`; h gives the outputs.
+        As of a `GreyBox`, of the free parameters; h gives the outputs.
     recordings : list of GreyRecording
         What was recorded.
-    p, x : Scale
-        Of parameters and states.
+    p : ndarray, shape (k,)
+        First guesses.
+    bounds : ndarray, shape (k, 2)
+        Least and largest values.
     starts : ndarray, shape (n_recordings, n)
         States in the first samples.
     free_start : bool
@@ -118,14 +79,16 @@ class GreyResiduals:
     """
 
     def __init__(
-        self, f: Callable[..., Any], h: Callable[..., Any], recordings: list[GreyRecording], p: Scale, x: Scale,
+        self, f: Callable[..., Any], h: Callable[..., Any], recordings: list[GreyRecording], p: Array, bounds: Array,
         starts: Array, free_start: bool, linear: bool,
     ) -> None:  # fmt: skip
         """Find out whether f takes columns, and how many steps it needs."""
-        self._f, self._h, self.recordings, self.p, self.x = f, h, recordings, p, x
-        self.starts, self.free_start, self.linear = starts, free_start, linear
-        self.k = p.centre.size
-        self.n = self.k + starts.size * free_start
+        self._f, self._h, self.recordings, self.linear = f, h, recordings, linear
+        self.starts, self.free_start, self.k = starts, free_start, p.size
+        self.first = np.concatenate((p, starts.ravel() if free_start else []))
+        self.size, self.n = np.where(self.first == 0.0, 1.0, np.abs(self.first)), self.first.size
+        wide = np.full(self.n - self.k, np.inf)
+        self.lower, self.upper = np.append(bounds[:, 0], -wide), np.append(bounds[:, 1], wide)
         self.steps, self._columns = 1, False
         self._columns = self._takes_columns()
 
@@ -153,11 +116,13 @@ class GreyResiduals:
 
     def jacobian(self, z: Array) -> Array:
         """Return the derivatives of the residuals by differences to both sides."""
-        both = np.concatenate((z[:, None] + _DIFFERENCE * np.eye(self.n), z[:, None] - _DIFFERENCE * np.eye(self.n)), 1)
-        parts = []
+        ahead, behind = np.minimum(z + _DIFFERENCE * self.size, self.upper), z - _DIFFERENCE * self.size
+        span, parts = np.diag(ahead - z), []
+        back = np.diag(np.maximum(behind, self.lower) - z)
         for i in range(len(self.recordings)):
-            outputs = self._outputs(both, i)
-            parts.append(-(outputs[..., : self.n] - outputs[..., self.n :]).reshape(-1, self.n) / (2.0 * _DIFFERENCE))
+            outputs = self._outputs(z[:, None] + np.hstack((span, back)), i)
+            change = (outputs[..., self.n :] - outputs[..., : self.n]).reshape(-1, self.n)
+            parts.append(change / (span - back).diagonal())
         return np.concatenate(parts)
 
     def is_stable(self, z: Array) -> bool:
@@ -170,14 +135,14 @@ class GreyResiduals:
             own = self.starts[i]
             return np.repeat(own[:, None], z.shape[1], axis=1) if z.ndim == 2 else own
         n = self.starts.shape[1]
-        return self.x.parameters(z[self.k + i * n : self.k + (i + 1) * n])
+        return z[self.k + i * n : self.k + (i + 1) * n]
 
     def _outputs(self, z: Array, i: int) -> Array:
         """Return the outputs of a recording, shape (N, p, m), for columns of free parameters."""
         if not self._columns and z.shape[1] > 1:
             return np.concatenate([self._outputs(z[:, j : j + 1], i) for j in range(z.shape[1])], axis=2)
         t, y, u = self.recordings[i]
-        p, x = self.p.parameters(z[: self.k]), self.start(z, i)
+        p, x = z[: self.k], self.start(z, i)
         if not self._columns:
             p, x = p[:, 0], x[:, 0]
         outputs = np.empty((*y.shape, z.shape[1]))
@@ -215,7 +180,7 @@ class GreyResiduals:
     def _takes_columns(self) -> bool:
         """Tell whether f and h do with columns what they do one by one."""
         one = self.recordings[0]
-        p, x, u = self.p.centre, self.starts[0], one.u[0]
+        p, x, u = self.first[: self.k], self.starts[0], one.u[0]
         columns = [np.stack((v, 1.01 * v, v), axis=1) for v in (x, p)]
         for function in (self._f, self._h):
             single = self._of(function, x, u, p)
@@ -345,15 +310,6 @@ class GreyBox:
             limits[name] = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
         return limits
 
-    @property
-    def scales(self) -> tuple[Scale, Scale]:
-        """Free numbers of the parameters that are estimated, and of the states."""
-        p = np.array([self.p0[name] for name in self.free_names])
-        bounds = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.free_names])
-        size, wide = np.where(p == 0.0, 1.0, np.abs(p)), np.full(self.x0.size, np.inf)
-        states = Scale(self.x0, np.where(self.x0 == 0.0, 1.0, np.abs(self.x0)), -wide, wide)
-        return Scale(p, size, bounds[:, 0], bounds[:, 1]), states
-
     def residuals_of(self, recordings: list[GreyRecording], starts: Array, free_start: bool) -> GreyResiduals:
         """Return what gives the residuals of recordings.
 
@@ -371,8 +327,8 @@ class GreyBox:
         GreyResiduals
         """
         at = [self.names.index(name) for name in self.free_names]
-        values = np.array([*self.p0.values()])
-        h = self.h
+        values, h = np.array([*self.p0.values()]), self.h
+        bounds = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.free_names])
 
         def whole(p: Array) -> Array:
             parameters = np.repeat(values[:, None], p.shape[1], axis=1) if p.ndim == 2 else values.copy()
@@ -385,7 +341,7 @@ class GreyBox:
         def outputs(x: Array, u: Array, p: Array) -> Any:
             return x if h is None else h(x, u, whole(p))
 
-        return GreyResiduals(f, outputs, recordings, *self.scales, starts, free_start, self.between == "lines")
+        return GreyResiduals(f, outputs, recordings, values[at], bounds, starts, free_start, self.between == "lines")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -451,7 +407,7 @@ class GreyBoxModel(Identified):
         Parameters
         ----------
         u : array_like, shape (N,) or (N, m), or None
-            Inputs.
+            Inputs; where one is NaN it keeps the value before, and a warning says so.
         t : array_like, shape (N,)
             Times in s.
         x0 : array_like, shape (n,), optional
@@ -466,25 +422,18 @@ class GreyBoxModel(Identified):
         ValueError
             If they do not fit, or the equations overflow.
         """
-        times = np.atleast_1d(_checks.numbers("t", t))
-        if times.ndim != 1 or (np.diff(times) <= 0.0).any() or not np.isfinite(times).all():
-            raise ValueError("t: expected times that increase, of shape (N,)")
-        signal = np.zeros((times.size, 0)) if u is None else _checks.numbers("u", u).reshape(len(np.asarray(u)), -1)
-        if len(signal) != times.size:
-            raise ValueError(f"u: expected {times.size} samples like t, got {len(signal)}")
-        if not np.isfinite(signal).all():
-            k = int(np.argmin(np.isfinite(signal).all(axis=1)))
-            raise ValueError(f"u: expected finite numbers, got {signal[k]} in sample {k}; fill in what acted")
+        samples = np.zeros((np.size(t), len(self.noise)))
+        signal = None if u is None else held_input(Signals(columns_of("u", u).shape[1], 0), u, np.zeros(0))
+        given = recorded(ANY_TIMES, samples, signal, t=t)
         start = self.starts[0] if x0 is None else np.atleast_1d(_checks.numbers("x0", x0))
         if start.shape != self.structure.x0.shape:
             raise ValueError(f"x0: expected {self.structure.x0.size} states, got shape {start.shape}")
-        recording = GreyRecording(times, np.zeros((times.size, len(self.noise))), signal)
+        recording = GreyRecording(given.times, samples, given.u)
         require_inputs(self.structure, recording, np.array([*self.p.values()]))
         model = self.structure.residuals_of([recording], start[None], False)
-        z = model.p.free(self.theta)
-        if not model.settled(z):
+        if not model.settled(self.theta):
             raise ValueError(_UNSETTLED)
-        return -model.residuals(z).reshape(times.size, -1)
+        return -model.residuals(self.theta).reshape(samples.shape)
 
     def predict(  # type: ignore[override]
         self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None, steps: int = 1
@@ -527,7 +476,7 @@ class GreyBoxModel(Identified):
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
             model = self.structure.residuals_of([recording], start[None], free)
-            z = np.concatenate((model.p.free(self.theta), model.x.free(start) if free else []))
+            z = np.concatenate((self.theta, start if free else []))
             if model.settled(z):
                 z = _likeliest(model, z, noise, rows) if free else z
                 ends.append((noise.cost(model.residuals(z)[rows]), len(ends), model, z))

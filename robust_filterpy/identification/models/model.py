@@ -25,7 +25,6 @@ from scipy.signal import lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._warning import warn
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.noise import Noise
@@ -36,13 +35,14 @@ from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import Finding, Identified, coloured, said, signals_of
 from robust_filterpy.identification.models.signals import (
     TimeAxis,
+    held_input,
     measured_output,
     recorded_input,
     recorded_output,
     recording,
     trend_of,
 )
-from robust_filterpy.identification.models.structures import OutputError, Structure, input_columns
+from robust_filterpy.identification.models.structures import OutputError, Structure
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 
@@ -65,24 +65,6 @@ def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
     if recorded.nf and rows.any():
         p[n + 1 :] = robust_regression(-recorded.jacobian(p)[rows][:, n + 1 :], recorded.residuals(p)[rows])
     return recorded, p
-
-
-def held_input(structure: Any, u: Any, rest: Array) -> Array:
-    """Return an input whose missing samples have the value before them, with a warning if there are any."""
-    if structure.takes_phi or not structure.n_inputs or u is None:
-        return recorded_input(structure, u, None)
-    signal = input_columns("u", u, structure.n_inputs)
-    gaps = np.isnan(signal)
-    if not gaps.any():
-        return recorded_input(structure, u, None)
-    last = np.maximum.accumulate(np.where(gaps, -1, np.arange(len(signal))[:, None]), axis=0)
-    before = rest if rest.size else np.zeros(structure.n_inputs)
-    held = np.where(last < 0, before, np.take_along_axis(np.nan_to_num(signal), np.maximum(last, 0), axis=0))
-    warn(
-        f"u: missing in {int(gaps.any(axis=1).sum())} of {_checks.count('u', len(signal))} samples, held at the value "
-        "before; fill u with what acted, for a valve that stayed where it was u.ffill(), else u.interpolate()"
-    )
-    return recorded_input(structure, held, None)
 
 
 def resting_level(parts: Parts) -> float:

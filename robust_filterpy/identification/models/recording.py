@@ -26,6 +26,7 @@ from robust_filterpy.identification.models.signals import (
     Signals,
     TimeAxis,
     are_several,
+    held,
     measured_output,
     measured_outputs,
     recorded_input,
@@ -229,15 +230,10 @@ def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None,
         if axes:
             axis.require_period(axes[0].dt)
         axes.append(axis)
+        output, signal = _as_columns(structure, one, other, i)
         if structure is ANY_TIMES:
-            pieces, gaps = _physical(one, other, i)
-            times.append(_times(axis.index, when, len(pieces[0][0])))
-        else:
-            width = structure.n_outputs if isinstance(structure, Signals) else None
-            output = measured_output(one)[:, None] if width is None else measured_outputs(one, width)
-            require_squares(output)
-            signal = _inputs(structure, other, len(output))
-            pieces, gaps = _without_gaps(structure, output, signal, "" if len(recordings) == 1 else f"recording {i}: ")
+            times.append(_times(axis.index, when, len(output)))
+        pieces, gaps = _without_gaps(structure, output, signal, "" if len(recordings) == 1 else f"recording {i}: ")
         parts += pieces
         findings += gaps
     if not parts:
@@ -312,13 +308,20 @@ def _split_in_time(structure: Structure | Signals, y: Any, u: Any, t: Any) -> li
     return [(y.iloc[part], None if u is None else u.iloc[part], None) for part in spans]
 
 
-def _inputs(structure: Structure | Signals, u: Any, length: int) -> Array:
-    """Return inputs that may have gaps, shape (N, n_inputs), or raise."""
+def _as_columns(structure: Structure | Signals, y: Any, u: Any, i: int) -> tuple[Array, Array]:
+    """Return outputs and inputs, both of which may have gaps, as columns, or raise."""
+    if structure is ANY_TIMES:
+        output = columns_of("y", y)
+        structure = Signals(0 if u is None else columns_of("u", u).shape[1], output.shape[1])
+        for j in np.flatnonzero(np.isnan(output).all(axis=0)):
+            raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
+    output = measured_outputs(y, structure.n_outputs) if isinstance(structure, Signals) else measured_output(y)[:, None]
+    require_squares(output)
     if u is None or not structure.n_inputs:
-        return recorded_input(structure, u, length)
+        return output, recorded_input(structure, u, len(output))
     signal = input_columns("u", u, structure.n_inputs)
-    recorded_input(structure, np.where(np.isnan(signal), 0.0, signal), length)
-    return signal
+    recorded_input(structure, np.where(np.isnan(signal), 0.0, signal), len(output))
+    return output, signal
 
 
 def _without_gaps(
@@ -335,17 +338,16 @@ def _without_gaps(
         return [(np.where(gaps[:, None], np.nan, y), np.nan_to_num(u))], [finding]
     edges = np.flatnonzero(np.diff(np.concatenate(([False], gaps, [False])).astype(int)))
     runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-    long = [(a, b) for a, b in runs if b - a > LONG_GAP or a == 0 or b == gaps.size]
-    short = [run for run in runs if run not in long]
-    u = u.copy()
-    for a, b in short:
-        u[a:b] = np.where(np.isnan(u[a:b]), u[a - 1], u[a:b])
-    findings = []
+    physical = structure is ANY_TIMES
+    if physical and gaps[0]:
+        raise ValueError("u: expected finite numbers, the first of them measured")
+    long = [(a, b) for a, b in runs if not physical and (b - a > LONG_GAP or a == 0 or b == gaps.size)]
+    short, u, findings = [run for run in runs if run not in long], held(u, 0.0), []
     if short:
-        count = sum(b - a for a, b in short)
+        most = "" if physical else f", never in more than {LONG_GAP} in a row"
         text = (
-            f"{where}u is missing in {count} samples, never in more than {LONG_GAP} in a row: held at the value before "
-            "each; fill u with what acted if that is known"
+            f"{where}u is missing in {sum(b - a for a, b in short)} samples{most}: held at the value before each; fill "
+            "u with what acted if that is known"
         )
         findings.append(Finding("gap", text, float("nan"), (short[0][0], short[-1][1])))
     bounds = [0, *(edge for run in long for edge in run), gaps.size]
@@ -353,30 +355,7 @@ def _without_gaps(
     return [(y[part], u[part]) for part in spans], findings
 
 
-def _physical(y: Any, u: Any, i: int) -> tuple[list[tuple[Array, Array]], list[Finding]]:
-    """Return a recording for equations of physics, its inputs held in gaps, and what is to be said."""
-    output = _columns("y", y)
-    require_squares(output)
-    if np.isinf(output).any():
-        raise ValueError("y: expected finite numbers or NaN (missing), got inf")
-    for j, column in enumerate(output.T):
-        if np.isnan(column).all():
-            raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
-    signal = np.zeros((len(output), 0)) if u is None else _columns("u", u)
-    if len(signal) != len(output):
-        raise ValueError(f"u: expected {len(output)} samples like y, got {len(signal)}")
-    if np.isinf(signal).any() or np.isnan(signal[:1]).any():
-        raise ValueError("u: expected finite numbers, the first of them measured")
-    gaps = np.isnan(signal)
-    if not gaps.any():
-        return [(output, signal)], []
-    last = np.maximum.accumulate(np.where(gaps, 0, np.arange(len(signal))[:, None]), axis=0)
-    text = f"u is missing in {int(gaps.any(axis=1).sum())} samples of recording {i}: held at the value before"
-    finding = Finding("gap", text, float("nan"), (0, len(signal)))
-    return [(output, np.take_along_axis(signal, last, axis=0))], [finding]
-
-
-def _columns(name: str, signal: Any) -> Array:
+def columns_of(name: str, signal: Any) -> Array:
     """Return a signal as columns or raise."""
     columns = _checks.numbers(name, signal)
     columns = columns[:, None] if columns.ndim == 1 else columns

@@ -18,6 +18,7 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import FillValues, fill_values
+from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.regressor import LARGEST, bounded
 from robust_filterpy.identification.models.structures import Structure, input_columns
 
@@ -133,6 +134,27 @@ def recorded_input(structure: Any, u: Any, length: int | None) -> Array:
     for column in signal.T:
         _require_size("u", column)
     return signal
+
+
+def held(u: Array, before: Any) -> Array:
+    """Return columns with the value before in the place of each that is missing; before: what stands for the first."""
+    last = np.maximum.accumulate(np.where(np.isnan(u), -1, np.arange(len(u))[:, None]), axis=0)
+    return np.where(last < 0, before, np.take_along_axis(u, np.maximum(last, 0), axis=0))
+
+
+def held_input(structure: Any, u: Any, rest: Array) -> Array:
+    """Return an input whose missing samples have the value before them, with a warning if there are any."""
+    if structure.takes_phi or not structure.n_inputs or u is None:
+        return recorded_input(structure, u, None)
+    signal = input_columns("u", u, structure.n_inputs)
+    gaps = np.isnan(signal)
+    if not gaps.any():
+        return recorded_input(structure, u, None)
+    warn(
+        f"u: missing in {int(gaps.any(axis=1).sum())} of {_checks.count('u', len(signal))} samples, held at the value "
+        "before; fill u with what acted, for a valve that stayed where it was u.ffill(), else u.interpolate()"
+    )
+    return recorded_input(structure, held(signal, rest if rest.size else 0.0), None)
 
 
 def _require_size(name: str, signal: Array) -> None:

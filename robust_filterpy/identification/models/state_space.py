@@ -19,13 +19,19 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.model import held_input
 from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import period
 from robust_filterpy.identification.models.responses import Realization, System
 from robust_filterpy.identification.models.results import Finding, Identified, signals_of
-from robust_filterpy.identification.models.signals import Signals, TimeAxis, measured_outputs, recorded_input, trend_of
+from robust_filterpy.identification.models.signals import (
+    Signals,
+    TimeAxis,
+    held_input,
+    measured_outputs,
+    recorded_input,
+    trend_of,
+)
 from robust_filterpy.influence.regression import robust_regression
 
 if TYPE_CHECKING:
