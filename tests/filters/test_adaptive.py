@@ -14,6 +14,7 @@ from support import TOLD, cart, make, random_problem, simulate, through, with_, 
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, side_by_side
+from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.spread import NUMBERS
 
 # How probable the classes are before anything has been seen.
@@ -423,6 +424,9 @@ def test_another_grouping_starts_to_learn_anew():
     (Scales, {"dwell": "long"}, "dwell"),
     (Scales, {"jump": 1.0}, "jump"),
     (Scales, {"scales": [1.0, 2.0], "probabilities": [0.5, 0.6]}, "probabilities"),
+    (Scales, {"jump": -0.1}, "jump"),
+    (NoiseClasses, {"probabilities": [0.5, 0.5]}, "probabilities"),
+    (NoiseClasses, {"grouping": "each"}, "grouping"),
     (Learnt, {"scales": []}, "measurement_scales"),
     (Learnt, {"scales": [2.0, 3.0]}, "measurement_scales"),
     (Learnt, {"scales": [1.0, 1.0]}, "measurement_scales"),
