@@ -41,15 +41,15 @@ static const learnt_rule RULE = {LEARNT_Q, LEARNT_K, PROCESS, SCALES, BEGIN, LEA
 
 int live_learnt(const int steps, const double told) {
     const double R[m * m] = {told};
-    enum { COPIES = LEARNT_Q + 1, WIDTH = learnt_width(LEARNT_K) };
-    double means[(COPIES + 1) * n], covariances[(COPIES + 1) * n * n], belief[(COPIES + 5) * n], known[WIDTH];
+    enum { MODELS = LEARNT_Q + 1, WIDTH = learnt_width(LEARNT_K) };
+    double means[(MODELS + 1) * n], covariances[(MODELS + 1) * n * n], belief[(MODELS + 5) * n], memory[WIDTH];
     double x[n] = {0}, P[n * n], weight, outlying, likelihood = 0;
-    learnt_state s = {means, covariances, belief, known};
-    for (int i = 0; i <= COPIES; i++) {
+    learnt_state s = {means, covariances, belief, memory};
+    for (int i = 0; i <= MODELS; i++) {
         real_copy(n, x, means + i * n), real_copy(n * n, START, covariances + i * n * n);
     }
-    real_copy((COPIES + 5) * n, BELIEF, belief);
-    real_copy(WIDTH, BEGIN, known);
+    real_copy((MODELS + 5) * n, BELIEF, belief);
+    real_copy(WIDTH, BEGIN, memory);
     for (int k = 0; k < steps; k++) {
         learnt_predict(n, &RULE, &s, F, Q, NULL, 1, work);
         const double *const z = live_z + k;

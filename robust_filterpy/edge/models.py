@@ -86,7 +86,7 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
     if extended:
         headers = ("real", "prediction", *headers[1:]) if mixed else (*headers, "moments")
         start = {field: value for field, value in start.items() if field in ("x", "P", "memory")}
-        own = {**own, "copies": ""}
+        own = {**own, "models": ""}
         remark += f" h, f and their Jacobians are yours: see {name}_sensor and {name}_motion."
     text = "extended" if extended else "mixture" if mixed else "filter"
     title = f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), {said}"
@@ -94,6 +94,8 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
     return Described(title, headers, text, "filter", values, {**model, **shown}, start)
 
 
+# Fields of a tracker's state that its text writes itself.
+_BY_HAND = "R", "R_samples", "readings"
 _Part = tuple[tuple[str, ...], str, dict[str, Any], dict[str, Any], dict[str, Any], str]
 
 
@@ -108,7 +110,7 @@ def _bounded(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _
     if values["learns"]:
         start["memory"] = _checks.finite("memory", _sensor_memory(kf, "spread"), (m, NUMBERS))
     headers = "real", "psi", "prediction", "correction", *(("joint",) if joint else ()), "spread", "update"
-    values |= {"width": NUMBERS, "copies": "", "joint": joint, "normalizers": "normalizers" if joint else "NULL"}
+    values |= {"width": NUMBERS, "models": "", "joint": joint, "normalizers": "normalizers" if joint else "NULL"}
     remark = f"For another threshold at run time change a copy of {name}_default."
     return headers, shown(choices), values, start, influence_fields(choices), remark
 
@@ -131,7 +133,7 @@ def _mixture(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _
         "memory": _checks.finite("memory", _sensor_memory(kf, "learnt"), (m, len(begin))),
     }  # fmt: skip
     values = {
-        "copies": models, "parts": len(state["belief"]), "width": len(begin), "q": q, "K": K, "learns": "",
+        "models": models, "parts": len(state["belief"]), "width": len(begin), "q": q, "K": K, "learns": "",
         "process": _listed(process), "scales": _listed(scales), "begin": _listed(begin),
         "numbers": _listed(numbers[2:6]), "adapts": int(numbers[6]), "influence_fields": "",
     }  # fmt: skip
@@ -335,7 +337,7 @@ def _values(tracker: ParameterTracker, model: dict[str, Any], start: dict[str, A
         "filtered": int("prefiltered" in start or "gradients" in start), "cleans": int(tracker.form.cleans),
         "judges": int(tracker.form.judges), "follows": "R_memory" in model, "fades": "alpha_sq" in model,
         "moves": "F" in model,
-        "fields": "\n".join(f"    next.{one} = state->{one};" for one in start if one not in ("R", "R_samples")),
+        "fields": "\n".join(f"    next.{one} = state->{one};" for one in start if one not in _BY_HAND),
         "minus_centre": " - model->centre" * tracker.form.has_offset,
         "plus_centre": " + model->centre" * tracker.form.has_offset,
     }  # fmt: skip

@@ -27,19 +27,19 @@ int take_rule(learnt_rule *rule, PyObject *object) {
 }
 
 size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m) {
-    const int copies = learnt_copies(rule), grouped = rule->joint || rule->named > 0;
-    return learnt_correct_work(n, m, copies, rule->K) + (grouped ? learnt_group_work(n, m, copies, rule->K) : 0);
+    const int models = learnt_models(rule), grouped = rule->joint || rule->named > 0;
+    return learnt_correct_work(n, m, models, rule->K) + (grouped ? learnt_group_work(n, m, models, rule->K) : 0);
 }
 
-npy_intp known_rows(const learnt_rule *rule, npy_intp m) { return rule->joint ? 1 : m; }
+npy_intp memory_rows(const learnt_rule *rule, npy_intp m) { return rule->joint ? 1 : m; }
 
-/* The copies and what is known of m sensors; m < 0: of none. Return whether the arrays are that. */
-static int take_copies(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
+/* The models and the memory of m sensors; m < 0: of none. Return whether the arrays are that. */
+static int take_models(learnt_state *s, const learnt_rule *rule, npy_intp n, npy_intp m, PyObject *x, PyObject *P,
                       PyObject *p, PyObject *memory) {
     const npy_intp rows = learnt_rows(rule), means[2] = {rows, n}, covariances[3] = {rows, n, n};
-    const npy_intp beliefs[2] = {learnt_beliefs(1, rule), n}, known[2] = {known_rows(rule, m), learnt_width(rule->K)};
+    const npy_intp beliefs[2] = {learnt_beliefs(1, rule), n}, memories[2] = {memory_rows(rule, m), learnt_width(rule->K)};
     s->x = writable(x, 2, means), s->P = writable(P, 3, covariances), s->p = writable(p, 2, beliefs);
-    s->memory = m < 0 ? NULL : writable(memory, 2, known);
+    s->memory = m < 0 ? NULL : writable(memory, 2, memories);
     return s->x && s->P && s->p && (m < 0 || s->memory) && learnt_has_parts((int)n, rule, s);
 }
 
@@ -72,19 +72,19 @@ static void keep(const learnt_job *job, npy_intp row, double *means, double *cov
 /* Take steps until one is out of the ordinary; return the first that was not taken. */
 INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
     const learnt_rule rule = job->rule;
-    const int copies = learnt_rows(&rule), known = (int)known_rows(&rule, m) * learnt_width(rule.K), beliefs = learnt_beliefs(n, &rule);
-    double *const kept = work, *const p = kept + copies * (n * n + n), *const memory = p + beliefs;
-    double *const x = memory + known, *const P = x + n, *const weights = P + n * n;
+    const int rows = learnt_rows(&rule), numbers = (int)memory_rows(&rule, m) * learnt_width(rule.K), beliefs = learnt_beliefs(n, &rule);
+    double *const before_x = work, *const p = before_x + rows * (n * n + n), *const memory = p + beliefs;
+    double *const x = memory + numbers, *const P = x + n, *const weights = P + n * n;
     double *const outlying = weights + m, *const spare = outlying + m;
     learnt_state *const s = &job->state;
-    const learnt_state before = {kept, kept + copies * n, p, memory};
+    const learnt_state before = {before_x, before_x + rows * n, p, memory};
     for (npy_intp k = job->first; k < job->last; k++) {
         const npy_intp row = (k + 1) / job->every - 1;
         const int kept_step = (k + 1) % job->every == 0;
         int fine = 1;
         double likelihood = 0;
-        real_copy(copies * n, s->x, before.x), real_copy(copies * n * n, s->P, before.P);
-        real_copy(beliefs, s->p, before.p), real_copy(known, s->memory, before.memory);
+        real_copy(rows * n, s->x, before.x), real_copy(rows * n * n, s->P, before.P);
+        real_copy(beliefs, s->p, before.p), real_copy(numbers, s->memory, before.memory);
         real_copy(n, job->x, x), real_copy(n * n, job->P, P);
         for (int half = 0; half < 2 && fine; half++) {
             const int corrects = (half == 0) == job->update_first;
@@ -106,8 +106,8 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
             }
         }
         if (!fine) {
-            real_copy(copies * n, before.x, s->x), real_copy(copies * n * n, before.P, s->P);
-            real_copy(beliefs, before.p, s->p), real_copy(known, before.memory, s->memory);
+            real_copy(rows * n, before.x, s->x), real_copy(rows * n * n, before.P, s->P);
+            real_copy(beliefs, before.p, s->p), real_copy(numbers, before.memory, s->memory);
             real_copy(n, x, job->x), real_copy(n * n, P, job->P);
             return k;
         }
@@ -159,7 +159,7 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
     if (n < 1 || m < 1 || n > 1000 || m > 1000 || every < 1 || first < 0 || last < first || last > all) return wrong();
     if (width != 0 && width != n && width != n * n) return wrong();
     const npy_intp rows = all / every;
-    if (!take_copies(&job.state, &job.rule, n, m, state[0], state[1], state[2], state[3]) ||
+    if (!take_models(&job.state, &job.rule, n, m, state[0], state[1], state[2], state[3]) ||
         !(job.x = writable(state[4], 1, states)) || !(job.P = writable(state[5], 2, states)) ||
         !take_matrices(&job.z, z, 1, all, m, 0) || !take_matrices(&job.readings, readings, 1, all, m, 0) || !take_matrices(&job.F, model[0], 1, all, n, n) ||
         !take_matrices(&job.Q, model[1], 1, all, n, n) || !take_matrices(&job.H, model[2], 1, all, m, n) ||
@@ -173,10 +173,10 @@ static PyObject *learnt_steps(PyObject *self, PyObject *arguments) {
         return wrong();
     job.z.by_step = job.readings.by_step = m;
     job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.width = width;
-    const int copies = learnt_copies(&job.rule), K = job.rule.K;
-    const size_t step = correct_work(&job.rule, n, m) + learnt_predict_work(job.n, copies);
-    const size_t kept = (size_t)((copies + 2) * (n * n + n) + (copies + 5) * n + m * learnt_width(K) + 2 * m);
-    double *const work = PyMem_Malloc((step + kept) * sizeof(double));
+    const int models = learnt_models(&job.rule), K = job.rule.K;
+    const size_t step = correct_work(&job.rule, n, m) + learnt_predict_work(job.n, models);
+    const size_t saved = (size_t)((models + 2) * (n * n + n) + (models + 5) * n + m * learnt_width(K) + 2 * m);
+    double *const work = PyMem_Malloc((step + saved) * sizeof(double));
     if (!work) return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS;
     first = run_sized(&job, work);

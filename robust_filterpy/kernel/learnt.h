@@ -1,9 +1,9 @@
 /* Noise that is learned, models of a filter side by side: robust_filterpy.correction.learnt, .learning, .side_by_side in C.
 
-   q copies take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
+   q models take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
    candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
-   and the derivative of it, the most plausible first, under every copy. What is known of a sensor is a row of numbers:
-   [r, n, shares (K), last (K), counts (K, K), spread (22), together, less, jumps (5), parity (4), change (4), reading (2)]. */
+   and the derivative of it, the most plausible first, under every model. A sensor's memory is a row of numbers:
+   [r, samples, shares (K), last (K), counts (K, K), habits]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
@@ -13,12 +13,10 @@
 #define LEARNT_TOGETHER REAL(1e8)     /* standard deviations that one counts for where all are weighed together */
 #define LEARNT_REACH REAL(8.0)        /* standard deviations of the widest class that an innovation counts for */
 #define LEARNT_LOG_2PI REAL(1.8378770664093454836)
-#define LEARNT_PARITY 4               /* numbers that tell of parity: last, lag-one covariance, variance, how many */
 #define LEARNT_PARITY_MEMORY REAL(200.0)
 #define LEARNT_PARITY_FROM REAL(0.15)
 #define LEARNT_PARITY_OVER REAL(0.30)
 #define LEARNT_PARITY_SAMPLES REAL(20.0)
-#define LEARNT_TAIL (2 + JUMPS_WIDTH + LEARNT_PARITY + REPEATS_WIDTH) /* first whether it fails with others */
 #define LEARNT_LESS REAL(0.1)
 #define LEARNT_FOR_LESS REAL(6.9077552789821371)
 #define LEARNT_COLOUR REAL(0.99)       /* noise that never changes is an offset, of which no reading rids a filter */
@@ -46,49 +44,74 @@
 
 #define LEARNT_RARE REAL(0.2)          /* of a sensor with more outliers than that a run of them may be no jump */
 
-/* The chance that a reading begins a jump; the last jump in standard deviations of R, and at which reading it was believed;
-   the innovation that a candidate began with, 0 if none did with this sensor, and how many outliers there were since. */
-enum jumps_row { JUMPS_CHANCE, JUMPS_SIZE, JUMPS_AT, JUMPS_BEGAN, JUMPS_OUTLIERS, JUMPS_WIDTH };
+typedef struct {
+    real chance;   /* that a reading begins a jump */
+    real size, at; /* the last jump in standard deviations of R, and at which reading it was believed */
+    real began;    /* the innovation that a candidate began with, 0 if none did with this sensor, */
+    real outliers; /* and how many outliers there were since */
+} jumps_memory;
 
-/* What a filter is told of its noises. */
+/* The last numbers of a sensor's row. */
+typedef struct {
+    spread_memory spread;
+    real together;  /* probability that it fails with others */
+    real less;      /* how much likelier a tenth of r is, in logarithms */
+    jumps_memory jumps;
+    struct {
+        real last, covariance, variance, count; /* covariance: of one with the next */
+    } parity;
+    repeats_memory repeats;
+} learnt_habits;
+
+/* A sensor's row. */
+typedef struct {
+    real *RESTRICT r;            /* factor of R */
+    real *RESTRICT samples;      /* that it stands on */
+    real *RESTRICT shares;       /* (K) of the classes of late */
+    real *RESTRICT last;         /* (K) probabilities of the last sample's class */
+    real *RESTRICT counts;       /* (K, K) how often one class followed another */
+    learnt_habits *RESTRICT habits;
+} learnt_memory;
+
+/* The noises that a filter is given. */
 typedef struct {
     int q;               /* scales of the process noise */
     int K;               /* classes of the measurement noise */
     const real *process; /* (q) */
     const real *scales;  /* (K), ascending from 1 */
-    const real *begin;   /* (width) what is known of a sensor before the first sample */
+    const real *begin;   /* (width) a sensor's row before the first sample */
     real stay;           /* probability that the scale of the process stays */
     real jump;           /* chance of a jump in a step, 0 for never */
     real memory, r_memory;
-    int learns;          /* else the classes' probabilities are told, and r is 1 */
+    int learns;          /* else the classes' probabilities are given, and r is 1 */
     const real *drawn;   /* (q) probabilities of the scales where the process draws one anew in each step, or NULL */
-    int joint;           /* whether all sensors fail together, and what is known of them is one row */
+    int joint;           /* whether all sensors fail together, and have one row */
     int named;           /* so many sensors fail with the first one of their group .. */
     const real *leads;   /* (named) .. whose place this is */
 } learnt_rule;
 
-/* Probability of copy c before the first step. */
+/* Probability of model c before the first step. */
 INLINE real learnt_begins(const learnt_rule *const rule, const int c) {
     return (c > 0 ? 1 - rule->stay : 1) / (1 + (real)(rule->q - 1) * (1 - rule->stay));
 }
 
-/* The copies, and what is known of each sensor. */
+/* The models, and the rows of the sensors. */
 typedef struct {
-    real *x;      /* (copies, n), and that of the recursion as given */
-    real *P;      /* (copies, n, n), likewise */
-    real *p;      /* (copies + 2, n): for each state the probabilities of the copies in its part, the chance that the part
+    real *x;      /* (models, n), and that of the recursion as given */
+    real *P;      /* (models, n, n), likewise */
+    real *p;      /* (models + 2, n): for each state the probabilities of the models in its part, the chance that the part
                      has jumped since its last measurement, and the first state of the part; of the recursion as given its
                      evidence, how many readings there were, the factor of P, Q and R, (3, n) */
     real *memory; /* (m, width) */
 } learnt_state;
 
-INLINE int learnt_copies(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
+INLINE int learnt_models(const learnt_rule *const rule) { return rule->jump > 0 ? rule->q + 1 : rule->q; }
 
-/* Whether P, Q and R may have one wrong factor, so that the recursion as given goes on beside the copies. */
+/* Whether P, Q and R may have one wrong factor, so that the recursion as given goes on next to the models. */
 INLINE int learnt_gives(const learnt_rule *const rule) { return rule->q > 1 && !rule->drawn; }
 
 /* Rows of a state's x. */
-INLINE int learnt_rows(const learnt_rule *const rule) { return learnt_copies(rule) + learnt_gives(rule); }
+INLINE int learnt_rows(const learnt_rule *const rule) { return learnt_models(rule) + learnt_gives(rule); }
 
 /* The first sensor of those that fail with sensor i. */
 INLINE int learnt_lead(const learnt_rule *const rule, const int i) {
@@ -97,33 +120,40 @@ INLINE int learnt_lead(const learnt_rule *const rule, const int i) {
 
 /* Numbers of a state's p. */
 INLINE int learnt_beliefs(const int n, const learnt_rule *const rule) {
-    return (learnt_copies(rule) + 2 + 3 * learnt_gives(rule)) * n;
+    return (learnt_models(rule) + 2 + 3 * learnt_gives(rule)) * n;
 }
 
 INLINE real *learnt_unseen(const int n, const learnt_rule *const rule, const learnt_state *const s) {
-    return s->p + learnt_copies(rule) * n;
+    return s->p + learnt_models(rule) * n;
 }
 
 INLINE real *learnt_part(const int n, const learnt_rule *const rule, const learnt_state *const s) {
-    return s->p + (learnt_copies(rule) + 1) * n;
+    return s->p + (learnt_models(rule) + 1) * n;
 }
 
 /* What the recursion as given has shown of each state's part. */
 enum { LEARNT_FOR_FACTOR, LEARNT_READINGS, LEARNT_FACTOR };
 INLINE real *learnt_given(const int n, const learnt_rule *const rule, const learnt_state *const s, const int which) {
-    return s->p + (learnt_copies(rule) + 2 + which) * n;
+    return s->p + (learnt_models(rule) + 2 + which) * n;
 }
 
-#define learnt_width(K) (2 + 2 * (K) + (K) * (K) + SPREAD_NUMBERS + LEARNT_TAIL)
+#define learnt_width(K) (2 + 2 * (K) + (K) * (K) + (int)(sizeof(learnt_habits) / sizeof(real)))
 
-/* What is known of sensor i. */
-INLINE real *learnt_known(const learnt_rule *const rule, const learnt_state *const s, const int i) {
-    return s->memory + (rule->joint ? 0 : i * learnt_width(rule->K));
+/* Where a row has its numbers. */
+INLINE learnt_memory learnt_of_row(const int K, real *const row) {
+    real *const counts = row + 2 + 2 * K;
+    const learnt_memory memory = {row, row + 1, row + 2, row + 2 + K, counts, (learnt_habits *)(counts + K * K)};
+    return memory;
 }
 
-/* What is known of jumps that sensor i has seen, NULL where nothing is learned of them. */
-INLINE real *learnt_jumps(const learnt_rule *const rule, const learnt_state *const s, const int i) {
-    return rule->learns && !rule->joint && rule->named == 0 ? s->memory + (i + 1) * learnt_width(rule->K) - LEARNT_TAIL + 2 : NULL;
+/* The memory of sensor i. */
+INLINE learnt_memory learnt_of(const learnt_rule *const rule, const learnt_state *const s, const int i) {
+    return learnt_of_row(rule->K, s->memory + (rule->joint ? 0 : i * learnt_width(rule->K)));
+}
+
+/* Its memory of jumps, NULL where nothing is learned of them. */
+INLINE jumps_memory *learnt_jumps(const learnt_rule *const rule, const learnt_state *const s, const int i) {
+    return rule->learns && !rule->joint && rule->named == 0 ? &learnt_of(rule, s, i).habits->jumps : NULL;
 }
 
 /* Whether each part is named by its first state. */
@@ -143,7 +173,7 @@ INLINE void learnt_normalize(const int n, const int i, const int count, real *RE
 }
 
 /* Let the parts of two states be one: with the scales that are likely in both, what was likely at first counted once, and
-   a candidate of either, which in the part that has none follows the first copy. */
+   a candidate of either, which in the part that has none follows the first model. */
 INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state *const s, const int i, const int k) {
     real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s), *const p = s->p;
     const real low = real_min(part[i], part[k]), high = real_max(part[i], part[k]);
@@ -164,12 +194,12 @@ INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state
     unseen[one] = real_max(unseen[one], unseen[other]);
     for (int o = 0; o < n; o++) {
         if (!(part[o] == low || part[o] == high)) continue;
-        for (int c = 0; c < learnt_copies(rule); c++) p[c * n + o] = p[c * n + one];
+        for (int c = 0; c < learnt_models(rule); c++) p[c * n + o] = p[c * n + one];
         unseen[o] = unseen[one], part[o] = low;
     }
 }
 
-/* Mean and covariance of a mixture of h copies, whose weights (h, n) in the part of each state add to 1. */
+/* Mean and covariance of a mixture of h models, whose weights (h, n) in the part of each state add to 1. */
 INLINE void learnt_collapse(const int n, const int h, const real *RESTRICT weights, const real *RESTRICT means,
                             const real *RESTRICT covariances, const real *RESTRICT part, real *RESTRICT x,
                             real *RESTRICT P) {
@@ -188,7 +218,7 @@ INLINE void learnt_collapse(const int n, const int h, const real *RESTRICT weigh
     }
 }
 
-/* Mean and covariance over the copies that have not jumped; work (q n). */
+/* Mean and covariance over the models that have not jumped; work (q n). */
 INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
     real_copy(rule->q * n, s->p, work);
@@ -196,25 +226,25 @@ INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt
     learnt_collapse(n, rule->q, work, s->x, s->P, learnt_part(n, rule, s), x, P);
 }
 
-#define learnt_merge_work(n, copies) ((size_t)((n) * (copies)))
+#define learnt_merge_work(n, models) ((size_t)((n) * (models)))
 
 /* Mean and covariance of the state; a jump is hidden while three to one is against it. Return whether they are finite. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
-    const int q = rule->q, copies = learnt_copies(rule);
+    const int q = rule->q, models = learnt_models(rule);
     real check = 0;
-    real_copy(copies * n, s->p, work);
+    real_copy(models * n, s->p, work);
     for (int i = 0; i < n; i++) {
-        if (copies > q && !(work[q * n + i] > REAL(0.25))) work[q * n + i] = 0;
-        learnt_normalize(n, i, copies, work);
+        if (models > q && !(work[q * n + i] > REAL(0.25))) work[q * n + i] = 0;
+        learnt_normalize(n, i, models, work);
     }
-    learnt_collapse(n, copies, work, s->x, s->P, learnt_part(n, rule, s), x, P);
+    learnt_collapse(n, models, work, s->x, s->P, learnt_part(n, rule, s), x, P);
     for (int i = 0; learnt_gives(rule) && i < n; i++) {
         /* What the recursion as given foretells better is shown as it has it. */
-        const real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const given = s->P + copies * n * n;
+        const real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const given = s->P + models * n * n;
         const real *const better = learnt_given(n, rule, s, LEARNT_FOR_FACTOR);
         if (!(readings[i] < LEARNT_DECIDED && better[i] >= LEARNT_BETTER)) continue;
-        x[i] = s->x[copies * n + i];
+        x[i] = s->x[models * n + i];
         for (int j = 0; j < n; j++) {
             const int too = readings[j] < LEARNT_DECIDED && better[j] >= LEARNT_BETTER;
             P[i * n + j] = P[j * n + i] = too ? given[i * n + j] : 0;
@@ -224,16 +254,16 @@ INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt
     return real_is_finite(check);
 }
 
-#define learnt_predict_work(n, copies) ((size_t)(((copies) + 1) * ((n) * (3 + (n))) + (n) * (n)))
+#define learnt_predict_work(n, models) ((size_t)(((models) + 1) * ((n) * (3 + (n))) + (n) * (n)))
 
 /* Predict: mixed as the scale of the process may have changed, then moved. control is B u, or NULL. */
 INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_state *const s, const real *RESTRICT F,
                            const real *RESTRICT Q, const real *control, const real alpha_sq, real *RESTRICT work) {
-    const int q = rule->q, copies = learnt_copies(rule);
+    const int q = rule->q, models = learnt_models(rule);
     const real other = (1 - rule->stay) / (real)(q > 1 ? q - 1 : 1);
     int moved = q, wrong = 0, looks = 0;
-    real *RESTRICT p = work, *RESTRICT origin = p + copies * n, *RESTRICT x = origin + copies * n;
-    real *RESTRICT P = x + (copies + 1) * n, *RESTRICT FP = P + (copies + 1) * n * n;
+    real *RESTRICT p = work, *RESTRICT origin = p + models * n, *RESTRICT x = origin + models * n;
+    real *RESTRICT P = x + (models + 1) * n, *RESTRICT FP = P + (models + 1) * n * n;
     real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     const real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
     for (int i = 0; learnt_gives(rule) && i < n; i++) {
@@ -241,8 +271,8 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
         looks |= learnt_given(n, rule, s, LEARNT_READINGS)[i] < LEARNT_DECIDED;
     }
     if (looks) {
-        real_copy(n, s->x + copies * n, x + copies * n);
-        real_copy(n * n, s->P + copies * n * n, P + copies * n * n);
+        real_copy(n, s->x + models * n, x + models * n);
+        real_copy(n * n, s->P + models * n * n, P + models * n * n);
     }
     for (int i = 0; i < n; i++)
         for (int k = 0; k < n; k++)
@@ -257,22 +287,22 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
         }
         learnt_collapse(n, q, origin, s->x, s->P, part, x + j * n, P + j * n * n);
     }
-    for (int i = 0; copies > q && i < n; i++) {
-        /* In parts without a candidate its place follows the first copy. */
+    for (int i = 0; models > q && i < n; i++) {
+        /* In parts without a candidate its place follows the first model. */
         const int there = s->p[q * n + i] > 0;
-        real slow = 0, usual = 0;
-        moved = there ? copies : moved;
+        real slow = 0, scale = 0;
+        moved = there ? models : moved;
         p[q * n + i] = s->p[q * n + i];
         x[q * n + i] = there ? s->x[q * n + i] : x[i];
         real_copy(n, (there ? s->P + q * n * n : P) + i * n, P + (q * n + i) * n);
         for (int j = 0; j < q; j++) slow += p[j * n + i];
-        for (int j = 0; j < q; j++) usual += p[j * n + i] / slow * real_log(rule->process[j]);
-        origin[i] = real_sqrt(real_exp(usual));
+        for (int j = 0; j < q; j++) scale += p[j * n + i] / slow * real_log(rule->process[j]);
+        origin[i] = real_sqrt(real_exp(scale));
         unseen[i] += rule->jump * (1 - unseen[i]);
     }
-    real_copy(copies * n, p, s->p);
-    for (int j = 0; j <= copies; j++) {
-        if (j < copies ? j >= moved : !looks) continue;
+    real_copy(models * n, p, s->p);
+    for (int j = 0; j <= models; j++) {
+        if (j < models ? j >= moved : !looks) continue;
         const real *RESTRICT mean = x + j * n, *RESTRICT from = P + j * n * n;
         real *RESTRICT to = s->P + j * n * n;
         for (int i = 0; i < n; i++) {
@@ -290,59 +320,59 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
                 real sum = 0;
                 for (int o = 0; o < n; o++) sum += FP[i * n + o] * F[k * n + o];
                 /* Parts differ in their scales, and no Q is between them. */
-                real times = j == copies ? 1 : j < q ? rule->process[j] : origin[i] * origin[k];
-                if (wrong && j < copies) times *= real_sqrt(factor[i]) * real_sqrt(factor[k]);
+                real times = j == models ? 1 : j < q ? rule->process[j] : origin[i] * origin[k];
+                if (wrong && j < models) times *= real_sqrt(factor[i]) * real_sqrt(factor[k]);
                 to[i * n + k] = to[k * n + i] = alpha_sq * sum + times * Q[i * n + k];
             }
     }
 }
 
 /* Predict the class of a sensor's next sample. */
-INLINE void learnt_predicted(const int K, const real *RESTRICT known, real *RESTRICT p) {
-    const real *RESTRICT last = known + 2 + K, *RESTRICT counts = last + K;
+INLINE void learnt_predicted(const int K, const learnt_memory *const memory, real *RESTRICT p) {
+    const real *RESTRICT counts = memory->counts;
     for (int j = 0; j < K; j++) p[j] = 0;
     for (int i = 0; i < K; i++) {
         real total = 0;
         for (int j = 0; j < K; j++) total += counts[i * K + j];
-        total = last[i] / total;
+        total = memory->last[i] / total;
         for (int j = 0; j < K; j++) p[j] += total * counts[i * K + j];
     }
 }
 
 /* The classes of a sensor's next sample whatever the last one was. */
-INLINE void learnt_usual(const int K, const real *RESTRICT known, real *RESTRICT p) {
-    const real *RESTRICT counts = known + 2 + 2 * K;
+INLINE void learnt_typical(const int K, const learnt_memory *const memory, real *RESTRICT p) {
     for (int j = 0; j < K; j++) p[j] = 0;
-    for (int i = 0; i < K * K; i++) p[i % K] += counts[i];
+    for (int i = 0; i < K * K; i++) p[i % K] += memory->counts[i];
     learnt_normalize(1, 0, K, p);
 }
 
 /* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R, part
    the share of its variance that is noise. */
 INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, const real *RESTRICT before,
-                         const real r, const real excess, const real part, real *RESTRICT known) {
-    const int K = rule->K, width = learnt_width(K);
-    real *RESTRICT shares = known + 2, *RESTRICT last = shares + K, *RESTRICT counts = last + K;
+                         const real used, const real excess, const real part, const learnt_memory *const memory) {
+    const int K = rule->K;
+    real *RESTRICT const r = memory->r, *RESTRICT const shares = memory->shares, *RESTRICT const last = memory->last;
+    real *RESTRICT const counts = memory->counts;
+    learnt_habits *RESTRICT const habits = memory->habits;
     const real *RESTRICT prior = rule->begin + 2 + 2 * K;
     const real keep = 1 - 1 / rule->memory, less = (1 - LEARNT_LESS) * part;
-    real *RESTRICT for_less = known + width - LEARNT_TAIL + 1;
     /* A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step, and it
        is no independent sample of white noise. */
-    const int again = real_copysign(1, known[width - 1]) < 0;
-    if (!again || -known[width - 1] >= REPEATS_RARE) {
+    const int again = real_copysign(1, habits->repeats.seldom) < 0;
+    if (!again || -habits->repeats.seldom >= REPEATS_RARE) {
         /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
-        known[1] = 1 + (1 - 1 / rule->r_memory) * (known[1] - 1) + p[0] * part * part;
-        known[0] += p[0] * (r * (1 + part * excess) - known[0]) / known[1];
-        known[0] = real_min(real_max(known[0], REAL(1e-8)), REAL(1e8));
+        *memory->samples = 1 + (1 - 1 / rule->r_memory) * (*memory->samples - 1) + p[0] * part * part;
+        *r += p[0] * (used * (1 + part * excess) - *r) / *memory->samples;
+        *r = real_min(real_max(*r, REAL(1e-8)), REAL(1e8));
     }
     if (!again) {
-        *for_less -= p[0] * REAL(0.5) * (real_log(1 - less) + (1 + excess) * less / (1 - less));
-        *for_less = real_max(*for_less, 0);
+        habits->less -= p[0] * REAL(0.5) * (real_log(1 - less) + (1 + excess) * less / (1 - less));
+        habits->less = real_max(habits->less, 0);
     }
-    if (*for_less > LEARNT_FOR_LESS) {
-        known[0] = real_max(LEARNT_LESS * known[0], REAL(1e-8));
-        known[1] = rule->begin[1];
-        *for_less = 0;
+    if (habits->less > LEARNT_FOR_LESS) {
+        *r = real_max(LEARNT_LESS * *r, REAL(1e-8));
+        *memory->samples = rule->begin[1];
+        habits->less = 0;
     }
     for (int j = 0; j < K; j++) shares[j] += 1 / rule->r_memory * (p[j] - shares[j]);
     for (int i = 0; i < K; i++) {
@@ -354,36 +384,32 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
             counts[i * K + j] = prior[i * K + j] + keep * (counts[i * K + j] - prior[i * K + j]) + moved;
         }
     }
-    for_less[1 + JUMPS_OUTLIERS] += 1 - p[0];
-    for_less[1 + JUMPS_CHANCE] *= 1 - 1 / real_min(real_max(known[width - REPEATS_WIDTH + REPEATS_COUNT], 1), rule->memory);
+    habits->jumps.outliers += 1 - p[0];
+    habits->jumps.chance *= 1 - 1 / real_min(real_max(habits->repeats.count, 1), rule->memory);
     for (int j = 0; j < K; j++) last[j] = p[j];
     /* Ordinary is what most samples are. */
     if (K > 1 && shares[0] < REAL(0.5)) {
-        const real size = known[0];
+        const real size = *r;
         real below = shares[0];
         int k = 0;
         while (below < REAL(0.5) && k < K - 1) below += shares[++k];
-        real_copy(width - LEARNT_TAIL - SPREAD_NUMBERS, rule->begin, known);
-        known[0] = size * rule->scales[k];
+        real_copy(2 + 2 * K + K * K, rule->begin, r);
+        *r = size * rule->scales[k];
     }
 }
 
-/* Note a parity; return its lag-one correlation, 0 while it tells nothing. known: the last, lag-one covariance, variance,
-   how many. */
-INLINE real learnt_note_parity(real e, real *RESTRICT known) {
-    real share;
-    known[3] += 1;
-    share = real_max(1 / LEARNT_PARITY_MEMORY, 1 / known[3]);
-    if (known[3] > 6) {
-        /* An outlier is no news about the color. */
-        const real reach = 3 * real_sqrt(known[2]);
-        e = real_min(real_max(e, -reach), reach);
-    }
-    e = real_min(real_max(e, REAL(-1e100)), REAL(1e100));
-    known[1] += share * (e * known[0] - known[1]);
-    known[2] += share * (e * e - known[2]);
-    known[0] = e;
-    return known[3] >= LEARNT_PARITY_SAMPLES && known[2] > 0 ? real_min(known[1] / known[2], LEARNT_COLOUR) : 0;
+/* Note a parity; return its lag-one correlation, 0 while it tells nothing. */
+INLINE real learnt_note_parity(real e, learnt_habits *const habits) {
+    real share, covariance, variance;
+    habits->parity.count += 1;
+    share = real_max(1 / LEARNT_PARITY_MEMORY, 1 / habits->parity.count);
+    /* An outlier is no news about the color. */
+    if (habits->parity.count > 6) e = real_within(e, 3 * real_sqrt(habits->parity.variance));
+    e = real_within(e, REAL(1e100));
+    covariance = habits->parity.covariance += share * (e * habits->parity.last - habits->parity.covariance);
+    variance = habits->parity.variance += share * (e * e - habits->parity.variance);
+    habits->parity.last = e;
+    return habits->parity.count >= LEARNT_PARITY_SAMPLES && variance > 0 ? real_min(covariance / variance, LEARNT_COLOUR) : 0;
 }
 
 /* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, of which spread is
@@ -420,15 +446,14 @@ INLINE void learnt_kept(const int n, const int m, const real *RESTRICT spread, c
 INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
                          const real *RESTRICT spread, const real *RESTRICT z, const real *RESTRICT H,
                          const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r, real *RESTRICT work) {
-    const int width = learnt_width(rule->K);
     real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
     real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m;
     int count = 0, coloured = 0;
     for (int i = 0; i < m; i++) {
         /* Whom the others can stand in for is not who has just been far off, nor one that is followed. */
-        const real *const last = s->memory + i * width + 2 + rule->K;
+        const learnt_memory memory = learnt_of(rule, s, i);
         real size = 0;
-        for (int k = 0; k < rule->K; k++) size += last[k] * rule->scales[k];
+        for (int k = 0; k < rule->K; k++) size += memory.last[k] * rule->scales[k];
         unit[i] = left[i] > 0 ? real_sqrt(size * real_max(r[i], 1) * R[i * m + i]) : 1;
         if (!(unit[i] > 0)) return;
         count += left[i] > 0;
@@ -453,7 +478,7 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
             for (int j = 0; j < m; j++) rest[i * m + j] -= out[i] * out[j] / length;
     }
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = s->memory + i * width + width - LEARNT_TAIL + 2 + JUMPS_WIDTH;
+        learnt_habits *const habits = learnt_of(rule, s, i).habits;
         real e = 0, variance = 0;
         colour[i] = 0;
         if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
@@ -468,16 +493,16 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
         }
         e /= real_sqrt(variance);
         if (!real_is_finite(e)) continue;
-        correlation[i] = learnt_note_parity(e, known);
+        correlation[i] = learnt_note_parity(e, habits);
         /* A color is that of the sensor of whose noise a parity is made. */
         colour[i] = real_min(real_max((correlation[i] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER, 0), 1);
         colour[i] *= real_min(LEARNT_OWN * rest[i * m + i], 1);
         if (colour[i] > 0) {
-            /* Samples that depend on each other are worth fewer, against R as it was told, which is worth begin[1] of them. */
+            /* Samples that depend on each other are worth fewer, against R as given, which is worth begin[1] of them. */
             const real square = correlation[i] * correlation[i];
-            const real worth = real_min(known[3], LEARNT_PARITY_MEMORY) * (1 - square) / (1 + square);
+            const real worth = real_min(habits->parity.count, LEARNT_PARITY_MEMORY) * (1 - square) / (1 + square);
             const real sure = worth / (worth + rule->begin[1]);
-            const real least = real_exp(sure * real_log(real_min(real_max(known[2], REAL(1e-8)), 1)));
+            const real least = real_exp(sure * real_log(real_min(real_max(habits->parity.variance, REAL(1e-8)), 1)));
             r[i] = real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)));
             coloured = 1;
         }
@@ -494,12 +519,12 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
 INLINE real learnt_left(const int n, const real *RESTRICT x, const real z, const real *RESTRICT h, const real variance) {
     real rest = z;
     for (int k = 0; k < n; k++) rest -= h[k] * x[k];
-    return real_min(real_max(rest / real_sqrt(variance), -LEARNT_WILDEST), LEARNT_WILDEST);
+    return real_within(rest / real_sqrt(variance), LEARNT_WILDEST);
 }
 
 /* A reading in the standard deviations that R gives, finite however small R is. */
 INLINE real learnt_reading(const real z, const real R) {
-    return real_min(real_max(z / real_sqrt(R), -REAL_MAX), REAL_MAX);
+    return real_within(z / real_sqrt(R), REAL_MAX);
 }
 
 /* Whether an innovation is so far from a mean that it asks for a jump. */
@@ -514,12 +539,13 @@ INLINE int learnt_asks(const int n, const real *RESTRICT x, const real *RESTRICT
 }
 
 /* Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white, and
-   that was an outlier, or it asks for a jump of the copies that have not jumped. */
+   that was an outlier, or it asks for a jump of the models that have not jumped. */
 INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *RESTRICT at, const real *RESTRICT spread,
-                        const real z, const real said, const real *RESTRICT h, const real R, const real *RESTRICT known) {
+                        const real z, const real reading, const real *RESTRICT h, const real R,
+                        const learnt_memory *const memory) {
     if (!(rule->learns && R > 0)) return 0;
-    if (!repeats_again(learnt_reading(said, R), known[0], known + learnt_width(rule->K) - REPEATS_WIDTH)) return 0;
-    return learnt_asks(n, at, spread, z, h, known[0] * R) || known[2 + rule->K] < REAL(0.5);
+    if (!repeats_again(learnt_reading(reading, R), *memory->r, &memory->habits->repeats)) return 0;
+    return learnt_asks(n, at, spread, z, h, *memory->r * R) || memory->last[0] < REAL(0.5);
 }
 
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
@@ -527,54 +553,54 @@ INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *
 INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
                            const real *RESTRICT at, const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
                            const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r) {
-    const int width = learnt_width(rule->K);
     for (int i = 0; i < m; i++) {
-        real *RESTRICT known = s->memory + i * width, *RESTRICT row = known + width - REPEATS_WIDTH;
+        const learnt_memory memory = learnt_of(rule, s, i);
+        repeats_memory *const repeats = &memory.habits->repeats;
         real most;
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
-        repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), row);
-        repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), row);
-        if (!(row[REPEATS_COUNT] > LEARNT_FIRST_CHANGES + 1)) continue;
+        repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), repeats);
+        repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), repeats);
+        if (!(repeats->count > LEARNT_FIRST_CHANGES + 1)) continue;
         /* What others contradict by more than its noise is no motion of the state, however even its changes. */
-        const real apart = known[width - LEARNT_TAIL + 4 + JUMPS_WIDTH];
-        most = real_max(real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST), apart * apart);
+        const real apart = memory.habits->parity.variance;
+        most = real_max(real_max(1, repeats->scale * repeats->scale * LEARNT_MOST), apart * apart);
         r[i] = real_min(r[i], most);
-        known[0] = real_min(known[0], most);
+        *memory.r = real_min(*memory.r, most);
     }
 }
 
-#define learnt_weigh_work(n, m, copies, K) \
-    ((size_t)((copies) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 6 * (m) + 5 * (K) + (m) * (m)) + \
+#define learnt_weigh_work(n, m, models, K) \
+    ((size_t)((models) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 6 * (m) + 5 * (K) + (m) * (m)) + \
      learnt_parity_work(m))
 
-/* What the copies are while sensor after sensor is taken. */
+/* What the models are while sensor after sensor is taken. */
 typedef struct {
-    real *y;     /* (copies, m) */
-    real *C;     /* (copies, m, n) */
-    real *S;     /* (copies, m, m) */
-    real *given; /* (copies, K) probabilities of the classes */
-    real *a, *b, *logs, *energy, *shares, *parts; /* (copies); parts: of its variance, noise's */
-    real *at, *spread; /* (n), (n, n) mean and covariance over the copies that have not jumped */
+    real *y;     /* (models, m) */
+    real *C;     /* (models, m, n) */
+    real *S;     /* (models, m, m) */
+    real *given; /* (models, K) probabilities of the classes */
+    real *a, *b, *logs, *energy, *shares, *parts; /* (models); parts: of its variance, noise's */
+    real *at, *spread; /* (n), (n, n) mean and covariance over the models that have not jumped */
     real *direction; /* (n) in which a candidate has jumped */
     real *left, *r, *start; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning */
     real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new, 2 where it began */
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
-    real *before, *usual, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
+    real *before, *typical, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
-    /* Of sensors that fail together, taken at once: their places (m), under each copy score and information (m), (m, m),
+    /* Of sensors that fail together, taken at once: their places (m), under each model score and information (m), (m, m),
        energy and noise's part (m); scratch. */
     real *members, *scores, *informations, *energies, *noises, *scratch;
-} learnt_parts;
+} learnt_work;
 
 /* What a correction works on besides where sensors fail together. */
-#define learnt_group_work(n, m, copies, K) \
-    ((size_t)((m) * (2 + (n)) + ((copies) + (K) + 2) * (m) * (m) + (3 * (copies) + (K)) * (m)))
+#define learnt_group_work(n, m, models, K) \
+    ((size_t)((m) * (2 + (n)) + ((models) + (K) + 2) * (m) * (m) + (3 * (models) + (K)) * (m)))
 
-/* Innovations under one copy, and their covariances with the state and each other without noise; return how large they are. */
-INLINE real learnt_innovations(const int n, const int m, const int copy, const learnt_state *const s,
-                               const real *RESTRICT H, const real *RESTRICT z, const learnt_parts *const w) {
-    const real *RESTRICT x = s->x + copy * n, *RESTRICT P = s->P + copy * n * n;
-    real *RESTRICT C = w->C + copy * m * n, *RESTRICT S = w->S + copy * m * m, *RESTRICT y = w->y + copy * m;
+/* Innovations under one model, and their covariances with the state and each other without noise; return how large they are. */
+INLINE real learnt_innovations(const int n, const int m, const int model, const learnt_state *const s,
+                               const real *RESTRICT H, const real *RESTRICT z, const learnt_work *const w) {
+    const real *RESTRICT x = s->x + model * n, *RESTRICT P = s->P + model * n * n;
+    real *RESTRICT C = w->C + model * m * n, *RESTRICT S = w->S + model * m * m, *RESTRICT y = w->y + model * m;
     real check = 0;
     for (int i = 0; i < m; i++) {
         real sum = 0;
@@ -603,29 +629,28 @@ INLINE real learnt_normal(const real y, const real variance) {
 }
 
 /* Odds times density of a jump like the last one that a sensor has seen. */
-INLINE real learnt_like_before(const real *const own, const real y, const real variance, const real R) {
-    const real chance = own[JUMPS_CHANCE];
-    return chance / (1 - chance) * learnt_normal(y, variance + own[JUMPS_SIZE] * own[JUMPS_SIZE] * R);
+INLINE real learnt_like_before(const jumps_memory *const jumps, const real y, const real variance, const real R) {
+    return jumps->chance / (1 - jumps->chance) * learnt_normal(y, variance + jumps->size * jumps->size * R);
 }
 
 /* Note with which sensor a candidate has begun, and how likely it is a jump like those that this sensor has seen: no reading
    that repeats the one before, nor one that another contradicts. */
 INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const learnt_state *const s, const int i,
-                              const real y, const real S, const real R, const learnt_parts *const w) {
-    real *const own = learnt_jumps(rule, s, i);
-    int first = own != NULL;
-    for (int j = 0; own && j < m; j++) {
+                              const real y, const real S, const real R, const learnt_work *const w) {
+    jumps_memory *const jumps = learnt_jumps(rule, s, i);
+    int first = jumps != NULL;
+    for (int j = 0; jumps && j < m; j++) {
         if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
         if (w->fresh[j] > 1) first = 0, w->alike[j] = 0;
     }
     if (!first) return;
     for (int j = 0; j < m; j++)
-        if (w->left[j] > 0 && w->head[j] == w->head[i]) learnt_jumps(rule, s, j)[JUMPS_BEGAN] = 0;
+        if (w->left[j] > 0 && w->head[j] == w->head[i]) learnt_jumps(rule, s, j)->began = 0;
     w->fresh[i] = 2;
     if (!(R > 0)) return;
-    own[JUMPS_BEGAN] = real_min(real_max(y / real_sqrt(R), -LEARNT_WILDEST), LEARNT_WILDEST), own[JUMPS_OUTLIERS] = 0;
-    if (real_copysign(1, s->memory[(i + 1) * learnt_width(rule->K) - 1]) > 0)
-        w->alike[i] = learnt_like_before(own, y, S + w->r[i] * R, R);
+    jumps->began = real_within(y / real_sqrt(R), LEARNT_WILDEST), jumps->outliers = 0;
+    if (real_copysign(1, learnt_of(rule, s, i).habits->repeats.seldom) > 0)
+        w->alike[i] = learnt_like_before(jumps, y, S + w->r[i] * R, R);
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
@@ -633,7 +658,7 @@ INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const 
    more, or would not if that state alone had moved; less what it tells by Joseph's form, as the gain is not C / S. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                          const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
-                         const learnt_parts *const w) {
+                         const learnt_work *const w) {
     const int q = rule->q;
     const real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     real *const x = s->x + q * n, *const P = s->P + q * n * n, *const d = w->direction;
@@ -685,7 +710,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
 /* Let what a measurement couples be one part: the states that a sensor sees or whose error is its noise's too, those of
    correlated sensors and of those that fail together. Say of each sensor which part it sees. */
 INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                          const real *RESTRICT H, const real *RESTRICT R, const real *M, const learnt_parts *const w) {
+                          const real *RESTRICT H, const real *RESTRICT R, const real *M, const learnt_work *const w) {
     const real *const part = learnt_part(n, rule, s);
     for (int i = 0; i < m; i++) {
         int first = 0;
@@ -707,24 +732,25 @@ INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rul
 /* Learn from a candidate that a sensor began and that is believed now, or late, long after: how often that happens, and how
    far. What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump. */
 INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i, const int late) {
-    const int K = rule->K, width = learnt_width(K);
+    const int K = rule->K;
     const real *const prior = rule->begin + 2 + 2 * K;
-    real *const jumps = learnt_jumps(rule, s, i), *const known = s->memory + i * width, *const counts = known + 2 + 2 * K;
-    real outliers = 0, all = 0, likely = 0, began, readings;
+    const learnt_memory memory = learnt_of(rule, s, i);
+    jumps_memory *const jumps = learnt_jumps(rule, s, i);
+    real *const counts = memory.counts, outliers = 0, all = 0, likely = 0, began, readings;
     if (!jumps) return;
-    readings = known[width - REPEATS_WIDTH + REPEATS_COUNT], began = jumps[JUMPS_BEGAN];
-    jumps[JUMPS_BEGAN] = 0;
+    readings = memory.habits->repeats.count, began = jumps->began;
+    jumps->began = 0;
     for (int k = 0; k < K * K; k++) all += counts[k], outliers += k % K ? counts[k] : 0;
     if (began == 0 || !(readings > LEARNT_FIRST_CHANGES) || outliers > LEARNT_RARE * all) return;
-    const real back = real_abs(began + jumps[JUMPS_SIZE]), each = 1 / real_min(readings, rule->memory);
-    const int returns = !late && readings - jumps[JUMPS_AT] < LEARNT_FIRST_CHANGES && back * back < LEARNT_ASKS;
+    const real back = real_abs(began + jumps->size), each = 1 / real_min(readings, rule->memory);
+    const int returns = !late && readings - jumps->at < LEARNT_FIRST_CHANGES && back * back < LEARNT_ASKS;
     /* The mean of what the chance may be, of which nothing was known: (jumps + 1) / readings. */
-    jumps[JUMPS_CHANCE] = returns ? real_max(jumps[JUMPS_CHANCE] - each, 0) : real_max(jumps[JUMPS_CHANCE], each) + each;
-    jumps[JUMPS_SIZE] = began, jumps[JUMPS_AT] = readings - (late ? LEARNT_FIRST_CHANGES : 0);
+    jumps->chance = returns ? real_max(jumps->chance - each, 0) : real_max(jumps->chance, each) + each;
+    jumps->size = began, jumps->at = readings - (late ? LEARNT_FIRST_CHANGES : 0);
     /* The run was in the classes that are likely for what it began with. */
     for (int twice = 0; twice < 2; twice++)
         for (int k = 1; k < K; k++) {
-            const real size = rule->scales[k] * known[0], widest = rule->scales[K - 1] * known[0];
+            const real size = rule->scales[k] * *memory.r, widest = rule->scales[K - 1] * *memory.r;
             real column = 0, excess = 0, share;
             for (int j = 0; j < K; j++) {
                 column += counts[j * K + k];
@@ -733,7 +759,7 @@ INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *con
             share = column * real_exp(REAL(-0.5) * began * began * (1 / size - 1 / widest)) / real_sqrt(size);
             if (!twice) likely += share;
             if (!twice || !(excess > 0)) continue;
-            share = real_min(jumps[JUMPS_OUTLIERS] * share / likely / excess, 1);
+            share = real_min(jumps->outliers * share / likely / excess, 1);
             for (int j = 0; j < K; j++) {
                 const real less = share * real_max(counts[j * K + k] - prior[j * K + k], 0);
                 counts[j * K + k] -= less, counts[0] += less;
@@ -741,7 +767,7 @@ INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *con
         }
 }
 
-/* Let every copy of a state's part go on from where the candidate is. */
+/* Let every model of a state's part go on from where the candidate is. */
 INLINE void learnt_settle(const int n, const learnt_rule *const rule, learnt_state *const s, const real head) {
     const real *const part = learnt_part(n, rule, s);
     const int q = rule->q;
@@ -760,16 +786,17 @@ INLINE void learnt_settle(const int n, const learnt_rule *const rule, learnt_sta
 /* How likely a reading begins a jump, one like the sensor's last one rather than an outlier. */
 INLINE real learnt_new_chance(const int n, const learnt_rule *const rule, const learnt_state *const s, const int i,
                               const real z, const real *RESTRICT h, const real noise, const real R,
-                              const learnt_parts *const w) {
-    const real *const own = learnt_jumps(rule, s, i);
+                              const learnt_work *const w) {
+    const jumps_memory *const jumps = learnt_jumps(rule, s, i);
+    const learnt_memory memory = learnt_of(rule, s, i);
     real y = z, seen = 0, outlier = 0, like;
-    if (!own) return 0;
+    if (!jumps) return 0;
     for (int k = 0; k < n; k++) {
         y -= h[k] * w->at[k];
         for (int j = 0; j < n; j++) seen += h[k] * w->spread[k * n + j] * h[j];
     }
-    like = learnt_like_before(own, y, seen + noise, R);
-    learnt_predicted(rule->K, s->memory + i * learnt_width(rule->K), w->before);
+    like = learnt_like_before(jumps, y, seen + noise, R);
+    learnt_predicted(rule->K, &memory, w->before);
     for (int k = 0; k < rule->K; k++) outlier += w->before[k] * learnt_normal(y, seen + rule->scales[k] * noise);
     return real_max(like > 0 ? like / (like + outlier) : 0, rule->jump);
 }
@@ -778,7 +805,7 @@ INLINE real learnt_new_chance(const int n, const learnt_rule *const rule, const 
    and from all others decides: who is more likely than not is believed, who has gained nothing is dropped. */
 INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                            const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
-                           const learnt_parts *const w, real *RESTRICT work) {
+                           const learnt_work *const w, real *RESTRICT work) {
     const int q = rule->q, jumps = rule->jump > 0;
     const real *const part = learnt_part(n, rule, s);
     int believed = 0;
@@ -814,9 +841,9 @@ INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const ru
 }
 
 /* Add what the noise has to do with the state's error to the moments of innovations; M grows as R does. */
-CALLED void learnt_correlate(const int n, const int m, const int copies, const real *RESTRICT H, const real *RESTRICT M,
-                             const learnt_parts *const w) {
-    for (int c = 0; c < copies; c++)
+CALLED void learnt_correlate(const int n, const int m, const int models, const real *RESTRICT H, const real *RESTRICT M,
+                             const learnt_work *const w) {
+    for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
             const real root = real_sqrt(w->r[i]);
             for (int j = 0; j < m; j++) {
@@ -832,18 +859,18 @@ CALLED void learnt_correlate(const int n, const int m, const int copies, const r
 /* Begin a correction: innovations and their moments, fresh candidates where they ask for them. Return whether ordinary. */
 INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                         const real *RESTRICT H, const real *RESTRICT R, const real *M, const real *RESTRICT z,
-                        const learnt_parts *const w) {
-    const int copies = learnt_copies(rule);
+                        const learnt_work *const w) {
+    const int models = learnt_models(rule);
     real check = 0;
-    for (int c = 0; c < copies; c++) check += learnt_innovations(n, m, c, s, H, z, w);
+    for (int c = 0; c < models; c++) check += learnt_innovations(n, m, c, s, H, z, w);
     if (check != 0) return 0;
     if (rule->jump > 0) learnt_widen(n, m, rule, s, H, R, z, w);
-    for (int c = 0; c < copies; c++)
+    for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
             const real noise = w->r[i] * R[i * m + i];
             if (w->left[i] > 0 && noise > 0 && w->S[c * m * m + i * m + i] > LEARNT_WIDEST * noise) return 0;
         }
-    for (int c = 0; c < copies; c++)
+    for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
             real *RESTRICT S = w->S + c * m * m;
             for (int j = 0; j < m; j++) {
@@ -851,9 +878,9 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
                 S[i * m + j] += i == j ? w->r[i] * R[i * m + j] : R[i * m + j] * real_sqrt(w->r[i] * w->r[j]);
             }
         }
-    if (M) learnt_correlate(n, m, copies, H, M, w);
+    if (M) learnt_correlate(n, m, models, H, M, w);
     for (int i = 0; i < m; i++) w->start[i] = 0;
-    for (int c = 0; c < copies; c++)
+    for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++)
             if (w->left[i] > 0) w->start[i] = real_max(w->start[i], w->S[c * m * m + i * m + i]);
     return 1;
@@ -863,9 +890,9 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
    classes, and the probability from the samples before that they are; return whether its density, of which the log is
    written too, is ordinary. work (2 m m + 2 m). */
 INLINE int learnt_together(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           const real *RESTRICT R, learnt_parts *const w, real *const log_density,
+                           const real *RESTRICT R, learnt_work *const w, real *const log_density,
                            real *RESTRICT work) {
-    const int K = rule->K, width = learnt_width(K);
+    const int K = rule->K;
     real *RESTRICT S = work, *RESTRICT L = S + m * m, *RESTRICT y = L + m * m, *RESTRICT u = y + m;
     real total = 0, peak = 0, shorter = 1, count = 0;
     int noisy = 0;
@@ -873,14 +900,15 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
     for (int k = 0; k < K; k++) w->shared[k] = 0;
     for (int i = 0; i < m; i++) {
         const real *const p = s->p + (int)w->head[i];
+        const learnt_memory memory = learnt_of(rule, s, i);
         real slow = 0;
         if (!(w->left[i] > 0)) continue;
         u[i] = LEARNT_TOGETHER * real_sqrt(w->start[i]);
         for (int c = 0; c < rule->q; c++) slow += p[c * n];
         count += 1;
         noisy |= R[i * m + i] > 0;
-        w->together += s->memory[i * width + width - LEARNT_TAIL];
-        learnt_predicted(K, s->memory + i * width, w->before);
+        w->together += memory.habits->together;
+        learnt_predicted(K, &memory, w->before);
         for (int k = 0; k < K; k++) w->shared[k] += w->before[k];
         y[i] = 0;
         for (int c = 0; c < rule->q; c++) y[i] += p[c * n] / slow * real_within(w->y[c * m + i], u[i]);
@@ -928,14 +956,14 @@ INLINE int learnt_together(const int n, const int m, const learnt_rule *const ru
     return real_is_finite(*log_density);
 }
 
-/* A sensor's innovation in standard deviations, over all copies. */
-INLINE real learnt_far(const int n, const int m, const int copies, const learnt_state *const s,
-                       const learnt_parts *const w, const int i) {
+/* A sensor's innovation in standard deviations, over all models. */
+INLINE real learnt_far(const int n, const int m, const int models, const learnt_state *const s,
+                       const learnt_work *const w, const int i) {
     const real *const p = s->p + (int)w->head[i];
     real mean = 0, variance = 0, unit = 1;
-    for (int c = 0; c < copies; c++) unit = real_max(unit, real_abs(w->y[c * m + i]));
-    for (int c = 0; c < copies; c++) mean += p[c * n] * (w->y[c * m + i] / unit);
-    for (int c = 0; c < copies; c++) {
+    for (int c = 0; c < models; c++) unit = real_max(unit, real_abs(w->y[c * m + i]));
+    for (int c = 0; c < models; c++) mean += p[c * n] * (w->y[c * m + i] / unit);
+    for (int c = 0; c < models; c++) {
         const real apart = w->y[c * m + i] / unit - mean;
         variance += p[c * n] * (w->S[c * m * m + i * m + i] / unit / unit + apart * apart);
     }
@@ -944,8 +972,8 @@ INLINE real learnt_far(const int n, const int m, const int copies, const learnt_
 
 /* The sensor that is taken next, the least far; of those that fail together the farthest counts. */
 INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                       const learnt_parts *const w) {
-    const int copies = learnt_copies(rule), grouped = rule->joint || rule->named > 0;
+                       const learnt_work *const w) {
+    const int models = learnt_models(rule), grouped = rule->joint || rule->named > 0;
     int best = -1, count = 0;
     real least = 0;
     for (int i = 0; i < m; i++)
@@ -955,22 +983,22 @@ INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, 
     for (int i = 0; i < m; i++) {
         real far;
         if (!(w->left[i] > 0)) continue;
-        far = learnt_far(n, m, copies, s, w, i);
+        far = learnt_far(n, m, models, s, w, i);
         for (int j = 0; grouped && j < m; j++)
             if (w->left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i))
-                far = real_max(far, learnt_far(n, m, copies, s, w, j));
+                far = real_max(far, learnt_far(n, m, models, s, w, j));
         if (best < 0 || far < least) best = i, least = far;
     }
     return best;
 }
 
-/* Score, information and likelihood of sensor i under every copy; return 0 if a variance has canceled. */
+/* Score, information and likelihood of sensor i under every model; return 0 if a variance has canceled. */
 INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i, const real noise,
-                         const learnt_parts *const w) {
-    const int copies = learnt_copies(rule), K = rule->K;
-    for (int c = 0; c < copies; c++) {
+                         const learnt_work *const w) {
+    const int models = learnt_models(rule), K = rule->K;
+    for (int c = 0; c < models; c++) {
         const real S = w->S[c * m * m + i * m + i];
-        const real *const before = c < rule->q ? w->before : w->usual;
+        const real *const before = c < rule->q ? w->before : w->typical;
         real *RESTRICT given = w->given + c * K;
         real y = w->y[c * m + i], reach, total = 0, first = 0, second = 0;
         if (!(S > REAL_PIVOT * w->start[i]) || !real_is_finite(S)) return 0;
@@ -1000,22 +1028,22 @@ INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i
     return 1;
 }
 
-/* Score, information and likelihood of g sensors that fail together under every copy: learnt_scores of a vector. Return
+/* Score, information and likelihood of g sensors that fail together under every model: learnt_scores of a vector. Return
    whether all is ordinary. log_density: of all that is likely the most, which w->logs are over. */
 CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const learnt_state *const s,
-                               const real *RESTRICT R, const int g, const learnt_parts *const w,
+                               const real *RESTRICT R, const int g, const learnt_work *const w,
                                real *const log_density) {
-    const int copies = learnt_copies(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
+    const int models = learnt_models(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
     real *RESTRICT N = w->scratch, *RESTRICT L = N + m * m, *RESTRICT inverses = L + m * m;
     real *RESTRICT pulls = inverses + K * m * m;
     int noisy = 0;
-    for (int k = 0; k < K; k++) w->before[k] = w->usual[k] = 0;
+    for (int k = 0; k < K; k++) w->before[k] = w->typical[k] = 0;
     for (int t = 0; t < rows; t++) {
-        const real *const known = learnt_known(rule, s, (int)w->members[t]);
-        learnt_predicted(K, known, w->after);
+        const learnt_memory memory = learnt_of(rule, s, (int)w->members[t]);
+        learnt_predicted(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->before[k] += w->after[k] / (real)rows;
-        learnt_usual(K, known, w->after);
-        for (int k = 0; k < K; k++) w->usual[k] += w->after[k] / (real)rows;
+        learnt_typical(K, &memory, w->after);
+        for (int k = 0; k < K; k++) w->typical[k] += w->after[k] / (real)rows;
     }
     for (int t = 0; t < g; t++)
         for (int u = 0; u < g; u++) {
@@ -1023,8 +1051,8 @@ CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const
             N[t * g + u] = R[i * m + j] == 0 ? 0 : R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
             noisy |= N[t * g + u] != 0;
         }
-    for (int c = 0; c < copies; c++) {
-        const real *const before = c < rule->q ? w->before : w->usual, *const y = w->y + c * m;
+    for (int c = 0; c < models; c++) {
+        const real *const before = c < rule->q ? w->before : w->typical, *const y = w->y + c * m;
         real *RESTRICT given = w->given + c * K, *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
         real least = REAL_MAX, shorter, peak = -REAL_MAX, total = 0, unit = 1;
         for (int t = 0; t < g; t++) unit = real_max(unit, real_abs(y[(int)w->members[t]]));
@@ -1112,31 +1140,31 @@ CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const
         }
         *log_density = c == 0 ? w->logs[c] : real_max(*log_density, w->logs[c]);
     }
-    for (int c = 0; c < copies; c++) w->logs[c] = real_exp(w->logs[c] - *log_density);
+    for (int c = 0; c < models; c++) w->logs[c] = real_exp(w->logs[c] - *log_density);
     return 1;
 }
 
-/* Learn from what sensors that fail together have said, and take it off the copies; w->shares are these copies'. */
+/* Learn from what sensors that fail together have said, and take it off the models; w->shares are these models'. */
 CALLED void learnt_group_taken(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                               const int g, const learnt_parts *const w) {
-    const int copies = learnt_copies(rule), K = rule->K;
+                               const int g, const learnt_work *const w) {
+    const int models = learnt_models(rule), K = rule->K;
     real *RESTRICT bC = w->scratch, *RESTRICT bS = bC + m * n;
     for (int row = 0; rule->learns && row < (rule->joint ? 1 : g); row++) {
         const int i = (int)w->members[row];
+        const learnt_memory memory = learnt_of(rule, s, i);
         real ordinary = 0, energy = 0, noisy = 0;
-        for (int c = 0; c < copies; c++) {
+        for (int c = 0; c < models; c++) {
             const real weight = w->shares[c] * w->given[c * K];
             ordinary += weight, energy += weight * w->energies[c * m + row], noisy += weight * w->noises[c * m + row];
         }
         ordinary = real_max(ordinary, REAL(1e-300));
         noisy /= ordinary;
         /* Its own chain foresaw the class, not what all of them expect together. */
-        learnt_predicted(K, learnt_known(rule, s, i), w->before);
-        learnt_learn(rule, w->after, w->before, w->r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy,
-                     learnt_known(rule, s, i));
+        learnt_predicted(K, &memory, w->before);
+        learnt_learn(rule, w->after, w->before, w->r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy, &memory);
     }
     for (int t = 0; t < g; t++) w->left[(int)w->members[t]] = 0;
-    for (int c = 0; c < copies; c++) {
+    for (int c = 0; c < models; c++) {
         const real *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
         real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT y = w->y + c * m;
         real *RESTRICT C = w->C + c * m * n, *RESTRICT S = w->S + c * m * m;
@@ -1175,22 +1203,22 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
                         const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,
                         real *const log_density, real *RESTRICT logs, real *RESTRICT work) {
     const int follows = rule->learns && !rule->joint, grouped = rule->joint || rule->named > 0;
-    const int q = rule->q, copies = learnt_copies(rule), K = rule->K, width = learnt_width(K);
+    const int q = rule->q, models = learnt_models(rule), K = rule->K;
     const real *const part = learnt_part(n, rule, s);
-    learnt_parts w;
+    learnt_work w;
     int count = 0, held = 0;
     real together = 0, apart = 0;
     w.y = work;
-    w.C = w.y + copies * m;
-    w.S = w.C + copies * m * n;
-    w.given = w.S + copies * m * m;
-    w.a = w.given + copies * K;
-    w.b = w.a + copies;
-    w.logs = w.b + copies;
-    w.energy = w.logs + copies;
-    w.shares = w.energy + copies;
-    w.parts = w.shares + copies;
-    w.at = w.parts + copies;
+    w.C = w.y + models * m;
+    w.S = w.C + models * m * n;
+    w.given = w.S + models * m * m;
+    w.a = w.given + models * K;
+    w.b = w.a + models;
+    w.logs = w.b + models;
+    w.energy = w.logs + models;
+    w.shares = w.energy + models;
+    w.parts = w.shares + models;
+    w.at = w.parts + models;
     w.spread = w.at + n;
     w.direction = w.spread + n * n;
     w.left = w.direction + n;
@@ -1200,27 +1228,28 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     w.fresh = w.head + m;
     w.alike = w.fresh + m;
     w.before = w.alike + m;
-    w.usual = w.before + K;
-    w.after = w.usual + K;
+    w.typical = w.before + K;
+    w.after = w.typical + K;
     w.weights = w.after + K;
     w.shared = w.weights + K;
     w.together = 0;
-    w.members = work + learnt_weigh_work(n, m, copies, K);
+    w.members = work + learnt_weigh_work(n, m, models, K);
     w.scores = w.members + m;
-    w.informations = w.scores + copies * m;
-    w.energies = w.informations + copies * m * m;
-    w.noises = w.energies + copies * m;
-    w.scratch = w.noises + copies * m;
+    w.informations = w.scores + models * m;
+    w.energies = w.informations + models * m * m;
+    w.noises = w.energies + models * m;
+    w.scratch = w.noises + models * m;
     work = w.shared + K;
     learnt_slow(n, rule, s, w.at, w.spread, work);
     for (int i = 0; i < m; i++) {
+        const learnt_memory memory = learnt_of(rule, s, i);
         int seen = 0;
         for (int k = 0; k < n; k++) seen |= H[i * n + k] != 0;
         w.left[i] = seen && z[i] == z[i] ? 1 : 0;
         weights[i] = logs[i] = (real)NAN;
         outlying[i] = 0;
         if (w.left[i] > 0 && follows &&
-            learnt_stuck(n, rule, w.at, w.spread, z[i], readings[i], H + i * n, R[i * m + i], s->memory + i * width)) {
+            learnt_stuck(n, rule, w.at, w.spread, z[i], readings[i], H + i * n, R[i * m + i], &memory)) {
             w.left[i] = weights[i] = 0;
             outlying[i] = 1;
             held++;
@@ -1228,7 +1257,7 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         count += w.left[i] > 0;
     }
     if (count == 0) return held;
-    for (int i = 0; i < m; i++) w.r[i] = rule->learns ? *learnt_known(rule, s, i) : 1;
+    for (int i = 0; i < m; i++) w.r[i] = rule->learns ? *learnt_of(rule, s, i).r : 1;
     learnt_couple(n, m, rule, s, H, R, M, &w);
     learnt_slow(n, rule, s, w.at, w.spread, work);
     if (follows) {
@@ -1242,7 +1271,7 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         const int i = learnt_next(n, m, rule, s, &w);
         const real *const p = s->p + (int)w.head[i];
         const real noise = w.r[i] * R[i * m + i];
-        real *RESTRICT known = learnt_known(rule, s, i);
+        const learnt_memory memory = learnt_of(rule, s, i);
         real total = 0, full = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, noisy = 0, weight = 0;
         group = 1;
         if (grouped) {
@@ -1255,11 +1284,11 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
             if (!learnt_group_scores(m, rule, s, R, group, &w, &most)) return -1;
             apart += most + REAL(0.5) * LEARNT_LOG_2PI;
         } else {
-            learnt_predicted(K, known, w.before);
-            learnt_usual(K, known, w.usual);
+            learnt_predicted(K, &memory, w.before);
+            learnt_typical(K, &memory, w.typical);
             if (!learnt_scores(m, rule, i, noise, &w)) return -1;
         }
-        if (copies > q) {
+        if (models > q) {
             /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
                all others worth more than a hundred. */
             for (int c = 0; c < q; c++) {
@@ -1268,23 +1297,22 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
             }
             evidence /= others;
             /* What tells for a jump so much tells nothing of the scale of Q. */
-            const int known_well = learnt_jumps(rule, s, i) &&
-                                   known[width - REPEATS_WIDTH + REPEATS_COUNT] > LEARNT_FIRST_CHANGES;
-            for (int c = 0; c < q && known_well && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence; c++)
+            const int experienced = learnt_jumps(rule, s, i) && memory.habits->repeats.count > LEARNT_FIRST_CHANGES;
+            for (int c = 0; c < q && experienced && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence; c++)
                 w.logs[c] = evidence;
             full = others * evidence + p[q * n] * (w.fresh[i] > 0 ? evidence : w.logs[q]);
             w.logs[q] = w.fresh[i] > 0 ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
             if (w.alike[i] > 0 && p[q * n] > 0) w.logs[q] += (1 - p[q * n]) / p[q * n] * w.alike[i];
         }
-        for (int c = 0; c < copies; c++) {
+        for (int c = 0; c < models; c++) {
             w.shares[c] = (c < q ? real_max(p[c * n], REAL(1e-300)) : p[c * n]) * w.logs[c];
             total += w.shares[c];
         }
         if (!(total > REAL(1e-290))) return -1;
         apart += real_log(total) - REAL(0.5) * LEARNT_LOG_2PI;
-        logs[i] = real_log(copies > q ? full : total) - REAL(0.5) * LEARNT_LOG_2PI;
+        logs[i] = real_log(models > q ? full : total) - REAL(0.5) * LEARNT_LOG_2PI;
         for (int k = 0; k < K; k++) w.after[k] = 0;
-        for (int c = 0; c < copies; c++) {
+        for (int c = 0; c < models; c++) {
             const real share = w.shares[c] / total;
             w.shares[c] = share;
             for (int o = 0; o < n; o++)
@@ -1306,10 +1334,10 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         ordinary = real_max(ordinary, REAL(1e-300));
         if (rule->learns) {
             noisy /= ordinary;
-            learnt_learn(rule, w.after, w.before, w.r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy, known);
+            learnt_learn(rule, w.after, w.before, w.r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy, &memory);
         }
         w.left[i] = 0;
-        for (int c = 0; c < copies; c++) {
+        for (int c = 0; c < models; c++) {
             real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT S = w.S + c * m * m;
             const real *RESTRICT C = w.C + c * m * n + i * n;
             const real a = w.a[c], b = w.b[c];
@@ -1332,13 +1360,14 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     *log_density += apart;
     if (w.together > 0) {
         /* How sensors fail may change, and a sample is worth no more than a hundred to one. */
-        const real usual = rule->begin[width - LEARNT_TAIL], before = w.together + (usual - w.together) / rule->memory;
+        const real prior = learnt_of_row(K, (real *)rule->begin).habits->together;
+        const real before = w.together + (prior - w.together) / rule->memory;
         const real most = real_log(LEARNT_EVIDENCE), evidence = real_min(real_max(together - apart, -most), most);
         const real odds = before / (1 - before) * real_exp(evidence);
         for (int i = 0; i < m; i++)
-            if (weights[i] > 0) s->memory[i * width + width - LEARNT_TAIL] = odds / (1 + odds);
+            if (weights[i] > 0) learnt_of(rule, s, i).habits->together = odds / (1 + odds);
     }
-    for (int o = 0; copies > q && o < n; o++) {
+    for (int o = 0; models > q && o < n; o++) {
         const int believed = s->p[q * n + o] > LEARNT_TAKEN;
         for (int i = 0; i < m; i++) {
             if (!(weights[i] > 0 && w.head[i] == part[o])) continue;
@@ -1349,11 +1378,9 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     }
     if (follows) {
         learnt_slow(n, rule, s, w.at, w.spread, work);
-        for (int i = 0; i < m; i++) {
-            real *RESTRICT rest = s->memory + i * width + width - REPEATS_WIDTH;
+        for (int i = 0; i < m; i++)
             if (weights[i] > 0 && R[i * m + i] > 0)
-                *rest = learnt_left(n, w.at, z[i], H + i * n, R[i * m + i]);
-        }
+                learnt_of(rule, s, i).habits->repeats.left = learnt_left(n, w.at, z[i], H + i * n, R[i * m + i]);
     }
     return count + held;
 }
@@ -1367,26 +1394,24 @@ INLINE int learnt_sees(const int n, const real *RESTRICT H, const int i) {
 
 #define learnt_judge_work(n, m) (update_work(n, m) + (size_t)((3 + 2 * SPREAD_NUMBERS) * (m)))
 
-/* Go on with the recursion as given, and let the copies of a part begin again from it where it tells a factor of P, Q and R.
-   logs: of the readings by the copies; z is NaN where there is none. Return whether all is ordinary. */
+/* Go on with the recursion as given, and let the models of a part begin again from it where it tells a factor of P, Q and R.
+   logs: of the readings by the models; z is NaN where there is none. Return whether all is ordinary. */
 CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                         const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R, const real *M,
                         const real *RESTRICT logs, real *RESTRICT work) {
-    static const correction_rule usual = {{PSI_HUBER, REAL(1.345), 0, 0, NULL, NULL}, SCALING_LEARNT,
+    static const correction_rule huber = {{PSI_HUBER, REAL(1.345), 0, 0, NULL, NULL}, SCALING_LEARNT,
                                           INFORMATION_REALIZED, 1, 0, NULL};
-    const int copies = learnt_copies(rule), width = learnt_width(rule->K);
+    const int models = learnt_models(rule), width = learnt_width(rule->K);
     const real *const part = learnt_part(n, rule, s);
-    real *const evidence = learnt_given(n, rule, s, LEARNT_FOR_FACTOR), *const x = s->x + copies * n;
-    real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const P = s->P + copies * n * n;
+    real *const for_factor = learnt_given(n, rule, s, LEARNT_FOR_FACTOR), *const x = s->x + models * n;
+    real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const P = s->P + models * n * n;
     real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
     real *RESTRICT y = work, *RESTRICT S = y + m, *RESTRICT here = S + m;
     spread_memory *const before = (spread_memory *)(here + m), *const after = before + m;
     correction c;
     work = (real *)(after + m);
     for (int i = 0; i < m; i++) {
-        const real *const known = s->memory + (i + 1) * width - LEARNT_TAIL - SPREAD_NUMBERS;
-        real_copy(SPREAD_NUMBERS, known, (real *)(before + i));
-        after[i] = before[i];
+        before[i] = after[i] = learnt_of(rule, s, i).habits->spread;
         here[i] = logs[i] == logs[i] ? z[i] : (real)NAN;
     }
     correction_begin(n, m, M != NULL, &c, work);
@@ -1395,12 +1420,11 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
         y[i] = c.y[i], S[i] = c.S[i * m + i];
         if (here[i] == here[i] && R[i * m + i] > 0 && S[i] > LEARNT_WIDEST * R[i * m + i]) return 0;
     }
-    if (!update(n, m, &usual, here, H, R, M, after, x, P, &c, NULL, work)) return 0;
-    for (int i = 0; i < m; i++)
-        real_copy(SPREAD_NUMBERS, (const real *)(after + i), s->memory + (i + 1) * width - LEARNT_TAIL - SPREAD_NUMBERS);
+    if (!update(n, m, &huber, here, H, R, M, after, x, P, &c, NULL, work)) return 0;
+    for (int i = 0; i < m; i++) learnt_of(rule, s, i).habits->spread = after[i];
     for (int i = 0; i < m; i++) {
         const int head = (int)part[learnt_sees(n, H, i)];
-        real log_c = 0, told = 0, count;
+        real log_c = 0, evidence = 0, count;
         int first = here[i] == here[i] && readings[head] < LEARNT_DECIDED, any = 0, beyond;
         for (int j = 0; j < m && first; j++) {
             real size;
@@ -1409,7 +1433,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
             /* A factor is common to all sensors of a part: that of the one which shows least of it. */
             size = real_max(before[j].spread, spread_coarse(before + j, real_sqrt(S[j])));
             size = before[j].weight > 0 ? 2 * real_log(real_max(size, REAL(1e-150))) : 0;
-            size = real_min(real_max(size, -LEARNT_LOG_FARTHEST), LEARNT_LOG_FARTHEST);
+            size = real_within(size, LEARNT_LOG_FARTHEST);
             if (!any || real_abs(size) < real_abs(log_c)) log_c = size;
             any = 1;
         }
@@ -1420,23 +1444,23 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
             /* One that repeats the reading before is no sample of noise. */
             if (here[j] != here[j] || here[j] == before[j].last || (int)part[learnt_sees(n, H, j)] != head) continue;
             log_unit = REAL(0.5) * (real_log(S[j]) + log_c);
-            by_it = -psi_rho(&usual.psi, y[j] / real_exp(log_unit)) - log_unit - REAL(0.5) * LEARNT_LOG_2PI;
-            told += real_min(real_max(by_it - logs[j], -real_log(LEARNT_EVIDENCE)), real_log(LEARNT_EVIDENCE));
+            by_it = -psi_rho(&huber.psi, y[j] / real_exp(log_unit)) - log_unit - REAL(0.5) * LEARNT_LOG_2PI;
+            evidence += real_within(by_it - logs[j], real_log(LEARNT_EVIDENCE));
         }
-        told = beyond ? real_min(real_max(evidence[head] + told, 0), 2 * LEARNT_BETTER) : 0;
+        evidence = beyond ? real_min(real_max(for_factor[head] + evidence, 0), 2 * LEARNT_BETTER) : 0;
         count = readings[head] + 1;
         if (beyond) count = real_min(count, LEARNT_DECIDED - 1);
-        /* What was told before the copies have had their time to learn counts for one half. */
-        if (count == LEARNT_DECIDES) told = real_min(told, LEARNT_BETTER);
-        any = count > LEARNT_DECIDES && told == 2 * LEARNT_BETTER;
+        /* Evidence from before the models have had their time to learn counts for one half. */
+        if (count == LEARNT_DECIDES) evidence = real_min(evidence, LEARNT_BETTER);
+        any = count > LEARNT_DECIDES && evidence == 2 * LEARNT_BETTER;
         for (int o = 0; o < n; o++) {
             if ((int)part[o] != head) continue;
-            evidence[o] = told, readings[o] = any ? LEARNT_DECIDED : count;
+            for_factor[o] = evidence, readings[o] = any ? LEARNT_DECIDED : count;
             if (any) factor[o] = real_exp(log_c);
         }
         for (int o = 0; o < n && any; o++) {
             if ((int)part[o] != head) continue;
-            for (int l = 0; l < copies; l++) {
+            for (int l = 0; l < models; l++) {
                 real *const to = s->P + l * n * n;
                 s->x[l * n + o] = x[o];
                 s->p[l * n + o] = l < rule->q ? learnt_begins(rule, l) : 0;
@@ -1451,8 +1475,8 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
     return 1;
 }
 
-#define learnt_correct_work(n, m, copies, K) \
-    (learnt_weigh_work(n, m, copies, K) + learnt_judge_work(n, m) + (size_t)((m) * (1 + (n) + (m))))
+#define learnt_correct_work(n, m, models, K) \
+    (learnt_weigh_work(n, m, models, K) + learnt_judge_work(n, m) + (size_t)((m) * (1 + (n) + (m))))
 
 /* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the sensors said, where z is only
    how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and

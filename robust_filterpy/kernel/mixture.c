@@ -3,12 +3,12 @@
 #include "mend.h"
 #include "online.h"
 
-/* The copies of a filter, in arrays of their own that a step may change, and what they merge to. */
+/* The models of a filter, in arrays of their own that a step may change, and what they merge to. */
 typedef struct {
     learnt_rule rule;
     learnt_state s;
     filter_state now;
-    PyObject *kept; /* as the filter has it: a tuple, or None where there is one copy */
+    PyObject *kept; /* as the filter has it: a tuple, or None where there is one model */
     PyObject *x, *P; /* priors that nobody writes to */
     PyObject *means, *covariances, *p, *x_next, *P_next;
     PyObject *x_set, *P_set; /* what the filter gets of these: code of Python's may have had the others */
@@ -26,18 +26,18 @@ static PyObject *copied(held *h, const double *numbers, int ndim, npy_intp first
     return found;
 }
 
-/* Read x, P and the copies; whether all is ordinary, -1 with an exception. x or P that have been assigned from outside are
+/* Read x, P and the models; whether all is ordinary, -1 with an exception. x or P that have been assigned from outside are
    for the definition. given: dim_x, x, P, _kept; rule: of the policy. */
 static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixture *f) {
     const double *means, *covariances, *p;
-    npy_intp copies, n, shape[3], beliefs[2];
+    npy_intp rows, n, shape[3], beliefs[2];
     if (!take_rule(&f->rule, rule) || !take_filter(given[0], given[1], given[2], &f->now) || f->now.n > 1000) return 0;
     n = shape[1] = shape[2] = f->now.n;
-    copies = shape[0] = learnt_rows(&f->rule);
+    rows = shape[0] = learnt_rows(&f->rule);
     beliefs[0] = learnt_beliefs(1, &f->rule), beliefs[1] = n;
     f->kept = given[3];
     if (f->kept == Py_None) {
-        if (copies != 1) return 0;
+        if (rows != 1) return 0;
         means = f->now.x, covariances = f->now.P, p = NULL;
         f->x = copied(h, f->now.x, 1, n, 0);
         f->P = f->x ? copied(h, f->now.P, 2, n, n) : NULL;
@@ -53,8 +53,8 @@ static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixtu
         if (!means || !covariances || !p || !x || !P) return 0;
         if (memcmp(x, f->now.x, (size_t)n * sizeof *x) || memcmp(P, f->now.P, (size_t)(n * n) * sizeof *P)) return 0;
     }
-    f->means = array_of(h, 2, copies, n, 0);
-    f->covariances = f->means ? array_of(h, 3, copies, n, n) : NULL;
+    f->means = array_of(h, 2, rows, n, 0);
+    f->covariances = f->means ? array_of(h, 3, rows, n, n) : NULL;
     f->p = f->covariances ? array_of(h, 2, beliefs[0], n, 0) : NULL;
     f->x_next = f->p ? array_of(h, 1, n, 0, 0) : NULL;
     f->P_next = f->x_next ? array_of(h, 2, n, n, 0) : NULL;
@@ -63,9 +63,9 @@ static int take_mixture(held *h, PyObject *const given[4], PyObject *rule, mixtu
     if (!f->P_set) return -1;
     f->s.x = numbers_of(f->means), f->s.P = numbers_of(f->covariances), f->s.p = numbers_of(f->p);
     f->s.memory = NULL;
-    real_copy((int)(copies * n), means, f->s.x);
-    real_copy((int)(copies * n * n), covariances, f->s.P);
-    /* Of one copy there is one part. */
+    real_copy((int)(rows * n), means, f->s.x);
+    real_copy((int)(rows * n * n), covariances, f->s.P);
+    /* Of one model there is one part. */
     for (npy_intp i = 0; i < beliefs[0] * n; i++) f->s.p[i] = p ? p[i] : i < n;
     return learnt_has_parts((int)n, &f->rule, &f->s);
 }
@@ -113,7 +113,7 @@ static int predict_mixture(held *h, PyObject *filter, PyObject *u, PyObject *con
     if (!F || !Q || !number_of(given[6], &alpha_sq) || !is_symmetric(Q, n)) return 0;
     for (int i = 0; i < n; i++) fine = fine && Q[i * n + i] >= 0;
     if (!fine) return 0;
-    work = work_of(stack, learnt_predict_work(n, learnt_copies(&f.rule)) + (size_t)n);
+    work = work_of(stack, learnt_predict_work(n, learnt_models(&f.rule)) + (size_t)n);
     if (!work) return -1;
     control = work;
     fine = take_control(B_now, u, n, &control);
@@ -138,24 +138,24 @@ static int is_finite_product(const double *H, const double *x, npy_intp m, npy_i
 
 /* What a correction leaves besides the state. */
 typedef struct {
-    PyObject *known, *weights, *outlying;
+    PyObject *memory, *weights, *outlying;
     double likelihood;
 } weighed;
 
 static int begin_weighed(held *h, const learnt_rule *rule, const double *before, npy_intp m, weighed *made) {
-    made->known = copied(h, before, 2, known_rows(rule, m), learnt_width(rule->K));
-    made->weights = made->known ? array_of(h, 1, m, 0, 0) : NULL;
+    made->memory = copied(h, before, 2, memory_rows(rule, m), learnt_width(rule->K));
+    made->weights = made->memory ? array_of(h, 1, m, 0, 0) : NULL;
     made->outlying = made->weights ? array_of(h, 1, m, 0, 0) : NULL;
     made->likelihood = 0;
     return made->outlying != NULL;
 }
 
-/* Correct by z (m), the sensors having said `said`; whether that was ordinary. work: correct_work. */
-static int weigh(int n, int m, const learnt_rule *rule, learnt_state *s, const double *z, const double *said,
+/* Correct by z (m), the sensors having read `readings`; whether that was ordinary. work: correct_work. */
+static int weigh(int n, int m, const learnt_rule *rule, learnt_state *s, const double *z, const double *readings,
                  const double *H, const double *R, const double *M, weighed *made, double *work) {
     const double *const weights = numbers_of(made->weights);
-    s->memory = numbers_of(made->known);
-    if (learnt_correct(n, m, rule, s, z, said, H, R, M, numbers_of(made->weights), numbers_of(made->outlying),
+    s->memory = numbers_of(made->memory);
+    if (learnt_correct(n, m, rule, s, z, readings, H, R, M, numbers_of(made->weights), numbers_of(made->outlying),
                        &made->likelihood, work) <= 0)
         return 0;
     /* That a sensor is stuck is said in words, by the definition. */
@@ -166,7 +166,7 @@ static int weigh(int n, int m, const learnt_rule *rule, learnt_state *s, const d
 
 #define NO_LAG 0.1 /* standard deviations that a start leaves where there is no noise */
 
-/* Innovations z - H x as Mixed.lags has them. x: NULL for a state at 0; before: what was known of the noise, rows of width,
+/* Innovations z - H x as Mixed.lags has them. x: NULL for a state at 0; before: memory of the noise, rows of width,
    or 0 for one row; curvature (m, m) or NULL. */
 static PyObject *lags_of(held *h, int n, int m, const double *z, const double *x, const double *P, const double *H,
                          const double *R, const double *before, int width, const double *curvature) {
@@ -198,15 +198,15 @@ static double outlier_probability(const learnt_rule *rule, int m, const double *
 
 /* Give a filter what a correction has left of it but x and P; 1, or -1 with an exception. */
 static int set_weighed(held *h, PyObject *filter, const learnt_rule *rule, int m, PyObject *z, PyObject *record,
-                       const weighed *made, const customs *c) {
+                       const weighed *made, const sensor_rows *c) {
     PyObject *const probability =
         hold(h, PyFloat_FromDouble(outlier_probability(rule, m, numbers_of(made->outlying))));
     if (!probability || set_attribute(filter, AT_z, z) < 0 || set_attribute(filter, AT__last, record) < 0 ||
         set_attribute(filter, AT__outlier_probability, probability) < 0)
         return -1;
     if (c && c->m) {
-        if (!set_customs(h, filter, c, numbers_of(made->known))) return -1;
-    } else if (rule->learns && set_attribute(filter, AT__memory, made->known) < 0) {
+        if (!set_rows(h, filter, c, numbers_of(made->memory))) return -1;
+    } else if (rule->learns && set_attribute(filter, AT__memory, made->memory) < 0) {
         return -1;
     }
     for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
@@ -221,7 +221,7 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *con
     PyObject *const *const given = h->objects;
     PyObject *seen, *shown, *lags, *H_now, *R_now, *H_too, *R_too, *M_too = Py_None, *before_too, *make, *record;
     mixture f;
-    customs c = {.m = 0};
+    sensor_rows c = {.m = 0};
     weighed made;
     const double *H, *R, *M = NULL, *before;
     double stack[STACK_WORK], *work;
@@ -249,18 +249,18 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *con
     }
     before_too = given[8];
     if (!f.rule.learns) {
-        before_too = array_of(h, 2, known_rows(&f.rule, m), width, 0);
+        before_too = array_of(h, 2, memory_rows(&f.rule, m), width, 0);
         if (!before_too) return -1;
-        for (npy_intp k = 0; k < known_rows(&f.rule, m) * width; k++) numbers_of(before_too)[k] = f.rule.begin[k % width];
+        for (npy_intp k = 0; k < memory_rows(&f.rule, m) * width; k++) numbers_of(before_too)[k] = f.rule.begin[k % width];
     } else if (H_now != given[7] && !f.rule.joint) {
-        c = (customs){.m = m, .width = width, .places = given[8], .rows = given[10], .begin = f.rule.begin};
-        fine = take_customs(h, &c, H, given[7], n);
+        c = (sensor_rows){.m = m, .width = width, .places = given[8], .rows = given[10], .begin = f.rule.begin};
+        fine = take_rows(h, &c, H, given[7], n);
         if (fine <= 0) return fine;
         before_too = array_of(h, 2, m, width, 0);
         if (!before_too) return -1;
-        if (!read_customs(&c, numbers_of(before_too))) return PyErr_Occurred() ? -1 : 0;
+        if (!read_rows(&c, numbers_of(before_too))) return PyErr_Occurred() ? -1 : 0;
     }
-    before = matrix_of(before_too, known_rows(&f.rule, m), width);
+    before = matrix_of(before_too, memory_rows(&f.rule, m), width);
     if (!before) return 0;
     /* z is shown in the shape of x, and kept as a vector. */
     seen = array_of(h, 1, m, 0, 0);
@@ -275,9 +275,9 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *con
     R_too = H_too ? copied(h, R, 2, m, m) : NULL;
     shown = R_too ? copied(h, numbers_of(seen), f.now.ndim, m, 1) : NULL;
     lags = shown ? lags_of(h, n, m, numbers_of(seen), f.now.x, f.now.P, H, R, before,
-                           known_rows(&f.rule, m) > 1 ? width : 0, NULL)
+                           memory_rows(&f.rule, m) > 1 ? width : 0, NULL)
                  : NULL;
-    record = lags ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOO", f.x_next, f.P_next, made.known, made.likelihood,
+    record = lags ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOO", f.x_next, f.P_next, made.memory, made.likelihood,
                                                   made.weights, made.outlying, f.x, f.P, H_too, R_too, M_too, seen,
                                                   before_too, lags))
                   : NULL;
@@ -335,14 +335,14 @@ static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_
     make = hold_attribute(h, given[6], AT_record);
     for (int i = 0; i < 6; i++)
         if (!make || !(plain[i] = as_plain(h, i == 5 && given_now[5] == Py_None ? given[4] : given_now[i]))) return -1;
-    if (given[3] != numpy_inverse || given[7] != Py_None || !take_rule(&rule, given[8]) || learnt_copies(&rule) != 1 ||
+    if (given[3] != numpy_inverse || given[7] != Py_None || !take_rule(&rule, given[8]) || learnt_models(&rule) != 1 ||
         !take_filter(given[0], given[1], given[2], &now) || !is_array(plain[3], 2))
         return 0;
     const int linear = plain[4] == Py_None, n = (int)now.n, width = learnt_width(rule.K);
     const int m = (int)PyArray_DIM((PyArrayObject *)plain[3], !linear), all = linear ? n : n + m;
     if (m < 1 || m > 1000 || n > 1000) return 0;
     C = linear ? matrix_of(plain[3], m, n) : matrix_of(plain[3], n, m), S = linear ? NULL : matrix_of(plain[4], m, m);
-    R = covariance_of(h, plain[5], m), before = matrix_of(given[5], known_rows(&rule, m), width);
+    R = covariance_of(h, plain[5], m), before = matrix_of(given[5], memory_rows(&rule, m), width);
     if (!R && PyErr_Occurred()) return -1;
     if (!C || !R || !before || !all_finite(C, n * m) || (!linear && (!S || !is_symmetric(S, m)))) return 0;
     seen = array_of(h, 1, m, 0, 0), y = seen ? array_of(h, 1, m, 0, 0) : NULL;
@@ -387,10 +387,10 @@ static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_
     if (!fine || !all_finite(numbers_of(x_next), n) || !all_finite(numbers_of(P_next), n * n)) return 0;
     shown = copied(h, numbers_of(seen), now.ndim, m, 1);
     lags = shown ? lags_of(h, n, m, numbers_of(y), NULL, now.P, numbers_of(H), R, before,
-                           known_rows(&rule, m) > 1 ? width : 0, numbers_of(curvature))
+                           memory_rows(&rule, m) > 1 ? width : 0, numbers_of(curvature))
                  : NULL;
     record = lags ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOOO", copied(h, numbers_of(x_next), 1, n, 0),
-                                                  copied(h, numbers_of(P_next), 2, n, n), made.known, made.likelihood,
+                                                  copied(h, numbers_of(P_next), 2, n, n), made.memory, made.likelihood,
                                                   made.weights, made.outlying, zero, P_too, H, R_too, Py_None, y,
                                                   given[5], lags, curvature))
                   : NULL;

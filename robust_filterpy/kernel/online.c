@@ -90,12 +90,12 @@ int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
 PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
 
 /* Say which sensors the rows of an H are. */
-int take_customs(held *h, customs *c, const double *H, PyObject *own, npy_intp n) {
+int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n) {
     const npy_intp m = c->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0;
     const double *const known = rows > 0 ? matrix_of(own, rows, n) : NULL;
     const size_t size = (size_t)n * sizeof(double);
     int same = 0;
-    if (m > CUSTOMS_NOW || !known || !PyDict_CheckExact(c->rows) || !is_array(c->places, 2) ||
+    if (m > ROWS_NOW || !known || !PyDict_CheckExact(c->rows) || !is_array(c->places, 2) ||
         !matrix_of(c->places, PyArray_DIM((PyArrayObject *)c->places, 0), c->width))
         return 0;
     for (npy_intp i = 0; i < m; i++) {
@@ -115,7 +115,7 @@ int take_customs(held *h, customs *c, const double *H, PyObject *own, npy_intp n
 }
 
 /* What is known of these sensors: of a row that is met for the first time what is known of its place. */
-int read_customs(const customs *c, double *memory) {
+int read_rows(const sensor_rows *c, double *memory) {
     const npy_intp places = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
     for (npy_intp i = 0; i < c->m; i++) {
         PyObject *const row = c->key[i] ? PyDict_GetItemWithError(c->rows, c->key[i]) : NULL;
@@ -128,7 +128,7 @@ int read_customs(const customs *c, double *memory) {
     return 1;
 }
 
-int set_customs(held *h, PyObject *filter, const customs *c, const double *memory) {
+int set_rows(held *h, PyObject *filter, const sensor_rows *c, const double *memory) {
     const npy_intp before = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
     npy_intp count = before, at = 0;
     PyObject *places, *rows = c->rows, *first, *none;
@@ -149,7 +149,7 @@ int set_customs(held *h, PyObject *filter, const customs *c, const double *memor
         if (PyDict_Contains(rows, c->key[i]) == 1 && PyDict_DelItem(rows, c->key[i]) < 0) return 0;
         if (PyDict_SetItem(rows, c->key[i], row) < 0) return 0;
     }
-    while (rows != c->rows && PyDict_Size(rows) > CUSTOMS_MOST) {
+    while (rows != c->rows && PyDict_Size(rows) > ROWS_MOST) {
         at = 0;
         if (!PyDict_Next(rows, &at, &first, &none)) return 0;
         Py_INCREF(first);
@@ -254,7 +254,7 @@ static int take_more(sensors *s, npy_intp n, PyObject *M, PyObject *memory) {
 }
 
 /* given: R, H, M, then what take_correction has read; c->m > 0 says that rows of an H that is passed tell the sensors. */
-static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[6], npy_intp n, sensors *s, customs *c) {
+static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[6], npy_intp n, sensors *s, sensor_rows *c) {
     PyObject *const dim_z = own[0], *const inverse = own[1], *memory = own[4];
     PyObject *const R = given_or(h, given[0], own[2]), *const H = R ? given_or(h, given[1], own[3]) : NULL;
     if (!H) return -1;
@@ -266,12 +266,12 @@ static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[6
     if (s->m < 1 || s->m > 10000 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
     if (s->rule.scaling == SCALING_LEARNT && given[1] != Py_None && H != own[3]) {
         int outcome;
-        *c = (customs){.m = s->m, .width = SPREAD_NUMBERS, .places = memory, .rows = own[5], .begin = NULL};
-        outcome = take_customs(h, c, s->H, own[3], n);
+        *c = (sensor_rows){.m = s->m, .width = SPREAD_NUMBERS, .places = memory, .rows = own[5], .begin = NULL};
+        outcome = take_rows(h, c, s->H, own[3], n);
         if (outcome <= 0) return outcome;
         memory = hold(h, new_array(2, s->m, SPREAD_NUMBERS));
         if (!memory) return -1;
-        if (!read_customs(c, numbers_of(memory))) return PyErr_Occurred() ? -1 : 0;
+        if (!read_rows(c, numbers_of(memory))) return PyErr_Occurred() ? -1 : 0;
     }
     return take_more(s, n, given[2], memory);
 }
@@ -319,7 +319,7 @@ static int begin_corrected(held *h, const filter_state *now, const sensors *s, c
     return 1;
 }
 
-static spread_memory *learnt_of(const corrected *made) {
+static spread_memory *spreads_of(const corrected *made) {
     return made->memory ? (spread_memory *)numbers_of(made->memory) : NULL;
 }
 
@@ -336,7 +336,7 @@ static int correct_linear(held *h, const filter_state *now, const sensors *s, Py
     outcome = take_measurement(z, m, numbers_of(made->z)) && is_covariance(s->R, m, c.S);
     if (outcome) {
         real_copy((int)n, now->x, numbers_of(made->x));
-        outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), s->H, s->R, s->M, learnt_of(made),
+        outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), s->H, s->R, s->M, spreads_of(made),
                          numbers_of(made->x), numbers_of(made->P), &c, values + 4 + 8 * m, work);
         begin_record(values, n, m, &s->rule, &c);
         write_innovations(values + 4, n, m, numbers_of(made->z), s->H, now->x);
@@ -382,7 +382,7 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
         real_copy((int)(m * m), given->S, c.S);
     }
     for (npy_intp k = 0; k < n; k++) x[k] = 0;
-    fine = update_moments((int)n, (int)m, &s->rule, numbers_of(made->z), given->y, s->H, s->R, learnt_of(made), x,
+    fine = update_moments((int)n, (int)m, &s->rule, numbers_of(made->z), given->y, s->H, s->R, spreads_of(made), x,
                           numbers_of(made->P), &c, work);
     if (fine) {
         const double *const shown = work + update_work((int)n, (int)m);
@@ -397,11 +397,11 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
 }
 
 /* Give a filter what a correction made; 1, or -1 with an exception. */
-static int set_corrected(held *h, PyObject *filter, const corrected *made, const customs *c) {
+static int set_corrected(held *h, PyObject *filter, const corrected *made, const sensor_rows *c) {
     if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
     if (set_attribute(filter, AT_z, made->z) < 0 || set_attribute(filter, AT__last, made->record) < 0) return -1;
     if (c && c->m) {
-        if (!set_customs(h, filter, c, numbers_of(made->memory))) return -1;
+        if (!set_rows(h, filter, c, numbers_of(made->memory))) return -1;
     } else if (made->memory && set_attribute(filter, AT__memory, made->memory) < 0) {
         return -1;
     }
@@ -414,7 +414,7 @@ static int set_corrected(held *h, PyObject *filter, const corrected *made, const
    definition's. */
 static int is_to_be_said(const sensors *s, const corrected *made) {
     for (npy_intp i = 0; made->memory && i < s->m; i++)
-        if (learnt_of(made)[i].filled > ((const spread_memory *)s->memory)[i].filled &&
+        if (spreads_of(made)[i].filled > ((const spread_memory *)s->memory)[i].filled &&
             ((const spread_memory *)s->memory)[i].filled == 0) return 1;
     return 0;
 }
@@ -422,7 +422,7 @@ static int is_to_be_said(const sensors *s, const corrected *made) {
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory,
                                            AT__other_sensors};
-    customs c = {.m = 0};
+    sensor_rows c = {.m = 0};
     filter_state now;
     sensors s;
     corrected made;

@@ -20,20 +20,20 @@ int take_measurement(PyObject *object, npy_intp m, double *z);
 PyObject *given_or(held *h, PyObject *given, PyObject *own); /* plain; own where given is None; NULL with an exception */
 
 /* Sensors by their places in z, or, of an H that is passed, by its rows: robust_filterpy.filters.states in C. */
-#define CUSTOMS_MOST 32 /* rows that are remembered */
-#define CUSTOMS_NOW 16  /* sensors at once */
+#define ROWS_MOST 32 /* rows that are remembered */
+#define ROWS_NOW 16  /* sensors at once */
 typedef struct {
     npy_intp m, width;
-    npy_intp place[CUSTOMS_NOW];
-    PyObject *key[CUSTOMS_NOW]; /* bytes of its row, NULL where the place tells */
-    PyObject *places, *rows;     /* what is known: an array, a dictionary */
-    const double *begin;         /* (width) what is known at first; NULL: zeros */
-} customs;
-int take_customs(held *h, customs *c, const double *H, PyObject *own, npy_intp n); /* 1, 0, or -1 with an exception */
-int read_customs(const customs *c, double *memory);
-int set_customs(held *h, PyObject *filter, const customs *c, const double *memory); /* whether that went well */
+    npy_intp place[ROWS_NOW];
+    PyObject *key[ROWS_NOW]; /* bytes of its row, NULL where the place tells */
+    PyObject *places, *rows;     /* memories: an array, a dictionary */
+    const double *begin;         /* (width) memory of a new sensor; NULL: zeros */
+} sensor_rows;
+int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n); /* 1, 0, or -1 with an exception */
+int read_rows(const sensor_rows *c, double *memory);
+int set_rows(held *h, PyObject *filter, const sensor_rows *c, const double *memory); /* whether that went well */
 int take_rule(learnt_rule *rule, PyObject *object); /* from the array of robust_filterpy.kernel.learnt.rule */
 size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m); /* of learnt_correct under this rule */
-npy_intp known_rows(const learnt_rule *rule, npy_intp m);             /* that tell of m sensors */
+npy_intp memory_rows(const learnt_rule *rule, npy_intp m);             /* of m sensors */
 
 #endif

@@ -15,7 +15,7 @@ typedef struct {
     const double *alpha_sq, *windup, *centre;
     const npy_intp *flags; /* (actuators, 5): filtered, guard, cleans, learns, judges */
     npy_intp actuators, samples;
-    signal y, u, R;        /* R has no data where none is told */
+    signal y, u, R;        /* R has no data where none is given */
     double *state[11];     /* the arrays of tracker_state in its order */
     npy_intp sizes[11];
     double *theta, *variance, *prediction, *residual, *weights; /* what is written, (actuators, samples, ..) */
@@ -49,17 +49,18 @@ INLINE void one_actuator(const job *const j, const int n, const npy_intp i, doub
                          .Q = j->Q.data + i * j->Q.by_series, .alpha_sq = j->alpha_sq[i], .windup = j->windup[i]};
     double *at[11];
     for (int a = 0; a < 11; a++) at[a] = j->state[a] + i * j->sizes[a];
-    const tracker_state state = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8], at[9], at[10]};
+    const tracker_state state = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8],
+                                 (tracker_scale *)at[9], (tracker_readings *)at[10]};
     npy_intp k = 0;
     j->done[i] = 0;
     if (!rule_of_numbers(j->options.data + i * j->options.by_series, &rule.correction)) return;
     if (!is_settled(n, state.P) || !is_settled(n, rule.Q)) return;
     for (; k < j->samples; k++) {
         const double y = j->y.data[i * j->y.by_actuator + k * j->y.by_sample] - j->centre[i];
-        const double told = j->R.data ? j->R.data[i * j->R.by_actuator + k * j->R.by_sample] : (double)NAN;
+        const double given = j->R.data ? j->R.data[i * j->R.by_actuator + k * j->R.by_sample] : (double)NAN;
         const npy_intp row = i * j->samples + k;
         tracker_sample sample;
-        if (!tracker_step(&j->layout, n, &rule, &state, y, j->u.data + i * j->u.by_actuator + k * j->u.by_sample, told,
+        if (!tracker_step(&j->layout, n, &rule, &state, y, j->u.data + i * j->u.by_actuator + k * j->u.by_sample, given,
                           &sample, work))
             break;
         j->prediction[row] = sample.prediction + j->centre[i];
@@ -137,12 +138,12 @@ static int take_layout(PyObject *object, const int n, const npy_intp width, trac
 }
 
 static PyObject *track(PyObject *self, PyObject *arguments) {
-    PyObject *groups[6], *told[7], *signals[3], *state[11], *out[6], *layout, *y, *u, *R;
+    PyObject *groups[6], *given[7], *signals[3], *state[11], *out[6], *layout, *y, *u, *R;
     job j = {0};
     double *work = NULL;
     int *room = NULL;
     (void)self;
-    if (!take_objects(arguments, 6, groups) || !take_objects(groups[1], 7, told) ||
+    if (!take_objects(arguments, 6, groups) || !take_objects(groups[1], 7, given) ||
         !take_objects(groups[2], 3, signals) || !take_objects(groups[3], 11, state) || !take_objects(groups[4], 6, out))
         goto refused;
     layout = groups[0], y = signals[0], u = signals[1], R = signals[2];
@@ -162,7 +163,7 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
         const npy_intp past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
         const npy_intp shapes[11][3] = {{0, n, 0}, {0, n, n}, {0, past, 0}, {0, past, 0}, {0, l->length, 0},
                                         {0, l->nc, 0}, {0, l->nf, 0}, {0, rows, n}, {0, l->nc, n}, {0, 5, 0},
-                                        {0, TRACKER_READINGS, 0}};
+                                        {0, (npy_intp)(sizeof(tracker_readings) / sizeof(double)), 0}};
         for (int a = 0; a < 11; a++) {
             const npy_intp shape[3] = {j.actuators, shapes[a][1], shapes[a][2]};
             const int ndim = a == 1 || a == 7 || a == 8 ? 3 : 2;
@@ -173,15 +174,15 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
     }
     {
         const npy_intp wide[3] = {j.actuators, j.samples, n};
-        j.alpha_sq = vector_of(told[3], j.actuators), j.windup = vector_of(told[4], j.actuators);
-        j.centre = vector_of(told[5], j.actuators), j.flags = integers(told[6], j.actuators, 5);
+        j.alpha_sq = vector_of(given[3], j.actuators), j.windup = vector_of(given[4], j.actuators);
+        j.centre = vector_of(given[5], j.actuators), j.flags = integers(given[6], j.actuators, 5);
         j.theta = writable(out[0], 3, wide), j.variance = writable(out[1], 3, wide);
         j.prediction = writable(out[2], 2, wide), j.residual = writable(out[3], 2, wide);
         j.weights = writable(out[4], 2, wide), j.guard = integers(out[5], j.actuators, j.samples);
         j.done = integers(groups[5], j.actuators, -1);
     }
-    if (!take_matrices(&j.options, told[0], j.actuators, 1, 8, 0) ||
-        !take_matrices(&j.F, told[1], j.actuators, 1, n, n) || !take_matrices(&j.Q, told[2], j.actuators, 1, n, n) ||
+    if (!take_matrices(&j.options, given[0], j.actuators, 1, 8, 0) ||
+        !take_matrices(&j.F, given[1], j.actuators, 1, n, n) || !take_matrices(&j.Q, given[2], j.actuators, 1, n, n) ||
         !j.alpha_sq || !j.windup || !j.centre || !j.flags || !j.theta || !j.variance || !j.prediction || !j.residual ||
         !j.weights || !j.guard || !j.done || !take_signal(y, &j, -1, &j.y) || !take_signal(u, &j, width, &j.u) ||
         (R != Py_None && !take_signal(R, &j, -1, &j.R)))

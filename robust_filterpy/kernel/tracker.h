@@ -22,7 +22,6 @@
 #endif
 #define TRACKER_CLEANED REAL(3.0)    /* standard deviations from which on an output is replaced in phi */
 #define TRACKER_EARLY REAL(20.0)     /* samples up to which P grows with R */
-#define TRACKER_READINGS (REPEATS_WIDTH + 1)
 #define TRACKER_HALVINGS 30          /* 2^-30 of a step is none */
 
 /* Why a sample was declined. */
@@ -50,6 +49,20 @@ typedef struct {
     real alpha_sq, windup;               /* P is multiplied by it, up to this trace */
 } tracker_rule;
 
+/* What is learned of the readings, and for how many samples the sensor has been stuck. */
+typedef struct {
+    repeats_memory repeats;
+    real stuck;
+} tracker_readings;
+
+/* What is learned of R. */
+typedef struct {
+    real R, samples; /* and samples it stands on */
+    real mean;       /* of min(e^2, 4) where R is right */
+    real memory;     /* samples to remember; 0: R stays */
+    real rounding;   /* steps of the sensor */
+} tracker_scale;
+
 /* What moves; past signals newest first. */
 typedef struct {
     real *theta, *P;
@@ -59,9 +72,8 @@ typedef struct {
     real *undisturbed;        /* (nf) -w */
     real *prefiltered;        /* (max(nf, nd), n) past phi through 1/F */
     real *gradients;          /* (nc, n) derivatives of past predictions */
-    real *scale;              /* (5) R, samples it stands on, mean of min(e^2, 4), samples to remember; 0: R stays,
-                                 steps of the sensor */
-    real *readings;           /* (TRACKER_READINGS) of repeats.h, and for how many samples the sensor has been stuck */
+    tracker_scale *scale;
+    tracker_readings *readings;
 } tracker_state;
 
 typedef struct {
@@ -97,13 +109,13 @@ INLINE int tracker_is_far(const int n, const real nu, const real *RESTRICT phi, 
 }
 
 /* Note a reading that was not left out and what was not foreseen of it. */
-INLINE void tracker_note(const real y, const real nu, real *RESTRICT readings) {
+INLINE void tracker_note(const real y, const real nu, tracker_readings *const readings) {
     /* While a sensor was stuck it has told nothing of its habits. */
-    if (readings[REPEATS_WIDTH] > 0) readings[REPEATS_SELDOM] = real_abs(readings[REPEATS_SELDOM]);
-    readings[REPEATS_WIDTH] = 0;
-    repeats_note_reading(y, readings);
-    repeats_note_change(nu, readings);
-    readings[REPEATS_LEFT] = nu;
+    if (readings->stuck > 0) readings->repeats.seldom = real_abs(readings->repeats.seldom);
+    readings->stuck = 0;
+    repeats_note_reading(y, &readings->repeats);
+    repeats_note_change(nu, &readings->repeats);
+    readings->repeats.left = nu;
 }
 
 /* Put a value, or a row of n, in front of past ones; the oldest goes. */
@@ -183,15 +195,15 @@ INLINE void tracker_differentiate(const tracker_layout *const l, const int n, co
         for (int i = 0; i < n; i++) g[i] -= theta[l->c + k] * s->gradients[k * n + i];
 }
 
-/* R after one more innovation nu of variance S; scale as in tracker_state. */
-INLINE void tracker_follow(real *const scale, const real nu, const real S) {
-    const real share = scale[0] / S, early = real_min(1, 5 / (scale[1] + 1));
-    const real gain = share * real_max(REAL(1.5) / scale[3], early);
-    const real surprise = real_min(nu * nu / S, 4) / scale[2] - 1;
+/* R after one more innovation nu of variance S. */
+INLINE void tracker_follow(tracker_scale *const scale, const real nu, const real S) {
+    const real share = scale->R / S, early = real_min(1, 5 / (scale->samples + 1));
+    const real gain = share * real_max(REAL(1.5) / scale->memory, early);
+    const real surprise = real_min(nu * nu / S, 4) / scale->mean - 1;
     /* A plant at rest shows no noise in steps of its sensor, one that moves does. */
-    const real least = real_max(scale[4] * scale[4] / 12, 1 / REAL_ORDINARY / REAL_ORDINARY);
-    scale[0] = real_max(scale[0] * real_exp(gain * surprise), least);
-    scale[1] += share;
+    const real least = real_max(scale->rounding * scale->rounding / 12, 1 / REAL_ORDINARY / REAL_ORDINARY);
+    scale->R = real_max(scale->R * real_exp(gain * surprise), least);
+    scale->samples += share;
 }
 
 /* What a correction by a sharp sample left of P in the direction h is the difference of large numbers: write there what
@@ -247,19 +259,20 @@ INLINE int tracker_correct(const int n, const tracker_rule *const rule, const re
     return real_is_finite(check);
 }
 
-/* Take one sample: y, NaN where missing, and the inputs u; told is its R, NaN for the state's. work: tracker_work. */
+/* Take one sample: y, NaN where missing, and the inputs u; given: its R, NaN for the state's. work: tracker_work. */
 INLINE int tracker_step(const tracker_layout *const l, const int n, const tracker_rule *const rule,
-                        const tracker_state *const s, const real y, const real *u, const real told,
+                        const tracker_state *const s, const real y, const real *u, const real given,
                         tracker_sample *const sample, real *work) {
     real *const x = work, *const P = x + n, *const W = P + n * n, *const phi = W + 2 * n * n, *const g = phi + n;
     real *const chi = g + n, *const C = chi + n, *const rest = C + n; /* rest: 3 n */
     const int past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
     const int feeds_back = l->nf + l->nc > 0;
     const int filtered = rule->filtered && l->nf + l->nc + l->nd > 0;
-    const real r = told == told ? told : s->scale[0];
+    const real r = given == given ? given : s->scale->R;
     real trace = 0, predicted, S = r, before = 0, alone = 0, after, believed;
-    real grown = 1, tempered = 1, scale[5];
-    int known = y == y, again = 0, outlying = 0, sharp = 0, stuck = 0;
+    real grown = 1, tempered = 1;
+    tracker_scale scale = *s->scale;
+    int here = y == y, again = 0, outlying = 0, sharp = 0, stuck = 0;
     sample->refused = TRACKER_NOT_FINITE;
     tracker_regressor(l, s, u, phi);
     for (int i = 0; i < n; i++) trace += s->P[i * n + i];
@@ -280,14 +293,14 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     predicted = tracker_dot(n, phi, x);
     if (!(trace < REAL_MAX && real_abs(predicted) < REAL_ORDINARY)) return 0;
     sample->prediction = predicted;
-    if (rule->judges && known && repeats_again(y, r, s->readings))
-        stuck = s->readings[REPEATS_WIDTH] > 0 || tracker_is_far(n, y - predicted, phi, P, r);
+    if (rule->judges && here && repeats_again(y, r, &s->readings->repeats))
+        stuck = s->readings->stuck > 0 || tracker_is_far(n, y - predicted, phi, P, r);
     /* What is stuck counts as missing. */
-    known = known && !stuck;
-    sample->residual = known ? y - predicted : (real)NAN;
+    here = here && !stuck;
+    sample->residual = here ? y - predicted : (real)NAN;
     sample->weight = (real)NAN;
     sample->guard = 0;
-    if (rule->cleans && known) {
+    if (rule->cleans && here) {
         /* Where the outputs as measured explain this one and those put in their place do not, they were right. */
         real explained = predicted;
         for (int i = 0; i < l->na; i++) explained += (s->measured[i] - s->outputs[i]) * x[l->a + i];
@@ -317,7 +330,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         const real size = tracker_dot(n, g, g), prefiltered = l->nf ? tracker_dot(n, chi, chi) : 0;
         const real limit = TRACKER_LARGEST * TRACKER_LARGEST;
         if (!(size < limit && prefiltered < limit)) return 0;
-        sharp = rule->learns && known && !(size * trace <= TRACKER_SHARP * r);
+        sharp = rule->learns && here && !(size * trace <= TRACKER_SHARP * r);
         if (sharp && !rule->mends) {
             sample->refused = TRACKER_TOO_SHARP;
             return 0;
@@ -325,8 +338,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         if (sharp && size * trace > TRACKER_SHARPEST * r)
             tempered = real_sqrt(TRACKER_SHARPEST / size) * real_sqrt(r / trace);
     }
-    real_copy(5, s->scale, scale);
-    if (rule->learns && known) {
+    if (rule->learns && here) {
         const real nu = y - predicted;
         real own;
         for (int i = 0; i < n; i++) C[i] = tracker_dot(n, P + i * n, g);
@@ -342,27 +354,27 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
                              sharp ? (tempered < 1 ? rest : g) : NULL, sample, W))
             return 0;
         /* What vanishes beside R brings no information, as while input and output rest, and teaches no noise either. */
-        if (told != told && scale[3] > 0 && S + nu * nu != r) {
-            tracker_follow(scale, nu, S);
-            if (s->scale[1] < TRACKER_EARLY && scale[0] > r) grown = scale[0] / r;
+        if (given != given && scale.memory > 0 && S + nu * nu != r) {
+            tracker_follow(&scale, nu, S);
+            if (s->scale->samples < TRACKER_EARLY && scale.R > r) grown = scale.R / r;
         }
     }
     if (rule->learns && feeds_back) sample->guard = tracker_restrain(l, n, rule->guard, s->theta, x, rest);
     /* All is well: from here on the state changes. */
     after = tracker_dot(n, phi, x);
-    believed = known && !(rule->cleans && outlying) ? y : tracker_bounded(predicted);
+    believed = here && !(rule->cleans && outlying) ? y : tracker_bounded(predicted);
     for (int i = l->na; i < l->c; i++) alone += phi[i] * x[i];
     for (int i = 0; i < l->c; i++) before += phi[i] * x[i];
     before = tracker_bounded(before);
-    if (stuck) s->readings[REPEATS_WIDTH] += 1;
-    else if (rule->judges && known) tracker_note(y, y - predicted, s->readings);
+    if (stuck) s->readings->stuck += 1;
+    else if (rule->judges && here) tracker_note(y, y - predicted, s->readings);
     tracker_push(l->nf, s->undisturbed, -tracker_bounded(alone));
     if (again) real_copy(past, s->measured, s->outputs);
     tracker_push(l->na, s->outputs, -believed);
     tracker_push(l->nd, s->outputs + l->na, before - believed);
-    tracker_push(l->na, s->measured, known ? -y : -tracker_bounded(predicted));
-    tracker_push(l->nd, s->measured + l->na, before - (known ? y : tracker_bounded(predicted)));
-    tracker_push(l->nc, s->residuals, known ? tracker_bounded(believed - after) : 0);
+    tracker_push(l->na, s->measured, here ? -y : -tracker_bounded(predicted));
+    tracker_push(l->nd, s->measured + l->na, before - (here ? y : tracker_bounded(predicted)));
+    tracker_push(l->nc, s->residuals, here ? tracker_bounded(believed - after) : 0);
     for (int i = l->length - 1; i > 0; i--) s->inputs[i] = s->inputs[i - 1];
     for (int i = 0; i < l->starts; i++) s->inputs[l->start[i]] = tracker_input(l, i, u);
     if (filtered) {
@@ -371,7 +383,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     }
     real_copy(n, x, s->theta);
     for (int i = 0; i < n * n; i++) s->P[i] = grown == 1 ? P[i] : P[i] * grown;
-    for (int i = 0; i < 2; i++) s->scale[i] = scale[i];
+    *s->scale = scale;
     return 1;
 }
 

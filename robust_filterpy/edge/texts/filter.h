@@ -56,12 +56,12 @@ $?expected     ${name}_real expected; /* E[psi'], which belongs to the psi above
 typedef struct {
     ${name}_real x[$n];
     ${name}_real P[$n * $n]; /* covariance of x, symmetric */
-$?learns     ${name}_real memory[$m * $width]; /* what is usual of each sensor's innovations */
-$?copies     /* The copies that x and P are merged from; who writes x or P writes them all. */
-$?copies     ${name}_real means[$copies * $n];
-$?copies     ${name}_real covariances[$copies * $n * $n];
-$?copies     ${name}_real belief[$parts * $n]; /* for each state: how likely each copy, a jump; part */
-$?mixes     ${name}_real memory[$m * $width]; /* what is known of each sensor; the first is the factor of its R */
+$?learns     ${name}_real memory[$m * $width]; /* of each sensor's typical innovations */
+$?models     /* The models that x and P are merged from; who writes x or P writes them all. */
+$?models     ${name}_real means[$models * $n];
+$?models     ${name}_real covariances[$models * $n * $n];
+$?models     ${name}_real belief[$parts * $n]; /* for each state: how likely each model, a jump; part */
+$?mixes     ${name}_real memory[$m * $width]; /* of each sensor; the first is the factor of its R */
 } ${name}_state;
 
 /* What an update found of each component. */

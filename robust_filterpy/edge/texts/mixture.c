@@ -1,7 +1,7 @@
 $include classes.c
-#define COPIES $copies
+#define MODELS $models
 
-static learnt_state copies_of(${name}_state *const state)
+static learnt_state models_of(${name}_state *const state)
 {
     const learnt_state s = {state->means, state->covariances, state->belief, state->memory};
     return s;
@@ -11,14 +11,14 @@ ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$
 {
     ${name}_state next;
     learnt_state s;
-    real work[learnt_predict_work(N, COPIES)];
+    real work[learnt_predict_work(N, MODELS)];
 $?inputs     real control[N] = {0};
     if ((model == NULL) || (state == NULL)) {
         return ${NAME}_BAD_ARGUMENT;
     }
 $?inputs $include control.c
     next = *state;
-    s = copies_of(&next);
+    s = models_of(&next);
     if (!learnt_has_parts(N, &rule, &s)) {
         return ${NAME}_BAD_ARGUMENT;
     }
@@ -35,7 +35,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
 {
     ${name}_state next;
     learnt_state s;
-    real work[learnt_correct_work(N, M, COPIES, CLASSES)], weights[M], outlying[M], likelihood = 0;
+    real work[learnt_correct_work(N, M, MODELS, CLASSES)], weights[M], outlying[M], likelihood = 0;
     if ((model == NULL) || (state == NULL) || (z == NULL)) {
         return ${NAME}_BAD_ARGUMENT;
     }
@@ -45,7 +45,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
         }
     }
     next = *state;
-    s = copies_of(&next);
+    s = models_of(&next);
     if (!learnt_has_parts(N, &rule, &s)) {
         return ${NAME}_BAD_ARGUMENT;
     }

@@ -18,7 +18,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
     tracker_state next = {0};
     tracker_sample found = {0};
     real work[tracker_work(N)];
-    real scale[5];
+    tracker_scale scale;
     if ((model == NULL) || (state == NULL) || ($inputs > 0 && u == NULL) || (real_abs(y) > REAL_MAX)) {
         return ${NAME}_BAD_ARGUMENT;
     }
@@ -35,23 +35,16 @@ $?moves     how.F = model->F;
 $?fades     how.alpha_sq = model->alpha_sq;
 $?fades     how.windup = model->windup;
 $fields
-$!follows     scale[0] = model->R;
-$!follows     scale[1] = 0;
-$!follows     scale[2] = 1;
-$!follows     scale[3] = 0;
-$!follows     scale[4] = 0;
-$?follows     scale[0] = state->R;
-$?follows     scale[1] = state->R_samples;
-$?follows     scale[2] = model->R_mean;
-$?follows     scale[3] = model->R_memory;
-$?follows     scale[4] = model->R_rounding;
-    next.scale = scale;
+$?has_readings     next.readings = (tracker_readings *)state->readings;
+$!follows     scale = (tracker_scale){model->R, 0, 1, 0, 0};
+$?follows     scale = (tracker_scale){state->R, state->R_samples, model->R_mean, model->R_memory, model->R_rounding};
+    next.scale = &scale;
     y = ((y == y) ? tracker_bounded(y) : y)$minus_centre;
     if (!tracker_step(&layout, N, &how, &next, y, u, (real)NAN, &found, work)) {
         return refusals[found.refused];
     }
-$?follows     state->R = scale[0];
-$?follows     state->R_samples = scale[1];
+$?follows     state->R = scale.R;
+$?follows     state->R_samples = scale.samples;
     if (sample != NULL) {
         sample->prediction = found.prediction$plus_centre;
         sample->residual = found.residual;

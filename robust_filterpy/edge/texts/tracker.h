@@ -59,7 +59,7 @@ $?has_theta     ${name}_real theta[$has_theta]; /* the parameters */
 $?has_P     ${name}_real P[$has_P]; /* their covariance, symmetric */
 $?follows     ${name}_real R; /* variance of the ordinary noise */
 $?has_R_samples     ${name}_real R_samples; /* how many samples R stands on */
-$?has_readings     ${name}_real readings[$has_readings]; /* what is known of the steps of y */
+$?has_readings     ${name}_real readings[$has_readings]; /* of the steps of y */
 $?has_outputs     ${name}_real outputs[$has_outputs]; /* outputs, then disturbances, as they stand in phi, with their minus sign */
 $?has_measured     ${name}_real measured[$has_measured]; /* the same, as they were measured */
 $?has_inputs     ${name}_real inputs[$has_inputs]; /* inputs */
