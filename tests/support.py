@@ -128,6 +128,21 @@ def cart():
     )  # fmt: skip
 
 
+def white(h, q):
+    """F and Q of a speed that white noise moves, over a time h."""
+    return np.array([[1.0, h], [0.0, 1.0]]), q * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+
+
+def mover(kind, R=1.0, H=((1.0, 0.0),), h=1.0, q=1e-3, P=10.0, x=0.0):
+    """A filter of a position that moves at a speed; other states that H names stand still."""
+    H = np.array(H)
+    kf = kind(H.shape[1], len(H))
+    kf.F, kf.Q = white(h, q) if H.shape[1] == 2 else (np.eye(H.shape[1]), np.diag([1e-3, 1e-3, 1e-6]))
+    kf.H, kf.R, kf.P, kf.x = H, R * np.eye(len(H)), P * np.eye(H.shape[1]), np.zeros((H.shape[1], 1))
+    kf.x[0] = x
+    return kf
+
+
 def paper_problem(P0=0.1):
     """The state-estimation problem of the paper, equations 31-34, from P(0|0) = P0 I."""
     return Problem(
