@@ -99,12 +99,6 @@ def test_the_kernel_is_the_definition(monkeypatch, seed):
                 np.testing.assert_allclose(a, b, rtol=0.0, atol=far * (1e-9 + size), err_msg=name)
 
 
-def test_results_that_were_not_wanted_take_no_room(form):
-    model, weighting = problem(5)
-    assert smoothing_pass(model, weighting, spread=False).spread.shape == (1, 0, 2, 2)
-    assert smoothing_pass(model, weighting).x.shape == (1, 0, 3)
-
-
 def test_writing_over_an_earlier_result_changes_no_number(form):
     model, weighting = problem(3)
     fresh = smoothing_pass(model, weighting, states=True)
