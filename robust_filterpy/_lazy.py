@@ -19,6 +19,7 @@ _GONE = {
     "tune": "kf = estimate_noise(kf, zs).apply(kf) fits a filter's noises, noise=Learnt() learns them while it runs",
     "check_tracker": "draw('arx', ..), run_tracker(tracker, scenario), assert_tracks and its like test a tracker",
     "mean_square_error": "((x_hat - x) ** 2).sum(axis=2).mean(axis=0), of arrays (runs, steps, n)",
+    "step_table": "fleet.step(model, states, table, key=\"device\")",
     "batch": "filter_series is in robust_filterpy, and in robust_filterpy.filters",
     "FilterBank": "filter_series(z[:, None], .., state=result.state) takes one step of many filters",
 }

@@ -13,8 +13,8 @@ from robust_filterpy._lazy import elsewhere
 from robust_filterpy._state import pack, unpack
 from robust_filterpy.fleet.models import FilterModel, TrackerModel
 from robust_filterpy.fleet.states import States
-from robust_filterpy.fleet.table import filter_table, step, step_table
+from robust_filterpy.fleet.table import filter_table, step
 
-__all__ = ["FilterModel", "States", "TrackerModel", "filter_table", "pack", "step", "step_table", "unpack"]
+__all__ = ["FilterModel", "States", "TrackerModel", "filter_table", "pack", "step", "unpack"]
 
 __getattr__ = elsewhere(__name__)

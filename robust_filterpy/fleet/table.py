@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -79,9 +78,6 @@ def filter_table(model: Model, table: Any, *, key: str = "device", sort: bool = 
     >>> found["error"][3]
     "device 'b': time: expected a sample later than the one at 1, got 1, a duplicate"
     """
-    if isinstance(table, Model):
-        warnings.warn("filter_table: expected the model first, as in step", DeprecationWarning, stacklevel=2)
-        model, table = table, model
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
     output = _taken(model, None, table, key, sort, whole=True)[1]
@@ -181,23 +177,6 @@ def step(
         raise _state.StateError(outcome.refused[0])
     after = States(model.label, [], outcome.entries).row(0) if outcome.moved[0] else None
     return after, _output(model, rows, outcome)
-
-
-def step_table(model: Model, states: Any, table: Any, *, key: str = "device", sort: bool = False) -> tuple[States, Any]:
-    """Do what ``step(model, states, table, key=key, sort=sort)`` does, for one release.
-
-    Parameters
-    ----------
-    model, states, table, key, sort
-        As in `step`.
-
-    Returns
-    -------
-    states, output
-        As in `step`.
-    """
-    warnings.warn("step_table: use step(model, states, table, key=..)", DeprecationWarning, stacklevel=2)
-    return step(model, states, table, key=key, sort=sort)
 
 
 def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: bool = False) -> tuple[States, Any]:

@@ -92,25 +92,18 @@ def _each_a_step(times: Array, starts: np.ndarray, clocks: Clocks, dt: float | N
     """Return for which keys every sample is the next step, and which the last one is; all keys at once."""
     counts, first = np.diff(starts), starts[:-1]
     filled = counts > 0
-    before = clocks.last if dt is None else np.where(np.isnan(clocks.step), -1.0, clocks.step)
-    if dt is None:
-        place = times
-        good = np.diff(place, prepend=np.nan) > 0.0
-    else:
-        place = (times - np.repeat(clocks.origin, counts)) / dt
-        near = np.rint(place)
-        still = np.abs(place - near) <= _STILL
-        place = near
-        good = still & (np.diff(place, prepend=np.nan) == 1.0)
-    begins = first[filled]
-    if dt is None:
-        good[begins] = ~np.isnan(times[begins]) & ~(times[begins] <= before[filled])
-    else:
-        good[begins] = still[begins] & (place[begins] - before[filled] == 1.0)
+    place = times if dt is None else (times - np.repeat(clocks.origin, counts)) / dt
+    near = times if dt is None else np.rint(place)
+    before = np.concatenate(([np.nan], near[:-1]))
+    stood = clocks.last if dt is None else np.where(np.isnan(clocks.step), -1.0, clocks.step)
+    before[first[filled]] = stood[filled]
+    # Without a grid nothing comes before the first time; on one its first place is 0.
+    good = ~(near <= before) & ~np.isnan(near) if dt is None else near - before == 1.0
+    good &= np.abs(place - near) <= _STILL
     quick = np.ones(len(counts), dtype=bool)
-    quick[filled] = np.logical_and.reduceat(good, begins)
+    quick[filled] = np.logical_and.reduceat(good, first[filled])
     finals = clocks.step.copy()
-    finals[filled] = place[starts[1:][filled] - 1] if dt is not None else np.nan
+    finals[filled] = np.nan if dt is None else near[starts[1:][filled] - 1]
     return quick, finals
 
 

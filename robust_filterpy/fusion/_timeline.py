@@ -192,6 +192,8 @@ class Timeline:
 
 _KINDS = ("", "numbers", "instants")
 _NANO = 1_000_000_000
+# Arrays with a row for each stamp, or of a length of their own.
+_LISTS = ("base", "keys", "z", "controls", "controlled", "spoke", "moments", "doubt")
 # As `arrays` gives them.
 _ARRAYS = ("means", "covariances", "belief", "memory", "x", "P", "sizes", "u", "trial")
 # Fields of a `Watch` that are stamps.
@@ -227,42 +229,36 @@ def state_of(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str,
 def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Timeline, Clock, Any]:
     """Return what a state says, for a fusion made like this one, or raise."""
     _state.require_kind(given, "Fusion")
-    layout, base = like.setup.layout, like.base.state
-    policy, M, p, names = like.setup.policy, layout.size, like.setup.motion.dim_u, layout.names
+    policy, names = like.setup.policy, like.setup.layout.names
+    # What a fusion gives that is made like this one and has read nothing says which arrays there are, and their shapes.
+    empty = Timeline(like.setup, begun(like.setup, like.base.state.x, like.base.state.P), like.window, like.history)
+    pattern = state_of(empty, Clock(), {name: dict.fromkeys(outcomes, 0) for name in names}, outcomes)
     needed: dict[str, _state.Shape] = {
-        **{name: part.shape for name, part in zip(_ARRAYS, arrays(policy, base), strict=True)}, "kind": (),
-        "base": (None, 2), "keys": (None, 2), "z": (None, M),
-        "controls": (None, p), "controlled": (None,), "spoke": (None, len(names)), "earlier_known": (len(names),),
-        "earlier": (len(names), 2), "counts": (len(names), len(outcomes)),
+        name: (None, *part.shape[1:]) if name in _LISTS else part.shape
+        for name, part in pattern.items() if name != _state.LABEL
     }  # fmt: skip
-    if like.setup.watches:
-        needed["moments"] = (None, _row(_parts(like.setup, like.base)).size)
-    elif "moments" in given:
-        raise _state.StateError("state: expected one of a fusion that does not watch, got one of watch=True")
-    if like.setup.reacquire is not None:
-        needed["doubt"] = (None,)
-    elif "doubt" in given:
-        raise _state.StateError("state: expected one of a fusion without reacquire, got one with it")
+    for name, otherwise in (("moments", "that does not watch, got one of watch=True"),
+                            ("doubt", "without reacquire, got one with it")):  # fmt: skip
+        if name in given and name not in needed:
+            raise _state.StateError(f"state: expected one of a fusion {otherwise}")
     got = _state.checked(given, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
-    entries = len(got["keys"])
-    if like.setup.watches and not 1 <= len(got["moments"]) <= entries + 1:
-        raise _state.StateError(f"state: expected at most {entries + 1} moments and one, got {len(got['moments'])}")
-    if any(len(got[name]) != entries for name in ("z", "controls", "controlled", "spoke")) or len(got["base"]) > 1:
-        raise _state.StateError("state: expected as many z, controls and spoke as keys, and at most one base")
-    if got["kind"] not in range(3):
-        raise _state.StateError(f"state: expected kind 0, 1 or 2, got {got['kind']}")
-    if (got["sizes"] <= 0.0).any() or (got["counts"] < 0.0).any():
-        raise _state.StateError("state: expected sizes > 0 and counts >= 0, got less")
+    entries, stamps = len(got["keys"]), np.vstack([got["keys"], got["base"], got["earlier"]])
+    for good, expected in (
+        (not like.setup.watches or 1 <= len(got["moments"]) <= entries + 1, f"at most {entries + 1} moments and one"),
+        (all(len(got[name]) == entries for name in ("z", "controls", "controlled", "spoke")) and len(got["base"]) < 2,
+         "as many z, controls and spoke as keys, and at most one base"),
+        (got["kind"] in range(3), f"kind 0, 1 or 2, got {got['kind']}"),
+        (not (got["sizes"] <= 0.0).any() and (got["counts"] >= 0.0).all(), "sizes > 0 and counts >= 0, got less"),
+    ):  # fmt: skip
+        if not good:
+            raise _state.StateError(f"state: expected {expected}")
     if np.isnan(got["controls"][got["controlled"] != 0.0]).any():
         raise _state.StateError("state: expected a control of every entry that is controlled, got NaN")
-    stamps = np.vstack([got["keys"], got["base"], got["earlier"]])
     if got["kind"] == 2 and (np.abs(stamps) > (2**63 - 1) // _NANO).any():
         raise _state.StateError("state: expected stamps that nanoseconds hold, got larger ones")
     clock = Clock(_KINDS[int(got["kind"])])
     keys, start = _joined(got["keys"], clock.kind), _joined(got["base"], clock.kind)
-    if any(b <= a for a, b in zip(start[:1] + keys[:-1], keys, strict=False)) and (start[:1] + keys) != sorted(
-        set(start[:1]) | set(keys)
-    ):
+    if any(later <= earlier for earlier, later in pairwise(keys)) or (start and keys and keys[0] < start[0]):
         raise _state.StateError("state: expected keys that ascend, after base")
     try:
         stood = of_arrays(policy, [got[name] for name in _ARRAYS])

@@ -1,6 +1,5 @@
 """Whatever messages come, in whatever order, at every entry: nothing raises, and the clean devices do not notice."""
 
-import copy
 import datetime
 import decimal
 import json
@@ -12,7 +11,7 @@ from test_engines import Store
 from test_state import FILTERS
 
 from robust_filterpy import ARX
-from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
+from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, step, unpack
 from robust_filterpy.fleet.stream import StreamStep
 
 pd = pytest.importorskip("pandas")
@@ -206,23 +205,6 @@ def test_a_message_before_which_the_stream_failed_for_ever_is_one_message():
     for odd in (None, "tombstone", [1, 2], 3.0, b"bytes"):
         assert "expected a mapping" in taken(odd, store)["error"]
     assert taken({"t": 100.0, "z": 0.0}, store)["error"] == "refused before this sample: 5, in the batches before"
-
-
-def test_states_that_are_none_cost_their_keys():
-    model, rng = MODELS["grid"], np.random.default_rng(1)
-    state = step(model, None, [[0.0, 1.0]])[0]
-    spoilt = {name: copy.copy(state) for name in "abcdef"}
-    spoilt["b"], spoilt["c"], spoilt["d"] = 3.0, None, "text"
-    spoilt["e"] = {**state, "x": np.array(["a", "b"])}
-    spoilt["f"] = {**state, "P": 3.0}
-    table = pd.DataFrame({"device": list("abcdefg"), "t": 1.0, "z": rng.normal(size=7)})
-    states, found = step(model, spoilt, table, key="device")
-    assert found["error"].notna().tolist() == [False, True, True, True, True, True, False]
-    equal(found["x0"][[0]], step(model, state, [[1.0, table["z"][0]]])[1]["x0"])
-    for name in "bcdef":
-        assert states[name] is spoilt[name]
-    store = Store(robust_filterpy=pack(state)[:-1] + b"0")
-    assert "damaged" in StreamStep(model)({"t": 1.0, "z": 1.0}, store)["error"]
 
 
 def test_a_shuffled_table_a_column_of_text_and_a_path_are_said():

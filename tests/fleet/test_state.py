@@ -296,25 +296,6 @@ def test_every_damage_is_seen():
         unpack("text")
 
 
-def test_who_reads_while_another_writes_has_a_whole_state_or_is_refused():
-    states = []
-    for z in (1.0, 2.0):
-        kf = linear(RobustKalmanFilter)()
-        kf.update([z])
-        states.append(pack(kf.state()))
-    old, new = states
-    assert len(old) == len(new)
-    whole = {old, new}
-    for at in range(0, len(old) + 1, 7):
-        torn = new[:at] + old[at:]
-        if torn not in whole:
-            with pytest.raises(ValueError, match="damaged"):
-                unpack(torn)
-        if at < len(new):
-            with pytest.raises(ValueError, match=r"damaged|cut off"):
-                unpack(new[:at])
-
-
 def test_a_newer_format_is_not_unpacked_and_pickles_never_are():
     state = FILTERS["linear"]().state()
     with pytest.raises(ValueError, match="newer robust_filterpy"):

@@ -16,7 +16,7 @@ from test_state import FILTERS, F, extended, observe, recording, signals
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
 from robust_filterpy._state import StateError
-from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, step_table, unpack
+from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
 from robust_filterpy.fleet.states import _ragged
 from robust_filterpy.fleet.stream import StreamStep
 from robust_filterpy.identification import ARMA, FIR
@@ -130,18 +130,6 @@ def test_a_filter_with_inputs_gives_its_own_numbers():
     assert state["x"].shape == (2, 1)
 
 
-def test_a_tracker_gives_its_own_numbers():
-    y, u = signals()
-    model = TrackerModel(ARX(2, 1), {"start": 60})
-    _, output = step(model, None, np.column_stack((y, u)))
-    # Sample by sample: a whole recording shows which values are its fill values, and a batch does not.
-    tracker = ParameterTracker(ARX(2, 1), start=60)
-    rows = [tracker.run(y[k : k + 1], u[k : k + 1]) for k in range(len(y))]
-    theta, prediction = (np.concatenate([getattr(row, name) for row in rows]) for name in ("theta", "prediction"))
-    np.testing.assert_allclose(np.column_stack([output[name] for name in ("a1", "a2", "b1")]), theta, rtol=1e-6)
-    np.testing.assert_allclose(output["prediction"], prediction, rtol=1e-6, atol=1e-9)
-
-
 # Forms of a batch.
 
 
@@ -163,16 +151,6 @@ def test_array_frame_and_arrow_table_are_the_same_batch():
     batch_state, found = step(model, None, pa.RecordBatch.from_pandas(frame))
     same(batch_state, state)
     assert type(found) is pa.RecordBatch
-
-
-def test_dates_are_times():
-    z = np.arange(5.0)
-    model = FilterModel(FILTERS["linear"](), time="t", measurements=["z"], dt=60.0)
-    minutes = pd.date_range("2026-01-01", periods=6, freq="min", tz="UTC").delete(3)
-    state, output = step(model, None, pd.DataFrame({"t": minutes, "z": z}))
-    expected = step(FilterModel(FILTERS["linear"]()), None, np.array([0.0, 1.0, 2.0, np.nan, 3.0, 4.0])[:, None])[1]
-    np.testing.assert_array_equal(output["x0"], expected["x0"][[0, 1, 2, 4, 5]])
-    assert state["time"] == minutes[-1].timestamp()
 
 
 # Times.
@@ -269,15 +247,6 @@ def test_a_grid_is_measured_from_its_beginning_and_follows_a_clock_that_drifts()
     for period in (1.2, 1.45, 2.5):
         lost, steps = refused(period * np.arange(n))
         assert abs(steps - period * (n - 1)) <= 3.0 and lost < 0.6 * n
-
-
-def test_a_speed_is_not_that_of_another_period():
-    kf = RobustKalmanFilter(2, 1)
-    kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 1e-6 * np.eye(2)
-    kf.R, kf.P = 0.01 * np.eye(1), 100.0 * np.eye(2)
-    t = 1.2 * np.arange(300)
-    _, output = step(FilterModel(kf, time="t", dt=1.0), None, np.column_stack((t, 3.0 * t)))
-    assert abs(output["x1"][~np.isnan(output["x1"])][-1] - 3.0) < 0.05
 
 
 def test_milliseconds_are_noticed():
@@ -690,18 +659,6 @@ def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
     assert other.x0.notna().all() and other.error.isna().all()
     assert lost.x0.iloc[:5].notna().all() and lost.x0.iloc[-1:].isna().all()
     assert "state: P: expected a positive semidefinite matrix" in lost.error.iloc[-1]
-
-
-def test_the_names_and_the_order_of_before_serve_for_one_release_and_say_so():
-    model = FilterModel(RobustKalmanFilter(1, 1))
-    table = pd.DataFrame({"device": ["a", "b", "a"], "z": [0.1, 0.2, 0.3]})
-    with pytest.warns(DeprecationWarning, match=r"step\(model, states, table, key=\.\.\)"):
-        states, found = step_table(model, None, table)
-    now, expected = step(model, None, table, key="device")
-    pd.testing.assert_frame_equal(found, expected)
-    assert list(states) == list(now)
-    with pytest.warns(DeprecationWarning, match="model first"):
-        pd.testing.assert_frame_equal(filter_table(table, model), filter_table(model, table))
 
 
 @pytest.mark.parametrize("options", [{"start": 0}, {"start": 0, "regressor": "cleaned", "offset": True}])

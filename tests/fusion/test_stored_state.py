@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from robust_filterpy.fusion import Fusion, Reacquisition, Sensor, constant_velocity
 
@@ -22,3 +23,19 @@ def test_a_fusion_goes_on_from_a_stored_state():
     estimate = fusion.estimate(13.0)
     np.testing.assert_allclose(estimate.x, x, rtol=1e-9)
     np.testing.assert_allclose(estimate.P, P, rtol=1e-9)
+
+
+@pytest.mark.parametrize("options", [{}, {"watch": True}, {"reacquire": Reacquisition()}])
+def test_a_fusion_whose_first_reading_is_of_its_start_goes_on_from_its_state(options):
+    def made():
+        return Fusion(constant_velocity(1), {"gps": Sensor([1.0, 0.0], R=1.0)}, 5.0, t0=0.0, **options)
+
+    fusion, other = made(), made()
+    for t in (0.0, 1.0):
+        fusion.observe("gps", t, 2.0 * t)
+    state = fusion.state()
+    other.restore(state)
+    assert other.estimate().x.tobytes() == fusion.estimate().x.tobytes() and other.counts == fusion.counts
+    for keys in (state["keys"][::-1], state["keys"] - [1.0, 0.0]):
+        with pytest.raises(ValueError, match="keys that ascend, after base"):
+            made().restore({**state, "keys": keys})

@@ -61,16 +61,6 @@ def test_a_clock_that_jumps_back_and_a_burst_past_the_window_are_refused_counted
     assert fusion.counts["b"]["refused"] == 79 and fusion.counts["a"]["refused"] == 1
 
 
-def test_a_renamed_sensor_and_other_values_in_a_duplicate_are_refused():
-    fusion = made()
-    fusion.observe("a", 0.0, 1.0)
-    with pytest.raises(ValueError, match=r"expected one of \['a', 'b'\], got 'A'"):
-        fusion.observe("A", 1.0, 1.0)
-    with pytest.raises(ValueError, match="replace=True if it is a correction"):
-        fusion.observe("a", 0.0, 2.0)
-    assert fusion.counts["a"]["taken"] == 1 and fusion.observe("a", 0.0, 1.0) == "duplicate"
-
-
 def test_when_all_are_silent_all_are_said_to_be_and_P_grows():
     fusion = made(watch=True)
     for k in range(50):
