@@ -17,7 +17,7 @@ from robust_filterpy import ARX, Contaminated, OutputError, ParameterTracker
 from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import LostTrackerWarning
 from robust_filterpy.plants import simulate_output_error
-from robust_filterpy.plants.drift import random_walk, stable
+from robust_filterpy.plants.linear import random_walk, stable
 from robust_filterpy.plotting import LOOKS
 
 HERE = Path(__file__).parent

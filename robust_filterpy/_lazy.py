@@ -33,7 +33,7 @@ _HOMES = (
     "identification.models.grey_box GreyBoxModel", "identification.models.regressor Coefficients",
     "identification.models.results TrackingResult",
     "identification.models.state_space StateSpaceModel", "identification.models.structures Structure",
-    "influence.functions Influence", "plants.drift random_walk stable", "plants.linear Simulation",
+    "influence.functions Influence", "plants.linear Simulation random_walk stable",
     "plants.excitation.signals bandlimited_pink_spectrum sample_autocovariance",
     "plants.servo.parameters beta_coefficient", "plants.servo.linearization linearize_servo",
     "plants.servo.position_loop simulate_actuator", "plants.servo.equations valve_opening",

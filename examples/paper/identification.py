@@ -20,8 +20,7 @@ from robust_filterpy.identification import LostTrackerWarning, OutputError, Para
 from robust_filterpy.influence import Linear
 from robust_filterpy.noise import fisher_information
 from robust_filterpy.plants import THETA_BAR, simulate_output_error
-from robust_filterpy.plants.drift import random_walk, stable
-from robust_filterpy.plants.linear import Simulation
+from robust_filterpy.plants.linear import Simulation, random_walk, stable
 
 STEPS = 1000
 KALMAN, KALMAN_TOTAL, LABELS = "Kalman, R nominal", "Kalman, R of all noise", "Kalman, outliers known"

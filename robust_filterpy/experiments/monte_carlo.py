@@ -103,28 +103,24 @@ def run_numbers(runs: int | Iterable[int]) -> list[int]:
 
 def stack_leaves(values: Sequence[Any], indices: NDArray[np.intp], name: str) -> Any:
     """Stack one branch of the results; name says where it is."""
-    first = values[0]
-    parts = _parts(first)
-    if parts is None:
-        leaves = [np.asarray(value) for value in values]
-        for leaf, index in zip(leaves, indices, strict=True):
-            if leaf.shape != leaves[0].shape:
-                raise ValueError(
-                    f"{name}: expected equal shapes, run {indices[0]} has {leaves[0].shape} and run {index} has "
-                    f"{leaf.shape}; work on .results instead"
-                )
-        return np.stack(leaves)
-    for value, index in zip(values, indices, strict=True):
-        other = _parts(value)
-        if type(value) is not type(first) or other is None or other.keys() != parts.keys():
+    parts = [_parts(value) for value in values]
+    leaves = [np.asarray(value) for value in values] if parts[0] is None else []
+    kinds: list[Any] = [leaf.shape for leaf in leaves] or [
+        type(value).__name__ + ("" if part is None else f" with {list(part)}")
+        for value, part in zip(values, parts, strict=True)
+    ]
+    for kind, index in zip(kinds, indices, strict=True):
+        if kind != kinds[0]:
             raise ValueError(
-                f"{name}: expected the same structure in all runs, run {indices[0]} has {_describe(first)} and "
-                f"run {index} has {_describe(value)}"
+                f"{name}: expected equal {'shapes' if leaves else 'structures'} in all runs, run {indices[0]} has "
+                f"{kinds[0]} and run {index} has {kind}; work on .results instead"
             )
-    rows = [_parts(value) for value in values]
-    stacked = {key: stack_leaves([row[key] for row in rows if row], indices, f"{name}[{key!r}]") for key in parts}
-    if isinstance(first, tuple):
-        return type(first)(*stacked.values()) if hasattr(first, "_fields") else tuple(stacked.values())
+    if leaves:
+        return np.stack(leaves)
+    stacked = {key: stack_leaves([part[key] for part in parts if part], indices, f"{name}[{key!r}]")
+               for key in parts[0] or ()}  # fmt: skip
+    if isinstance(values[0], tuple):
+        return type(values[0])(*stacked.values()) if hasattr(values[0], "_fields") else tuple(stacked.values())
     return stacked
 
 
@@ -134,15 +130,7 @@ def _parts(value: Any) -> dict[Any, Any] | None:
         return dict(value)
     if isinstance(value, tuple):
         return dict(zip(getattr(value, "_fields", range(len(value))), value, strict=True))
-    if dataclasses.is_dataclass(value):
-        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    return None
-
-
-def _describe(value: Any) -> str:
-    """Name a branch's type and keys."""
-    parts = _parts(value)
-    return type(value).__name__ + ("" if parts is None else f" with {list(parts)}")
+    return dict(vars(value)) if dataclasses.is_dataclass(value) else None
 
 
 class Failure(NamedTuple):

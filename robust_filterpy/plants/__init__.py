@@ -1,7 +1,6 @@
 """Plants to test estimators on, and what drives them: linear ones that may drift, inputs, a pneumatic servo.
 
-* `linear`: ARX and output-error data from a transfer function or from drifting parameters; its orders.
-* `drift`: parameters on a random walk that stays stable.
+* `linear`: ARX and output-error data from a transfer function or parameters, which may drift and stay stable.
 * `excitation`: inputs with a prescribed spectrum.
 * `servo`: the pneumatic servo of the paper's section 2.
 
@@ -12,8 +11,7 @@ test of stability.
 from __future__ import annotations
 
 from robust_filterpy._lazy import elsewhere
-from robust_filterpy.plants.drift import THETA_BAR
-from robust_filterpy.plants.linear import simulate_arx, simulate_output_error
+from robust_filterpy.plants.linear import THETA_BAR, simulate_arx, simulate_output_error
 
 __all__ = ["THETA_BAR", "simulate_arx", "simulate_output_error"]
 

@@ -13,7 +13,7 @@ from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.identification import ARX, FIR, OutputError
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.plants import simulate_arx, simulate_output_error
-from robust_filterpy.plants.drift import stable
+from robust_filterpy.plants.linear import stable
 
 
 class Recording(NamedTuple):

@@ -22,8 +22,8 @@ from robust_filterpy.identification.recursive.tracker import GRADIENTS
 from robust_filterpy.influence import Linear
 from robust_filterpy.noise import fisher_information
 from robust_filterpy.plants import THETA_BAR, simulate_output_error
-from robust_filterpy.plants.drift import random_walk, stable
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
+from robust_filterpy.plants.linear import random_walk, stable
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 SIGMA = 0.5

@@ -26,7 +26,7 @@ from statsmodels.tsa.arima.model import ARIMA
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.identification import ARMA, BoxJenkins, select_structure, validate
 from robust_filterpy.plants import simulate_output_error
-from robust_filterpy.plants.drift import random_walk, stable
+from robust_filterpy.plants.linear import random_walk, stable
 
 ORDERS, DELAYS = (1, 2, 3, 4), range(1, 9)
 

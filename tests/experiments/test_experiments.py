@@ -296,10 +296,10 @@ def test_stacking_keeps_the_structure():
 
 def test_stacking_names_what_does_not_fit():
     shapes = monte_carlo(lambda rng: {"x": np.zeros(rng.integers(1, 9))}, 8)
-    with pytest.raises(ValueError, match=r"result\['x'\]: expected equal shapes, run 0 has"):
+    with pytest.raises(ValueError, match=r"result\['x'\]: expected equal shapes in all runs, run 0 has"):
         shapes.stacked()
     structures = monte_carlo(lambda rng: {f"{rng.integers(9)}": 1.0}, 8)
-    with pytest.raises(ValueError, match="same structure in all runs, run 0 has dict with"):
+    with pytest.raises(ValueError, match="equal structures in all runs, run 0 has dict with"):
         structures.stacked()
     with pytest.warns(RuntimeWarning):
         none = monte_carlo(lambda rng: 1 / 0, 2)

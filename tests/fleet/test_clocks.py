@@ -90,15 +90,6 @@ def test_a_device_whose_clock_is_wrong_is_named_among_others():
         assert filter_table(model(), table)["error"].isna().all()
 
 
-def test_a_table_of_states_keeps_what_was_refused():
-    states, costs = None, 0
-    for t in [DAY, *range(10)]:
-        sample = pd.DataFrame({"device": ["a"], "t": [float(t)], "z": [1.0]})
-        states, output = step(model(), states, sample, key="device")
-        costs += int(np.isnan(output["x0"][0]))
-    assert costs == 4
-
-
 @pytest.mark.parametrize("fill", [-9999.0, 1e7])
 def test_fill_values_of_a_table_are_missing_and_said_once(fill):
     rng = np.random.default_rng(3)

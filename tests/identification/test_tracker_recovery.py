@@ -14,7 +14,7 @@ from robust_filterpy import Contaminated, Huber, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
-from robust_filterpy.plants.drift import random_walk, stable
+from robust_filterpy.plants.linear import random_walk, stable
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 

@@ -10,8 +10,7 @@ from scipy import stats
 
 from robust_filterpy import Contaminated
 from robust_filterpy.plants import THETA_BAR, simulate_arx, simulate_output_error
-from robust_filterpy.plants.drift import random_walk, stable
-from robust_filterpy.plants.linear import LinearParameters, linear_parameters
+from robust_filterpy.plants.linear import LinearParameters, linear_parameters, random_walk, stable
 
 SIMULATORS = (simulate_arx, simulate_output_error)
 G = control.tf([1.0, 0.5], [1.0, -1.5, 0.7], dt=1)

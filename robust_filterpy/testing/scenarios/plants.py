@@ -29,8 +29,7 @@ from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, Paramet
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
-from robust_filterpy.plants.drift import random_walk, stable
-from robust_filterpy.plants.linear import linear_parameters
+from robust_filterpy.plants.linear import linear_parameters, random_walk, stable
 from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
 from robust_filterpy.testing.scenarios.runs import TrackerRun, run_tracker
 
