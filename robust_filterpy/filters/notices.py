@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,69 +33,64 @@ class OutlierShareWarning(RobustFilterWarning):
 
 
 class Share:
-    """Count the clipped innovations of a window of updates."""
+    """Keep weights and innovations of a window of updates."""
 
     def __init__(self) -> None:
         """Start an empty window."""
-        self.numbers = self.updates = self.clipped = self.same = 0
-        self.sign = 0.0
+        self.window: list[tuple[Array, Array]] = []
+        # How many numbers there are, and of how many it is judged next.
+        self.numbers, self.due = 0, _NUMBERS // 2
 
     def fills(self, m: int) -> bool:
-        """Return whether one more correction, by m sensors at most, can fill the window."""
-        return self.updates + 1 >= _UPDATES and (self.numbers + m >= _NUMBERS or self._tells_early(m))
+        """Return whether the window may be judged after one more correction, by m sensors at most."""
+        return len(self.window) + 1 >= _UPDATES and self.numbers + m >= self.due
 
-    def _tells_early(self, m: int = 0) -> bool:
-        """Return whether nearly all of half a window are clipped, were m more to be."""
-        return self.numbers + m >= _NUMBERS // 2 and self.clipped + m > _NEARLY_ALL * (self.numbers + m)
-
-    def look(self, kf: Any, last: Any) -> None:
-        """Count one correction, and judge the window when it is full."""
-        e = last.e.tolist()
-        observed = [d for d in last.psi_deriv.tolist() if d == d]
-        sign = sum(1.0 if number > 0.0 else -1.0 for number in e)
-        self.numbers += len(observed)
-        self.updates += 1
-        self.clipped += sum(d <= 0.0 for d in observed)
-        self.same += sign * self.sign > 0.0
-        self.sign = sign
-        if self.updates >= _UPDATES and (self.numbers >= _NUMBERS or self._tells_early()):
-            share, numbers, keeps = self.clipped / self.numbers, self.numbers, self.same > 0.75 * self.updates
-            least = _HALF if numbers >= _NUMBERS else _SURER
+    def look(self, kf: Any, weights: Array, y: Array) -> None:
+        """Count one correction, and judge the window when it is full, or half full and nearly all of it clipped."""
+        if self.window and len(self.window[0][0]) != len(weights):
             self.__init__()  # type: ignore[misc]
-            if kf.scaling == "innovation":
-                self._judge(kf, share, least, numbers, keeps, len(e))
+        self.window.append((weights, y))
+        self.numbers += int(np.count_nonzero(weights == weights))
+        if len(self.window) < _UPDATES or self.numbers < self.due:
+            return
+        rows, least = self.window, _NEARLY_ALL
+        self.due = _NUMBERS
+        if self.numbers >= _NUMBERS:
+            least = _HALF
+            self.__init__()  # type: ignore[misc]
+        _judge_share(kf, np.array([row for row, _ in rows]), np.array([row for _, row in rows]), least)
 
-    def look_at_recording(self, kf: Any, weights: Array, y: Array) -> None:
-        """Judge windows of a recording's corrections, each of as many as `look` takes."""
-        seen = ~np.isnan(weights).all(axis=1)
-        weights, signs = weights[seen][::EVERY], np.sign(y[seen][::EVERY])
-        here = ~np.isnan(weights)
-        clipped, signs = weights < _weight_at_clip(kf.influence), np.sign(np.where(here, signs, 0.0).sum(axis=1))
-        length = max(_UPDATES, -(-_NUMBERS // weights.shape[1]))
-        for first in range(0, len(weights) - length + 1, length):
-            window = slice(first, first + length)
-            numbers, sign = int(here[window].sum()), signs[window]
-            keeps = (sign[1:] * sign[:-1] > 0.0).sum() > 0.75 * length
-            if numbers >= _NUMBERS // 2:
-                least = _HALF if numbers >= _NUMBERS else _SURER
-                self._judge(kf, float(clipped[window].sum()) / numbers, least, numbers, bool(keeps), weights.shape[1])
 
-    def _judge(self, kf: Any, share: float, least: float, numbers: int, keeps: bool, m: int) -> None:
-        """Warn if too much of what psi expects unclipped is clipped, more than one jump or run of outliers clips."""
-        if share > least and not was_said(OutlierShareWarning, type(kf).__name__):
-            expected = _expected(kf.influence, kf.grouping, m)
-            if share > expected + least * (1.0 - expected):
-                self._warn(type(kf).__name__, share, expected, numbers, keeps)
+def look_at_weights(kf: Any, weights: Array, y: Array) -> None:
+    """Judge windows of a recording's corrections, shape (N, m), each of as many as `Share` takes."""
+    seen = ~np.isnan(weights).all(axis=1)
+    weights, y = weights[seen][::EVERY], y[seen][::EVERY]
+    length = max(_UPDATES, -(-_NUMBERS // weights.shape[1]))
+    for first in range(0, len(weights) - length + 1, length):
+        window = slice(first, first + length)
+        numbers = np.count_nonzero(weights[window] == weights[window])
+        if numbers >= _NUMBERS // 2:
+            _judge_share(kf, weights[window], y[window], _HALF if numbers >= _NUMBERS else _SURER)
 
-    def _warn(self, name: str, share: float, expected: float, numbers: int, keeps: bool) -> None:
-        """Warn once for each class."""
+
+def _judge_share(kf: Any, weights: Array, y: Array, least: float) -> None:
+    """Warn, once for each class, if too much of what psi expects unclipped is: more than one jump or run clips."""
+    name, m = type(kf).__name__, weights.shape[1]
+    here = ~np.isnan(weights)
+    share = float((weights[here] < _weight_at_clip(kf.influence)).mean())
+    if not share > least or was_said(OutlierShareWarning, name):
+        return
+    expected = _expected(kf.influence, kf.grouping, m)
+    if share > expected + least * (1.0 - expected):
+        signs = np.sign(np.where(here, np.sign(y), 0.0).sum(axis=1))
+        keeps = (signs[1:] * signs[:-1] > 0.0).sum() > 0.75 * len(signs)
         cause = (
             "Q is too small (innovations keep their sign)"
             if keeps
             else "R is too small, or most measurements hold an outlier"
         )
         warn(
-            f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
+            f"{name}: clipped {share:.0%} of the last {here.sum()} innovations looked at, where its psi expects "
             f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
             f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
             f'warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)',
@@ -103,6 +99,7 @@ class Share:
         )
 
 
+@lru_cache(maxsize=64)
 def _weight_at_clip(influence: Any) -> float:
     """Return psi(e)/e of the largest e up to which psi' > 0; what is clipped has less."""
     grid = np.linspace(0.0, 50.0, 50_001)

@@ -261,7 +261,7 @@ class Mixture:
     #: What the kernel takes, and puts a correction into.
     rule: Array = field(init=False, repr=False, compare=False)
     record: Any = field(init=False, repr=False, compare=False)
-    by_kernel = False
+    by_kernel = unwatched = False
 
     def __post_init__(self) -> None:
         """Make of what was given what the correction takes."""

@@ -10,7 +10,7 @@ import numpy as np
 from robust_filterpy._arrays import control_term, measurement_rows, process_noise, stack, state_of
 from robust_filterpy._checks import Array, all_covariances, entries
 from robust_filterpy.filters.driver import columns_of, require_entries, run, take_steps
-from robust_filterpy.filters.notices import look_at_recording, look_for_repeats, look_for_stuck
+from robust_filterpy.filters.notices import look_at_recording, look_at_weights, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import ordinary_noise
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.kernel.series import Rows
@@ -184,8 +184,8 @@ class RecordingMixin(Shell):
         self._learn(state.learnt, len(state.learnt))
         weights: Any = shown.weights
         if policy.noise is None:
-            if self._choices.scaling == "innovation":
-                self._look_back(weights[first:last], _innovations(rows, shown, update_first, first, last))
+            if self._choices.scaling == "innovation" and self._counts_clipped:
+                look_at_weights(self, weights[first:last], _innovations(rows, shown, update_first, first, last))
             return
         look_for_stuck(self, weights[first:last], first)
         if self._counts_clipped:

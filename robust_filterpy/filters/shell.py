@@ -243,9 +243,7 @@ class Shell(StateMixin):
         step = self._linear_step()
         if step is None or (self._policy.patience is not None and M is not None):
             return False
-        if self._policy.noise is not None:
-            return self._watched(step, z, R, H, M)
-        return self._counted(step, z, R, H, M, R=R)
+        return self._taken(step, z, R, H, M, R=R)
 
     def _stepped(
         self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any,
@@ -254,44 +252,36 @@ class Shell(StateMixin):
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
         if _extension is None:
             return False
-        if self._policy.noise is not None:
-            return self._watched(_extension.correct_mixture_innovation, z, predicted, y, C, S, R)
-        return self._counted(_extension.correct_innovation, z, predicted, y, C, S, R, R=R, difference=difference)
+        bounded = self._policy.noise is None
+        step = _extension.correct_innovation if bounded else _extension.correct_mixture_innovation
+        return self._taken(step, z, predicted, y, C, S, R, R=R, difference=difference)
 
-    def _watched(self, step: Any, *given: Any) -> bool:
-        """Take a correction under ``noise=``, and look now and then at the signs of innovations."""
-        before = snapshot(self) if self._updates % PERIOD == LAST - 1 else None
-        if not step(self, *given):
-            return False
-        self._updates += 1
-        if self._counts_clipped:
-            self._signs = self._looked(before, look_at_signs, self, self._signs, self._last, self._updates)
-        return True
-
-    def _counted(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
-        """Take a correction, see whether refused ones agree, and look now and then whether most of them clip."""
+    def _taken(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
+        """Take a correction by the kernel and look at it, as one: what interrupts or refuses it undoes both."""
         if self._policy.unwatched:
             return bool(step(self, *given))
-        insists = self._policy.patience is not None
-        counts = self._counts_clipped and self._choices.scaling == "innovation"
-        looks = counts and (self._updates + 1) % EVERY == 0
-        # Psi of the user's may write into anything before it raises.
-        called = self._choices.kernel_psi is None
-        before = snapshot(self) if insists or called or (looks and self._share.fills(self.dim_z)) else None
-        return self._looked(before, self._judged, step, given, insists, counts, looks, R, difference)
-
-    def _judged(self, step: Any, given: Any, insists: bool, counts: bool, looks: bool, R: Any, difference: Any) -> bool:
-        """Take a correction and look at it, as one: what interrupts or refuses it undoes both."""
-        if not step(self, *given):
-            return False
-        self._updates += counts
-        # As it was judged, before P grows.
-        judged = judged_of(self._last) if looks else None
-        if insists:
-            self._insist(R, difference)
-        if looks:
-            self._share.look(self, judged)
+        before = snapshot(self) if self._is_refusable() else None
+        try:
+            if not step(self, *given):
+                return False
+            self._look(self._last)
+            if self._policy.patience is not None:
+                self._insist(R, difference)
+        except BaseException:
+            # A warning that is made an error refuses the call, and then nothing has changed.
+            if before is not None:
+                put_back(self, before)
+            raise
         return True
+
+    def _is_refusable(self) -> bool:
+        """Return whether something may be said of the next correction, or raised behind its back."""
+        if self._policy.noise is not None:
+            return self._updates % PERIOD == LAST - 1
+        # Psi of the user's may write into anything before it raises.
+        if self._policy.patience is not None or self._choices.kernel_psi is None:
+            return True
+        return (self._updates + 1) % EVERY == 0 and self._share.fills(self.dim_z)
 
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
         """Count a correction that the kernel took, and widen P where enough refused ones agreed."""
@@ -308,15 +298,6 @@ class Shell(StateMixin):
             self.P = last.P + jump
             self.P_post, self._last, carried = self.P.copy(), last._replace(P=self.P), carried.recovered()
         self._kept = carried
-
-    def _looked(self, before: tuple[Any, ...] | None, look: Callable[..., Any], *given: Any) -> Any:
-        """Look at a correction; a warning that is made an error refuses the call, and then nothing has changed."""
-        try:
-            return look(*given)
-        except BaseException:
-            if before is not None:
-                put_back(self, before)
-            raise
 
     @property
     def weights(self) -> Array:
@@ -338,28 +319,24 @@ class Shell(StateMixin):
         return np.eye(self.dim_z) if last is None or not last.order else last.T
 
     def _look(self, last: Any) -> None:
-        """Count a correction, and look now and then whether most of them clip."""
+        """Count a correction, and look now and then whether most of them clip or all innovations keep their sign."""
         self._updates += 1
+        if not self._counts_clipped:
+            return
         if self._policy.noise is not None:
-            look_for_stuck(self, last.weights)
-            if self._counts_clipped:
-                self._signs = look_at_signs(self, self._signs, last, self._updates)
-        # Under a mixture psi follows from probabilities, under "learnt" from what is typical: neither expects a share.
-        expected = self._policy.noise is None and self._choices.scaling == "innovation"
-        if expected and self._counts_clipped and self._updates % EVERY == 0:
-            self._share.look(self, last if isinstance(last, Correction) else last.as_arrays())
-
-    def _look_back(self, weights: Array, y: Array) -> None:
-        """Look whether most corrections of a recording clip, whose weights and innovations have shape (N, m)."""
-        if self._counts_clipped:
-            self._share.look_at_recording(self, weights, y)
+            self._signs = look_at_signs(self, self._signs, last, self._updates)
+        # Under "learnt" psi follows from what is typical, and expects no share.
+        elif self._choices.scaling == "innovation" and self._updates % EVERY == 0:
+            self._share.look(self, *(judged_of(last) if type(last) is np.ndarray else _judged(last)))
 
     def _keep(self, last: Any, carried: Any, z: Array, passed: Array | None = None) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
         column = np.ndim(self.x) == 2
         require_finite_correction(last)
         self._learn(last.memory, len(z), passed)
-        if self._policy.noise is None and last.memory is not None:
+        if self._policy.noise is not None:
+            look_for_stuck(self, last.weights)
+        elif last.memory is not None:
             look_for_repeats(self, last.memory)
         self._look(last)
         self.x = last.x[:, None] if column else last.x
@@ -464,6 +441,12 @@ class Shell(StateMixin):
             length = math.sqrt(max(float(y / peak @ SI @ (y / peak)), 0.0))
             self._mahalanobis = min(peak * length, sys.float_info.max)
         return self._mahalanobis
+
+
+def _judged(last: Any) -> tuple[Array, Array]:
+    """Return weights and innovations of a correction."""
+    arrays = last if isinstance(last, Correction) else last.as_arrays()
+    return arrays.weights, arrays.y
 
 
 def _judgement(kf: Any) -> dict[str, Any]:

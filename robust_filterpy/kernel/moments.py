@@ -45,17 +45,10 @@ def weights_of(values: Array) -> Array:
     return values[_row(_WEIGHTS, int(values[_M]))].copy()
 
 
-class Judged(NamedTuple):
-    """How a correction judged each sensor."""
-
-    e: Array
-    psi_deriv: Array
-
-
-def judged_of(values: Array) -> Judged:
-    """Return standardized innovations and psi' of a record."""
+def judged_of(values: Array) -> tuple[Array, Array]:
+    """Return weights and innovations of a record."""
     m = int(values[_M])
-    return Judged(values[_row(_E, m)], values[_row(_PSI_DERIV, m)])
+    return values[_row(_WEIGHTS, m)], values[_row(_Y, m)]
 
 
 def moments_of(values: Array) -> tuple[Array, Array, bool]:
