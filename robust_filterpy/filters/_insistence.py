@@ -17,9 +17,6 @@ from scipy.special import chdtri
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import length_and_direction
-from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.standardization import ordered_scaling
-from robust_filterpy.kernel.moments import moments_of
 
 __all__ = ["Insistence", "jump_of", "nothing_refused", "watched"]
 
@@ -54,39 +51,27 @@ def nothing_refused(sensors: int) -> Insistence:
 
 
 def watched(
-    before: Insistence, patience: int, last: Correction, difference: Callable[[Array, Array], Array] = np.subtract
+    before: Insistence, patience: int, y: Array, S: Array, difference: Callable[[Array, Array], Array] = np.subtract
 ) -> tuple[Insistence, bool]:
-    """Count the innovation of a correction."""
-    observed = _observed(last)
+    """Count an innovation, NaN where missing; S is its covariance."""
+    observed = np.flatnonzero(y == y)
     if not observed.size:
         return before, False
-    T = ordered_scaling(last.S, last.order, "innovation")[np.ix_(observed, observed)]
-    bound = _bound(observed.size)
-    if _length(T, last.y[observed]) <= bound:
+    S, bound = S[np.ix_(observed, observed)], _bound(observed.size)
+    if _length(S, y[observed]) <= bound:
         return before.nearer(), False
     agrees = False
-    if before.insisting.size == last.y.size and not np.isnan(before.insisting[observed]).any():
+    if before.insisting.size == y.size and not np.isnan(before.insisting[observed]).any():
         with np.errstate(over="ignore"):
-            apart = difference(last.y, np.nan_to_num(before.insisting))[observed]
+            apart = difference(np.nan_to_num(y), np.nan_to_num(before.insisting))[observed]
         # The difference of two innovations has twice the variance of one.
-        agrees = bool(np.isfinite(apart).all() and _length(T, apart) <= np.sqrt(2.0) * bound)
+        agrees = bool(np.isfinite(apart).all() and _length(S, apart) <= np.sqrt(2.0) * bound)
     if not agrees and before.refused > 1:
         return before._replace(refused=before.refused - 1), False
     refused = before.refused + 1 if agrees else 1
-    insisting = np.full(last.y.size, np.nan)
     if refused >= patience:
-        return Insistence(0, before.recoveries, insisting), True
-    insisting[observed] = last.y[observed]
-    return Insistence(refused, before.recoveries, insisting), False
-
-
-def is_near(record: Array) -> bool:
-    """Return whether a correction of the kernel is of a whole measurement that is clearly not refused."""
-    y, S, observed = moments_of(record)
-    try:
-        return observed and float(y @ np.linalg.solve(S, y)) < 0.999 * _bound(len(y)) ** 2
-    except (np.linalg.LinAlgError, FloatingPointError):
-        return False
+        return Insistence(0, before.recoveries, np.full(y.size, np.nan)), True
+    return Insistence(refused, before.recoveries, y.copy()), False
 
 
 @lru_cache(maxsize=64)
@@ -95,10 +80,10 @@ def _bound(sensors: int) -> float:
     return float(np.sqrt(chdtri(sensors, _RARE)))
 
 
-def jump_of(last: Correction, C: Array, N: Array) -> Array | None:
+def jump_of(y: Array, C: Array, N: Array) -> Array | None:
     """Return by what P grows so that the jump which explains y is three of its standard deviations."""
-    observed = _observed(last)
-    y, C, N = last.y[observed], C[:, observed], N[np.ix_(observed, observed)]
+    observed = np.flatnonzero(y == y)
+    y, C, N = y[observed], C[:, observed], N[np.ix_(observed, observed)]
     unit = np.sqrt(np.where(N.diagonal() > 0.0, N.diagonal(), 1.0))
     peak = float(np.abs(y).max())
     length, direction = length_and_direction(y / peak / unit)
@@ -113,12 +98,16 @@ def jump_of(last: Correction, C: Array, N: Array) -> Array | None:
     return np.asarray(gained * np.outer(jump, jump))
 
 
-def _length(T: Array, y: Array) -> float:
-    """Return |T y|, infinite where it is no float."""
-    length, direction = length_and_direction(y)
-    return length * float(np.linalg.norm(T @ direction))
-
-
-def _observed(last: Correction) -> np.ndarray:
-    """Return which components of a measurement were there."""
-    return np.flatnonzero(~np.isnan(last.psi_deriv))
+@np.errstate(over="ignore", under="ignore")
+def _length(S: Array, y: Array) -> float:
+    """Return the length of an innovation in standard deviations, without directions that carry no information."""
+    unit = np.sqrt(np.where(S.diagonal() > 0.0, S.diagonal(), 1.0))
+    Z = S / unit / unit[:, None]
+    # Of numbers that can be divided by a small unit.
+    peak = float(np.abs(y).max()) or 1.0
+    length, direction = length_and_direction(y / peak / unit)
+    try:
+        solved = np.linalg.solve(Z, direction)
+    except (np.linalg.LinAlgError, FloatingPointError):
+        solved = np.linalg.pinv(Z, hermitian=True) @ direction
+    return peak * float(length) * float(np.sqrt(max(float(direction @ solved), 0.0)))

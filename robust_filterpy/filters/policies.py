@@ -169,12 +169,13 @@ class Bounded:
             last = correct(x, P, y, C, S, self.choices, skip_singular=skips)
         if self.patience is None or before.carried is None:
             return last, before.carried
-        carried, full = watched(before.carried, self.patience, last, difference)
+        seen = np.where(np.isnan(last.weights), np.nan, last.y)
+        carried, full = watched(before.carried, self.patience, seen, last.S, difference)
         if not full:
             return last, carried
         _, _, C, S, R, H = innovation
         C = C if H is None else P @ H.T
-        jump = jump_of(last, C, S - R if H is None else H @ C)
+        jump = jump_of(seen, C, S - R if H is None else H @ C)
         return (last, carried) if jump is None else (last._replace(P=last.P + jump), carried.recovered())
 
     def current(self, carried: Any, x: Array, P: Array) -> Carried:

@@ -16,14 +16,14 @@ from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._insistence import is_near, jump_of, watched
+from robust_filterpy.filters._insistence import jump_of, watched
 from robust_filterpy.filters._parts import Parts, as_arrays, log_density
 from robust_filterpy.filters.driver import require_finite_correction
 from robust_filterpy.filters.notices import EVERY, LAST, PERIOD, Share, look_at_signs, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
-from robust_filterpy.kernel.moments import Taken, correction_of, judged_of, weights_of
+from robust_filterpy.kernel.moments import Taken, correction_of, judged_of, moments_of, weights_of
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
@@ -285,15 +285,13 @@ class Shell(StateMixin):
 
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
         """Count a correction that the kernel took, and widen P where enough refused ones agreed."""
-        if is_near(self._last):
-            self._kept = self._kept.nearer()
-            return
-        last: Any = self._arrays()
-        carried, full = watched(self._kept, self._policy.patience, last, difference)
+        y, S = moments_of(self._last)
+        carried, full = watched(self._kept, self._policy.patience, y, S, difference)
         jump = None
         if full:
             kf: Any = self
-            jump = jump_of(last, last.C, last.S - noise_covariance(kf.R, R, len(last.y)))
+            last: Any = self._arrays()
+            jump = jump_of(y, last.C, last.S - noise_covariance(kf.R, R, len(y)))
         if jump is not None:
             self.P = last.P + jump
             self.P_post, self._last, carried = self.P.copy(), last._replace(P=self.P), carried.recovered()

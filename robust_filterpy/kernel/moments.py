@@ -51,11 +51,11 @@ def judged_of(values: Array) -> tuple[Array, Array]:
     return values[_row(_WEIGHTS, m)], values[_row(_Y, m)]
 
 
-def moments_of(values: Array) -> tuple[Array, Array, bool]:
-    """Return y, S of a record, and whether every sensor was there."""
+def moments_of(values: Array) -> tuple[Array, Array]:
+    """Return y, NaN where missing, and S of a record."""
     m = int(values[_M])
-    at, weights = _row(_ROWS, m).start, values[_row(_WEIGHTS, m)]
-    return values[_row(_Y, m)], values[at : at + m * m].reshape(m, m), bool((weights == weights).all())
+    at, (weights, y) = _row(_ROWS, m).start, judged_of(values)
+    return np.where(weights == weights, y, np.nan), values[at : at + m * m].reshape(m, m)
 
 
 def _groups(order: Array) -> list[list[int]]:
