@@ -1,5 +1,6 @@
 """check_filter: right filters keep every promise, each wrong one breaks that of its name."""
 
+import re
 import subprocess
 import sys
 import time
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from right_estimators import FILTERS
-from wrong_filters import PLAIN, WRONG_FILTERS, CutAndCertain, EigenvalueRoots, HardGate, NoSetter, Textbook
+from wrong_filters import PLAIN, WRONG_FILTERS, CutAndCertain, HardGate, NoSetter, Textbook
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.testing import ChecksFailed, check_filter, filter_checks
@@ -54,10 +55,6 @@ def test_every_check_catches_something_wrong():
     assert len(every - names) <= 4, every - names
 
 
-def test_there_are_as_many_wrong_ones_as_promised():
-    assert len(WRONG_FILTERS) >= 30 and all(cls.__doc__ for cls in WRONG_FILTERS)
-
-
 def test_the_error_names_every_check_that_failed():
     with pytest.raises(ChecksFailed) as error:
         check_filter(KalmanFilter)
@@ -85,6 +82,7 @@ def test_what_several_checks_have_in_common_is_said_once():
     with pytest.raises(ChecksFailed) as error:
         check_filter(NoInverse, not_claimed=PLAIN)
     message = str(error.value)
+    assert re.search(r"ZeroDivisionError: no gain \(\d+ checks: .*counts_at_once", message)
     assert message.count("ZeroDivisionError: no gain") == 1
     assert all(f"{r.name}" in message for r in error.value.results if r.status == "failed")
 
@@ -92,12 +90,6 @@ def test_what_several_checks_have_in_common_is_said_once():
 def test_a_filter_whose_P_cannot_be_set_is_refused_once():
     with pytest.raises(TypeError, match=r"^make: expected a filter whose P can be set, NoSetter: "):
         check_filter(NoSetter, not_claimed=PLAIN)
-
-
-def test_a_right_filter_with_roots_by_eigenvalues_is_right_in_other_units():
-    (check,) = [check for check in filter_checks(not_claimed=PLAIN) if check.name == "units_change_nothing"]
-    for seed in range(50):
-        check(EigenvalueRoots, seed=seed)
 
 
 def test_the_words_for_a_jump_that_is_lost_tell_what_P_did():
@@ -163,15 +155,6 @@ def test_a_check_without_meaning_is_skipped():
     check = next(c for c in filter_checks() if c.name == "nonlinear_sensor_is_linearised_at_the_prediction")
     with pytest.raises(unittest.SkipTest, match="HJacobian"):
         check(KalmanFilter)
-
-
-def test_an_error_inside_a_filter_is_a_failure_of_the_check():
-    class Raises(Textbook):
-        def predict(self, u=None):
-            raise ZeroDivisionError("in predict")
-
-    with pytest.raises(ChecksFailed, match=r"ZeroDivisionError: in predict \(\d+ checks: .*moves_the_state_by_F"):
-        check_filter(Raises, not_claimed=PLAIN)
 
 
 def test_pytest_is_not_needed():

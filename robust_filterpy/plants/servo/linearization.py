@@ -304,6 +304,9 @@ class ServoLinearization(NamedTuple):
         The same with its inputs held over dt.
     valve_to_position : control.TransferFunction
         Discrete, m per unit of the valve's command; it has a pole at 1.
+    valve_to_velocity : control.TransferFunction
+        Discrete, m/s per unit of the valve's command: the difference of successive positions over dt, which is the
+        mean velocity of the period before.
     reference_to_position : control.TransferFunction
         Discrete, the loop of `simulate_servo` closed, its dead band compensated.
     """
@@ -312,6 +315,7 @@ class ServoLinearization(NamedTuple):
     continuous: control.StateSpace
     discrete: control.StateSpace
     valve_to_position: control.TransferFunction
+    valve_to_velocity: control.TransferFunction
     reference_to_position: control.TransferFunction
 
 
@@ -387,7 +391,10 @@ def linearize_servo(
     to_position = _transfer_function(a, b, row, dt)
     opening = b * (1 - p.dead_band)
     closed = _transfer_function(a - opening @ feedback(A, gains), gains.gain * opening, row, dt)
-    return ServoLinearization(point, _in_si_units(scaled), _in_si_units(held), to_position, closed)
+    # (1 - 1/z)/dt: the pole at 1 goes, one at 0 comes.
+    numerator, denominator = to_position.num[0][0], np.polydiv(to_position.den[0][0], [1.0, -1.0])[0]
+    to_velocity = control.tf(numerator / dt, np.append(denominator, 0.0), dt)
+    return ServoLinearization(point, _in_si_units(scaled), _in_si_units(held), to_position, to_velocity, closed)
 
 
 def chosen_gains(p: PneumaticParameters, gain: float | None, damping: float | None) -> PositionGains:

@@ -58,18 +58,9 @@ class ServoInputs:
         self.x0 = _initial_state(initial, p, float(self.load[0]))
 
 
-def sampled_reference(reference: ArrayLike | Callable[[float], float], dt: float, duration: float | None) -> Array:
+def sampled_reference(reference: ArrayLike) -> Array:
     """Return the reference at the sampling times."""
-    if callable(reference):
-        if duration is None or not (math.isfinite(duration) and math.isfinite(dt) and dt > 0 and duration >= dt):
-            raise ValueError(
-                f"duration: expected at least dt = {dt} s for a reference that is a function, got {duration}"
-            )
-        r = np.array([float(reference(dt * k)) for k in range(round(duration / dt))])
-    else:
-        if duration is not None:
-            raise ValueError("duration: expected None for a sampled reference, whose length says it")
-        r = np.array(reference, dtype=float)
+    r = numbers("reference", reference).copy()
     if r.ndim != 1 or r.size == 0:
         raise ValueError(f"reference: expected a non-empty sequence of positions, got shape {r.shape}")
     if not np.all(np.isfinite(r)):
@@ -182,11 +173,10 @@ _SCALES = np.array([1e-3, 1e-2, 1e4, 1e4])
 
 
 def simulate_servo(
-    reference: ArrayLike | Callable[[float], float], dt: float, parameters: PneumaticParameters | None = None, *,
-    duration: float | None = None, gain: float | None = None, damping: float | None = None,
-    compensation: float = 0.9, alpha: Signal = NOMINAL_ALPHA, beta: Signal | None = None, load: Signal = 0.0,
-    supply: Signal | None = None, noise: ArrayLike | None = None, observer: Observer | None = None,
-    initial: ArrayLike | None = None, rtol: float = 1e-6,
+    reference: ArrayLike, dt: float, parameters: PneumaticParameters | None = None, *, gain: float | None = None,
+    damping: float | None = None, compensation: float = 0.9, alpha: Signal = NOMINAL_ALPHA,
+    beta: Signal | None = None, load: Signal = 0.0, supply: Signal | None = None, noise: ArrayLike | None = None,
+    observer: Observer | None = None, initial: ArrayLike | None = None, rtol: float = 1e-6,
 ) -> ServoRecording:  # fmt: skip
     """Simulate the pneumatic servo in a position loop, sampled to identification data.
 
@@ -197,13 +187,11 @@ def simulate_servo(
 
     Parameters
     ----------
-    reference : array_like, shape (N,), or callable
-        Reference position r, in m from mid-stroke; or a function of time in s, with `duration`.
+    reference : array_like, shape (N,)
+        Reference position r, in m from mid-stroke.
     dt : float
         Period of sampling and control, in s.
     parameters : PneumaticParameters, optional
-    duration : float, optional
-        Length of the experiment in s, for a reference given as a function: N = round(duration / dt).
     gain : float, optional
         Valve opening per position error, in 1/m. By default that of `position_gains`.
     damping : float, optional
@@ -237,7 +225,7 @@ def simulate_servo(
     UnstableLoopError
         If the linear model of the loop is unstable on the stroke, at the least or the largest beta.
     ValueError
-        If the reference is empty, not finite or beyond the stroke, dt, duration, rtol or a gain is out of range, alpha
+        If the reference is empty, not finite or beyond the stroke, dt, rtol or a gain is out of range, alpha
         or beta leaves its range, the supply falls below the atmosphere, a sequence has not N values, or the initial
         pressures are not positive.
     TypeError
@@ -261,7 +249,7 @@ def simulate_servo(
     0.010
     """
     p = as_parameters(parameters)
-    r = sampled_reference(reference, dt, duration)
+    r = sampled_reference(reference)
     if np.max(np.abs(r)) > p.stroke / 2:
         raise ValueError(
             f"reference: expected positions within the stroke, +-{p.stroke / 2:g} m, got {r[np.argmax(np.abs(r))]:g}"
