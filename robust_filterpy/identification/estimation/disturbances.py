@@ -77,15 +77,15 @@ class Settled(NamedTuple):
     Attributes
     ----------
     trend : Trend
-        Steps and ramps of its level.
+        Steps and ramps of its level; one without values: they are looked for.
     input : Finding or None
         Says that outliers of its inputs are held back.
     begin : ndarray or None
         Free parameters of a model near by, from which alone the search begins.
     """
 
-    trend: Trend
-    input: Finding | None
+    trend: Trend = Trend(np.zeros(0), ())
+    input: Finding | None = None
     begin: Array | None = None
 
     @classmethod
@@ -197,11 +197,10 @@ class Search(NamedTuple):
 
     def _with_levels(self, trend: str | Settled) -> Explanation:
         """Find the model with levels that break."""
-        begin = trend.begin if isinstance(trend, Settled) else None
         if isinstance(trend, Settled) and trend.trend.breaks:
             breaks = {(0, 0): trend.trend}
-            return self._with_breaks(self.settled(self._fitted(breaks, begin)), breaks, np.inf)
-        plain = self.settled(self.find(self.u, np.zeros(self.y.shape), [], begin))
+            return self._with_breaks(self.settled(self._fitted(breaks)), breaks, np.inf)
+        plain = self.settled(self.find(self.u, np.zeros(self.y.shape), [], None))
         line = trend == "line"
         rounding = all(one.is_rounding for one in plain.noises)
         if trend not in ("line", "breaks") or not self.u.shape[1] or (rounding and not line):

@@ -53,13 +53,15 @@ _LEAST_CLEAR: Final = 0.5
 _LEAST_CLEAR_BESIDE: Final = 0.75
 
 
-def identified_polynomials(problem: Problem, y: Array, index: Any, trend: str | Settled) -> Model:
+def identified_polynomials(
+    problem: Problem, y: Array, index: Any, trend: str | Settled, begin: Array | None = None
+) -> Model:
     """Find the model of recordings of one output, shape (N, 1), with whatever else these have."""
     spans, own = problem.spans, y[:, 0]
 
     def find(u: Array, levels: Array, columns: list[Array], end: Any) -> Explanation:
         at = np.hstack(columns) if columns else None
-        estimate = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, end)
+        estimate = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, begin if end is None else end)
         moved = levels if at is None else levels + (at @ estimate.sizes)[:, None]
         return Explanation(estimate.model, moved, u, estimate.model.evidence, end=estimate.p)
 
@@ -383,9 +385,12 @@ def _of_polynomials(
         None if R is None else _checks.positive("R", R), recording.axis.dt, limits=limits if limits.any else None,
         begins=tuple(part.start for part in recording.spans), sampled=sampled,
     )  # fmt: skip
+    begin = trend.begin if isinstance(trend, Settled) else None
+    if isinstance(trend, Settled) and not trend.trend.values.size:
+        trend = None
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
-    model = identified_polynomials(problem, recording.y, recording.axis.index, chosen)
+    model = identified_polynomials(problem, recording.y, recording.axis.index, chosen, begin)
     return replace(model, findings=(*recording.findings, *model.findings))
 
 

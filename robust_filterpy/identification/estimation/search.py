@@ -124,10 +124,17 @@ def ends(
     """Search from every start."""
     if begin is not None:
         noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
-        end = _searched(model, begin, noise, missing, ("the model before",), _ROUGH, limits)
-        noise = replace(end.noise, influence=START if influence is None else influence)
-        end = _searched(model, end.p, noise, missing, end.starts, _FULL, limits)
-        return _best_first(model, missing, [end], limits)
+        if begin.size:
+            shown = model.residuals(begin)[_counting(model, True, missing)]
+            noise = noise if noise.given else replace(noise, R=max(mad_scale(shown) ** 2, least))
+        else:
+            begin = _best_of(model, missing, noise, _starts(model, missing, noise), searched=False)
+            rough = _searched(model, begin, noise, missing, ("the best start",), _ROUGH, limits)
+            begin, noise = rough.p, rough.noise
+        noise = replace(noise, influence=START if influence is None else influence)
+        return _best_first(
+            model, missing, [_searched(model, begin, noise, missing, ("one start",), _FULL, limits)], limits
+        )
     if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
         return _ends_of_long(model, missing, influence, R, limits, least)
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)

@@ -40,6 +40,8 @@ _FEWER_POLES: Final = 2
 _POLES: Final = (0.0, 0.8)
 _MOST_EQUAL_POLES: Final = 10
 _ITERATIONS: Final = 15
+# A denominator that moves by less is where the iteration ends.
+_STANDS: Final = 1e-4
 # More samples make no better start.
 _MOST_ROWS: Final = 20_000
 # So many equations for each coefficient of a long regression.
@@ -287,11 +289,13 @@ def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) ->
         filtered = lfilter([1.0], f, y)
         for j in range(1, model.nf + 1):
             X[:, place.start + j - 1] = -np.concatenate((np.zeros(j), filtered[:-j]))[model.first :]
-        f = stabilised(np.concatenate(([1.0], lstsq(X, filtered[model.first :])[0][place])))
+        before, f = f, stabilised(np.concatenate(([1.0], lstsq(X, filtered[model.first :])[0][place])))
         p = _refitted(model, rows, f)
         mean = bounded_mean(model.residuals(p)[rows])
         if mean < least:
             best, least = p, mean
+        if np.abs(f - before).max() < _STANDS:
+            break
     return best
 
 

@@ -94,6 +94,10 @@ class ColdStart(NamedTuple):
         waits, keep = max(self.waits - len(y), 0), max(0, _LONGEST * self.samples - len(y))
         return ColdStart(self.samples, np.append(self.y[-keep:], y), np.concatenate((self.u[-keep:], u)), waits)
 
+    def is_first_look(self, n_theta: int) -> bool:
+        """Whether no model can have been made of fewer samples."""
+        return self.y.size <= _until_next(self.samples, 0, n_theta)
+
     @property
     def is_last_look(self) -> bool:
         """Whether there are as many samples as were asked for."""

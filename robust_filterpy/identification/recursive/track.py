@@ -21,21 +21,26 @@ from robust_filterpy._progress import stage
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.notices import StuckSensorWarning
+from robust_filterpy.identification.estimation.disturbances import Settled
 from robust_filterpy.identification.estimation.identify import identify
+from robust_filterpy.identification.estimation.trend import Trend
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
-from robust_filterpy.identification.models.regressor import LARGEST, Memory
+from robust_filterpy.identification.models.regressor import LARGEST, Memory, are_stable
 from robust_filterpy.identification.models.results import Columns
+from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.recursion import Recursion, Regressor, note, ordinary_mean
 from robust_filterpy.identification.recursive.state import READINGS, WINDUP, ColdStart, Form, State, Unjudged
-from robust_filterpy.identification.recursive.watch import STUCK, News, Trouble, long_held
+from robust_filterpy.identification.recursive.watch import STUCK, News, Trouble, is_right, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
 
 _LEARNT = float(SCALINGS.index("learnt"))
 # Findings in the samples of which the first model is made that are said: what these break, the samples to come may too.
 _SAID = ("step", "ramp", "input outliers")
+# With F(1) below this a constant before 1/F has no level.
+_INTEGRATES = 1e-9
 
 
 # What a user sets, by its name in a state, and as the user gave it.
@@ -290,6 +295,9 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
     """Return what these samples make of the starts, and of those that turn out to be lost."""
     news: News = []
     watched, enabled = waiting.watched, np.frombuffer(waiting.enabled, dtype=bool)
+    signals = np.concatenate((shown.prediction[..., None], u), axis=2)
+    starting = np.array([i for i in now.starts if now.begun[i] and form.structure.n_inputs], dtype=int)
+    now = now._replace(followed=now.followed.noted(starting, shown.residual[starting], signals[starting]))
     for i, start in list(now.starts.items()):
         start = start.added(y[i], u[i])
         now = now._replace(starts={**now.starts, i: start})
@@ -297,11 +305,9 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
             now, said = _with_model(form, now, i, start)
             news += said
     if watched.size:
-        signals = np.concatenate((shown.prediction[watched, :, None], u[watched]), axis=2)
-        followed, lost = now.followed.looked(
-            watched, shown.residual[watched], signals, form.structure, now.theta[watched][:, form.own],
-            form.has_offset, now.scale[watched, 4],
-        )  # fmt: skip
+        followed, lost = now.followed.noted(watched, shown.residual[watched], signals[watched]).looked(
+            watched, form.structure, now.theta[watched][:, form.own], form.has_offset, now.scale[watched, 4]
+        )
         now = now._replace(followed=followed)
         for one in lost:
             i = one.actuator
@@ -323,12 +329,7 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
     structure = form.structure
     stage(f"a model of {start.y.size} samples")
     try:
-        with warnings.catch_warnings():
-            # A short recording leaves several models open, and those to come decide.
-            warnings.simplefilter("ignore", UserWarning)
-            u, R = start.u if structure.n_inputs else None, None if now.scale[i, 3] else float(now.scale[i, 0])
-            # The samples to come wait, and `run` says itself what it is at.
-            model = identify(start.y, u, structure, offset=form.has_offset, R=R, sampled=False, progress=False)
+        model = _near(form, now, i, start) or _identified(form, now, i, start)
     except ValueError as error:
         failure = str(error)
     else:
@@ -346,10 +347,51 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
     return now._replace(windows=windows), news
 
 
+def _identified(form: Form, now: State, i: int, start: ColdStart, begin: Array | None = None) -> Model:
+    """Return a model of the samples of a start, searched for from every start or from one alone, or raise."""
+    u, R = start.u if form.structure.n_inputs else None, None if now.scale[i, 3] else float(now.scale[i, 0])
+    # What the level does besides is looked for once.
+    flat = Trend(np.zeros(0 if start.is_last_look else start.y.size), ())
+    trend: Any = None if begin is None else Settled(flat, None, begin)
+    with warnings.catch_warnings():
+        # A short recording leaves several models open, and those to come decide.
+        warnings.simplefilter("ignore", UserWarning)
+        # The samples to come wait, and `run` says itself what it is at.
+        return identify(
+            start.y, u, form.structure, offset=form.has_offset, R=R, trend=trend, sampled=False, progress=False
+        )
+
+
+def _near(form: Form, now: State, i: int, start: ColdStart) -> Model | None:
+    """Return the model near the recursion's, None if what it leaves follows the inputs: another one may be better."""
+    structure, begin = form.structure, np.zeros(0)
+    if not start.is_first_look(structure.n_theta):
+        theta, places = now.theta[i][form.own], structure.polynomials
+        a, f = (1.0 + float(theta[part].sum()) for part in (places.a, places.f))
+        if not (are_stable(theta, structure.stable_parts) and abs(f) > _INTEGRATES):
+            return None
+        begin = np.zeros(structure.n_theta + form.has_offset + structure.nf)
+        begin[: structure.n_theta] = theta
+        if form.has_offset:
+            rest = np.zeros(structure.n_inputs) if structure.takes_phi else operating_point(start.u)
+            constant = now.theta[i, structure.constant_place] + rest @ np.array([theta[b].sum() for b in places.b])
+            begin[structure.n_theta] = now.centre[i] * a + constant / f
+    try:
+        model = _identified(form, now, i, start, begin)
+    except ValueError:
+        return None
+    return model if is_right(*_left(model, start)) else None
+
+
+def _left(model: Model, start: ColdStart) -> tuple[Array, Array]:
+    """Return what a model leaves of its own recording, and the signals that this is held against."""
+    prediction = model.predict(start.y, start.u if model.structure.n_inputs else None)
+    return start.y - prediction, np.column_stack((np.nan_to_num(prediction), start.u))
+
+
 def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
     """Learn from a model's own recording how often the sensor repeats itself, and how white its noise is."""
-    y, row = measurements(start.y, start.u)[0] - now.centre[i], np.zeros(READINGS)
-    nu = start.y - model.predict(start.y, start.u if model.structure.n_inputs else None)
+    y, row, (nu, _) = measurements(start.y, start.u)[0] - now.centre[i], np.zeros(READINGS), _left(model, start)
     for k in np.flatnonzero(~np.isnan(y + nu)).tolist():
         note(row, float(y[k]), float(nu[k]))
     readings = now.readings.copy()
@@ -359,9 +401,7 @@ def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
 
 def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tuple[State, News]:
     """Learn from a model's own recording what is usual; say what is odd in that recording already."""
-    prediction = model.predict(start.y, start.u)
-    signals = np.column_stack((np.nan_to_num(prediction), start.u))
-    followed, share = now.followed.begun(i, start.y - prediction, signals, float(now.scale[i, 4]))
+    followed, share = now.followed.begun(i, *_left(model, start), float(now.scale[i, 4]))
     now = now._replace(followed=followed)
     odd, windows = {one.kind: one.text for one in model.findings}, now.windows
     news: News = []

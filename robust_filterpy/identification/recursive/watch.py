@@ -44,6 +44,8 @@ _MOVED: Final = 7.0
 _NEARLY_ALL: Final = 0.9
 # Numbers that are usual of an actuator.
 _USUAL: Final = 4
+# So seldom the residuals of a right model look as if they followed the inputs.
+_BY_CHANCE: Final = 1e-2
 # Of the autocovariances of ordinary residuals, how much each look renews.
 _PACE: Final = 0.15
 # R may follow noise that changes, not over this factor.
@@ -133,15 +135,25 @@ class Followed(NamedTuple):
         after.usual[i] = *covariances, max(shares)
         return after, float(np.mean(shares)) if np.mean([one.significant for one in regressions]) > 0.5 else 0.0
 
-    def looked(
-        self, which: np.ndarray, residuals: Array, signals: Array, structure: Structure, theta: Array, has_offset: bool,
-        rounding: Array,
-    ) -> tuple[Followed, News]:  # fmt: skip
-        """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's."""
-        seen, usual, rows, scores = (a.copy() for a in self)
-        new = np.concatenate((residuals[..., None], signals), axis=2)[:, -SPAN:]
-        rows[which] = np.concatenate((self.rows[which, new.shape[1] :], new), axis=1)
+    def noted(self, which: np.ndarray, residuals: Array, signals: Array) -> Followed:
+        """Return it with more samples of some actuators."""
+        if not which.size:
+            return self
+        rows, seen, new = self.rows.copy(), self.seen.copy(), np.concatenate((residuals[..., None], signals), axis=2)
+        rows[which] = np.concatenate((rows[which], new), axis=1)[:, -SPAN:]
         seen[which] += residuals.shape[1]
+        return self._replace(rows=rows, seen=seen)
+
+    def is_right(self, i: int) -> bool:
+        """Tell whether what an actuator has left so far does not follow its inputs."""
+        last = self.rows[i, -min(int(self.seen[i]), SPAN) :] if self.seen[i] else self.rows[i, :0]
+        return len(last) > 0 and is_right(last[:, 0], last[:, 1:])
+
+    def looked(
+        self, which: np.ndarray, structure: Structure, theta: Array, has_offset: bool, rounding: Array
+    ) -> tuple[Followed, News]:
+        """Return it with the last samples judged, and of which of some actuators the model is another plant's."""
+        seen, usual, rows, scores = (a.copy() for a in self)
         news: News = []
         for k, i in enumerate(which.tolist()):
             e, shown = rows[i, :, 0], rows[i, :, 1:]
@@ -195,6 +207,12 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     after = before + _PACE * (now - before)
     after[3] = after[3] if anyway > SHARE else min(after[3], max(anyway, 0.5 * SHARE))
     return "", after
+
+
+def is_right(residuals: Array, signals: Array) -> bool:
+    """Tell whether residuals follow the prediction and the inputs by no more than chance."""
+    whitening = whitening_of(autocovariances(residuals))
+    return float(dependence(residuals, signals, whitening=whitening).chance) > _BY_CHANCE
 
 
 def _tells_nothing(residuals: Array, rounding: float) -> bool:
