@@ -11,17 +11,19 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks, _state
 from robust_filterpy._brief import brief, lines_of
 from robust_filterpy._checks import Array, numbers
+from robust_filterpy._fill_values import fill_values
 from robust_filterpy._progress import stages
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models import regressor as coefficients
-from robust_filterpy.identification.models.regressor import GUARDS, Guard
+from robust_filterpy.identification.models.regressor import Guard
 from robust_filterpy.identification.models.results import Columns, Intervals, TrackingResult, intervals
 from robust_filterpy.identification.models.signals import recording, table
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup, track
-from robust_filterpy.identification.recursive.recursion import GRADIENTS, Gradient, Regressor
+from robust_filterpy.identification.recursive.recursion import Gradient, Regressor
 from robust_filterpy.identification.recursive.state import Form, at_rest
-from robust_filterpy.identification.recursive.tracker import START, ParameterTracker
+from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.series import plain
 
@@ -231,46 +233,42 @@ class TrackerBank(track.Following):
 
     def __init__(
         self, n: int, structure: Structure, *, theta: ArrayLike | None = None, P: ArrayLike | None = None,
-        Q: ArrayLike = 0.0, R: ArrayLike | None = None, F: ArrayLike | None = None, forgetting: ArrayLike | None = None,
-        start: int | None = None, offset: bool | None = None, regressor: Regressor | None = None, R_memory: int = 150,
+        Q: ArrayLike | None = None, R: ArrayLike | None = None, F: ArrayLike | None = None,
+        forgetting: ArrayLike | None = None, start: int | None = None, offset: bool | None = None,
+        regressor: Regressor | None = None, R_memory: int = 150,
         gradient: Gradient | Sequence[Gradient] = "filtered", guard: Guard | Sequence[Guard] = "halve",
         influence: Influence | Sequence[Influence] | None = None, scaling: Scaling | Sequence[Scaling] | None = None,
         information: Information | Sequence[Information] | None = None,
     ) -> None:  # fmt: skip
         """Set up n filters and a memory at rest; so many arguments, since they are those of a `ParameterTracker`."""
+        given = {name: value for name, value in locals().items() if name not in ("self", "n", "structure")}
         self.n = n = _checks.count("n", n, 1)
         if not isinstance(structure, Structure):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
-        self.structure, d = structure, structure.n_theta
-        choices = {"influence": influence, "scaling": scaling, "information": information}
-        self._choices = setup.choices(n, choices)
-        # One tracker checks the rest, and shows what all of them have in common.
-        warm = theta is not None or P is not None
-        samples = (0 if warm else START) if start is None else start
-        one = ParameterTracker(
-            structure, theta=0.0 if warm else None, start=samples, offset=offset, regressor=regressor, R_memory=R_memory
-        )
-        self._regressor, own = one.regressor, one.form.own
+        self.structure = structure
+        # Every actuator is a tracker; one stands for all where they have their options in common.
+        own, options = setup.of_each(n, given)
+        trackers = setup.for_each(lambda each: ParameterTracker(structure, **each), options)
+        one, alike = trackers[0], np.arange(n) % len(trackers)
+        self._regressor = one.regressor
+        words = ([tracker.gradient for tracker in trackers], [tracker.guard for tracker in trackers])
+        gradient, guard = (np.array(each)[alike] for each in words)
         form = one.form
-        self.form = Form.of(
-            structure, form.layout, form.has_offset, form.cleans, form.judges,
-            setup.options("gradient", gradient, n, GRADIENTS), setup.options("guard", guard, n, GUARDS),
-        )  # fmt: skip
-        values = setup.parameters(structure, 0.0 if theta is None else theta, n)
-        spread = setup.covariances("P", 100.0 if P is None else P, n, d)
-        size = self.form.layout.n
-        first, covariance = np.zeros((n, size)), np.tile(100.0 * np.eye(size), (n, 1, 1))
-        first[:, own], covariance[:, own[:, None], own] = values, spread
-        self.Q = setup.covariances("Q", Q, n, d)
-        self.F = setup.matrices("F", np.eye(d) if F is None else F, n, d).copy()
-        self._forgetting = setup.factors(forgetting, n)
-        self._alpha_sq = (1.0 / np.sqrt(self._forgetting)) ** 2
+        self.form = Form.of(structure, form.layout, form.has_offset, form.cleans, form.judges, gradient, guard)
+        # The kernel takes what all have in common once.
+        self.Q, self.F = (
+            np.stack([getattr(tracker, name) for tracker in trackers]) if name in own else getattr(one, name)
+            for name in "QF"
+        )
+        several = own & {"influence", "scaling", "information"}
+        self._choices = tuple(tracker._filter.choices for tracker in (trackers if several else [one]))
+        self._alpha_sq = np.array([vars(tracker._filter)["_alpha_sq"] for tracker in trackers])[alike]
         self._made: Any = None
-        scale = np.tile(one.now.scale, (n, 1))
-        scale[:, 0] = setup.variances(1.0 if R is None else R, n)
-        if R is not None:
-            scale[:, 3] = 0.0
-        self._now = at_rest(self.form, first, covariance, scale, int(one.now.samples[0]), samples == 0)
+        theta, P, scale = (
+            np.concatenate([getattr(tracker.now, name) for tracker in trackers])[alike]
+            for name in ("theta", "P", "scale")
+        )
+        self._now = at_rest(self.form, theta, P, scale, int(one.now.samples[0]), bool(one.now.begun[0]))
         self.enabled = True
         self._first, self._initial = self._now, self.state()
 
@@ -464,10 +462,17 @@ class TrackerBank(track.Following):
             If y or u is empty or not finite, R not positive, or a shape wrong; no actuator has changed then.
         LinAlgError
             If a filter refuses a sample; the message names both, and no actuator has changed then.
+
+        Warns
+        -----
+        UserWarning
+            If outputs have fill values, which are taken for missing as in `ParameterTracker.run`; it names them.
         """
         columns_of_y = getattr(y, "columns", None)
         axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
-        outputs = setup.outputs(y, self.n, True)
+        fills = [fill_values(column) for column in setup.outputs(y, self.n, True).T]
+        outputs = np.column_stack([fill.signal for fill in fills])
+        actuators = tuple(range(self.n) if columns_of_y is None else columns_of_y)
         length = len(outputs)
         signal = setup.inputs(self.structure, u, self.n, length)
         noise = None if R is None else setup.variances(R, self.n, length)
@@ -491,8 +496,11 @@ class TrackerBank(track.Following):
         std = np.sqrt(np.maximum(variance[..., self.form.own], 0.0))
         result = BankResult(theta[..., self.form.own], std, prediction, residual, weights, guard, rows)
         result.names, result.index = self.structure.names, None if axis.index is None else axis.index[rows]
-        result.actuators = tuple(range(self.n) if columns_of_y is None else columns_of_y)
+        result.actuators = actuators
         self._say(said)
+        filled = [f"{name}: {fill.said}" for name, fill in zip(actuators, fills, strict=True) if fill.values]
+        if filled:
+            warn(f"TrackerBank: y has fill values, by actuator {'; '.join(filled)}", UserWarning)
         self._now = now
         return result
 

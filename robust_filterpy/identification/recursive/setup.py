@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from robust_filterpy import _checks, _state
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
-from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.conversion import robust
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.shell import leave_unwatched
@@ -22,6 +21,7 @@ from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.state import Form, checked
 from robust_filterpy.influence.functions import Linear
 
+_Made = TypeVar("_Made")
 # Before the data have spoken the parameters may be anything of moderate size.
 _VAGUE = 100.0
 
@@ -233,73 +233,27 @@ def actuators(where: np.ndarray) -> str:
     return f"actuator{'s' if len(places) > 1 else ''} {names}"
 
 
-# Options.
+# How many axes an option has that all actuators share; of any other a list is one for each.
+_AXES: Final = {"theta": (0, 1), "P": (0, 2), "Q": (0, 2), "F": (2,), "R": (0,), "forgetting": (0,)}
 
 
-def each(name: str, value: Any, n: int) -> list[Any]:
-    """Return an option that is no number as a list, of one if it is shared by all."""
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        return [value.item()]
-    if not isinstance(value, (list, tuple, np.ndarray)):
-        return [value]
-    if len(value) != n:
-        raise ValueError(f"{name}: expected one for all or a list of {n}, got {len(value)}")
-    return list(value)
-
-
-def options(name: str, value: Any, n: int, allowed: tuple[str, ...]) -> np.ndarray:
-    """Return an option of each actuator, shape (n,)."""
-    chosen = each(name, value, n)
-    shared = not isinstance(value, (list, tuple)) and np.ndim(value) == 0
-    values = [_checks.option(name if shared else f"{name}[{i}]", entry, allowed) for i, entry in enumerate(chosen)]
-    return np.array(np.broadcast_to(values, n), order="C")
-
-
-def choices(n: int, given: dict[str, Any]) -> tuple[Choices, ...]:
-    """Return the options of the correction, one for all actuators or one each."""
-    lists = {name: each(name, value, n) for name, value in given.items() if value is not None}
-    several = any(len(entries) > 1 for entries in lists.values())
-    return tuple(
-        Choices(**{name: entries[i if len(entries) > 1 else 0] for name, entries in lists.items()})
-        for i in range(n if several else 1)
-    )
-
-
-def given(name: str, value: Any) -> Array:
-    """Return numbers, or raise; None is none."""
-    if value is None:
-        raise TypeError(f"{name}: expected numbers, got None; leave {name} out for its default")
-    return numbers(name, value)
-
-
-def parameters(structure: Structure, theta: Any, n: int) -> Array:
-    """Return the parameters to start from, shape (n, n_theta), or raise."""
-    d = structure.n_theta
-    values = given("theta", theta)
-    if values.shape not in ((), (d,), (n, d)):
-        raise ValueError(
-            f"theta: expected shape ({d},) or ({n}, {d}) for {structure} and n={n}, got {described(values)}"
-        )
-    values = np.array(np.broadcast_to(values, (n, d)), order="C")
-    require("theta: expected finite numbers, got NaN or infinity", np.isfinite(values).all(axis=1))
-    require(
-        "theta: expected a stable model to start from, got coefficients that feed back with roots outside the unit "
-        "circle",
-        np.array([are_stable(row, structure.stable_parts) for row in values]),
-    )
-    return values
-
-
-def covariances(name: str, value: Any, n: int, d: int) -> Array:
-    """Return a covariance of the parameters, shape (d, d), or (n, d, d) for one of each actuator; or raise."""
-    values = given(name, value)
-    if values.ndim in (0, 2):
-        return covariance(name, values[()], d)
-    if values.shape not in ((n,), (n, d, d)):
-        raise ValueError(
-            f"{name}: expected a number, shape ({d}, {d}), ({n},) or ({n}, {d}, {d}), got {described(values)}"
-        )
-    return np.stack([covariance(f"{name}[{i}]", entry, d) for i, entry in enumerate(values)])
+def of_each(n: int, given: Mapping[str, Any]) -> tuple[set[str], list[dict[str, Any]]]:
+    """Return which options actuators have of their own, and those of each actuator, of one where there are none."""
+    own, shared = {}, dict(given)
+    for name, value in given.items():
+        if value is None:
+            continue
+        values: Any = numbers(name, value) if name in _AXES else value
+        if isinstance(values, np.ndarray) and not values.ndim:
+            shared[name] = values = values.item()
+        several = np.ndim(values) not in _AXES[name] if name in _AXES else isinstance(values, (list, tuple, np.ndarray))
+        if several and len(values) != n:
+            raise ValueError(f"{name}: expected one for all or a list of {n}, got {len(values)}")
+        if several:
+            own[name] = values
+            del shared[name]
+    rows = [{**shared, **{name: values[i] for name, values in own.items()}} for i in range(n if own else 1)]
+    return set(own), rows
 
 
 def matrices(name: str, value: Any, n: int, d: int) -> Array:
@@ -326,20 +280,19 @@ def variances(value: Any, n: int, length: int | None = None) -> Array:
     return values
 
 
-def factors(value: Any, n: int) -> Array:
-    """Return the forgetting factor of each actuator, shape (n,), or raise."""
-    values = numbers("forgetting", 1.0 if value is None else value)
-    if values.shape not in ((), (n,)):
-        raise ValueError(f"forgetting: expected shape ({n},), or one number for all, got {described(values)}")
-    values = np.array(np.broadcast_to(values, n), order="C")
-    require("forgetting: expected numbers in (0, 1]", (values > 0.0) & (values <= 1.0))
-    return values
-
-
-def require(sentence: str, good: Any) -> None:
-    """Raise ValueError with the sentence and the actuators unless all are good."""
-    if not good.all():
-        raise ValueError(f"{sentence}: {actuators(~good)}")
+def for_each(make: Callable[[dict[str, Any]], _Made], rows: list[dict[str, Any]]) -> list[_Made]:
+    """Return what is made of the options of each actuator, or raise with the actuators whose options are refused."""
+    made, refused = [], []
+    for row in rows:
+        try:
+            made.append(make(row))
+        except (ValueError, TypeError) as error:
+            refused.append((len(made) + len(refused), error))
+    if refused:
+        error = refused[0][1]
+        which = np.isin(np.arange(len(rows)), [i for i, _ in refused])
+        raise type(error)(f"{error}: {actuators(which)}" if len(rows) > 1 else str(error))
+    return made
 
 
 def checked_state(state: Any, form: Form, n: int) -> dict[str, Array]:
