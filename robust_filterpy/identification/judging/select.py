@@ -343,7 +343,7 @@ _WILD: Final = 10.0
 
 
 def select_structure(
-    y: ArrayLike, u: ArrayLike | None, kind: Kind = OutputError, na: Iterable[int] | None = None,
+    y: ArrayLike, u: ArrayLike | None, kind: Kind = OutputError, *, na: Iterable[int] | None = None,
     nb: Iterable[int] | None = None, nc: Iterable[int] | None = None, nd: Iterable[int] | None = None,
     nf: Iterable[int] | None = None, nk: Iterable[int] | None = None, criterion: str = "bic",
     held_out: float | None = None, progress: bool | None = None,

@@ -18,7 +18,6 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._brief import Pictured
-from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output, recording, table
@@ -29,7 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Tried", "TunedTracker", "tuned"]
 
-_NAMES: Final = ("Q", "forgetting")
+# What may be tried, and the value with which theta stands still.
+_STANDS_STILL: Final = {"Q": 0.0, "forgetting": 1.0}
 # Samples left out after the start, for each parameter, and how many must be left to judge by.
 _SETTLING: Final = 20
 _LEAST: Final = 50
@@ -120,91 +120,74 @@ class TunedTracker(Pictured):
 
 def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int | None) -> TunedTracker:
     """Choose Q or the forgetting factor of a tracker."""
+    candidates = _candidates(tracker, over)
     axis, y, u = recording(tracker.structure, y=y, u=u)
     axis.require_period(tracker.dt)
     output = recorded_output(y)
     signal = recorded_input(tracker.structure, u, output.size)
-    candidates = _candidates(tracker, over)
     if not tracker.enabled:
         raise ValueError("tracker: expected one that learns, got enabled=False, with which no value makes a difference")
-    ready = copy.deepcopy(tracker)
+    ready, start = copy.deepcopy(tracker), tracker.now.starts.get(0)
+    first = 0 if start is None else min(max(start.samples - start.y.size, 0), output.size)
+    settling = _SETTLING * tracker.structure.n_theta if leave_out is None else _checks.count("leave_out", leave_out)
+    measured = ~np.isnan(output) & (np.arange(output.size) >= first + settling)
+    if measured.sum() < _LEAST:
+        raise ValueError(
+            f"y: expected at least {_LEAST} measured samples after the first {first + settling}, of which {first} are "
+            f"the start and {settling} are left out, got {measured.sum()}; record more, or take a smaller start or "
+            "leave_out"
+        )
+    wild = _WILD * mad_scale(output[~np.isnan(output)] - np.nanmedian(output)) or np.inf
+    rows = []
     with warnings.catch_warnings():
         # A value that is far off loses its way, which its likelihood says.
         warnings.simplefilter("ignore", UserWarning)
-        first = _through_the_start(ready, output, signal)
-        settling = _SETTLING * tracker.structure.n_theta if leave_out is None else _checks.count("leave_out", leave_out)
-        counts = np.arange(output.size) >= first + settling
-        if (counts & ~np.isnan(output)).sum() < _LEAST:
-            raise ValueError(
-                f"y: expected at least {_LEAST} measured samples after the first {first + settling}, of which {first} "
-                f"are the start and {settling} are left out, got {(counts & ~np.isnan(output)).sum()}; record more, or "
-                "take a smaller start or leave_out"
-            )
-        residuals = [_residual(ready, values, output, signal, first, counts) for values in candidates]
-    wild = _WILD * mad_scale(output[~np.isnan(output)] - np.nanmedian(output)) or np.inf
-    likelihoods = [-np.inf if e is None else likelihood_of_mixture(e, wild) for e in residuals]
-    rows = tuple(Tried(*row) for row in zip(candidates, likelihoods, strict=True))
-    if not any(np.isfinite(row.log_likelihood) for row in rows):
-        raise ValueError("over: expected a value with which the filter goes through the recording, got none")
-    samples = int((counts & ~np.isnan(output)).sum())
+        if first:
+            # No value changes the model of these samples.
+            ready.run(output[:first], signal[:first])
+        for values in candidates:
+            try:
+                e = ready.replaced(**values).run(output[first:], signal[first:]).residual[measured[first:]]
+                rows.append(Tried(values, likelihood_of_mixture(e[~np.isnan(e)], wild)))
+            except (np.linalg.LinAlgError, ValueError):
+                rows.append(Tried(values, -np.inf))
     chosen = max(rows, key=lambda row: row.log_likelihood)
-    doubt = _doubt(chosen, candidates)
+    if not np.isfinite(chosen.log_likelihood):
+        raise ValueError("over: expected a value with which the filter goes through the recording, got none")
+    doubt = _doubt(chosen.values, candidates)
     if doubt:
         warn(f"tuned: {doubt}")
-    return TunedTracker(tracker.replaced(**chosen.values), rows, samples, doubt)
+    return TunedTracker(tracker.replaced(**chosen.values), tuple(rows), int(measured.sum()), doubt)
 
 
 def _candidates(tracker: ParameterTracker, over: Any) -> list[dict[str, Any]]:
     """Return every combination of the values, checked."""
     if not isinstance(over, Mapping):
         raise TypeError(f'over: expected values by name such as {{"Q": [1e-6, 1e-5]}}, got {_checks.shown(over)}')
-    if not over or set(over) - set(_NAMES):
-        raise ValueError(f"over: expected values of {' or '.join(_NAMES)}, got {_checks.shown(list(over))}")
-    lists = {}
+    if not over or set(over) - set(_STANDS_STILL):
+        raise ValueError(f"over: expected values of {' or '.join(_STANDS_STILL)}, got {_checks.shown(list(over))}")
     for name, values in over.items():
         if not isinstance(values, Iterable) or isinstance(values, str):
             raise TypeError(f"over[{name!r}]: expected a sequence of values to try, got {_checks.shown(values)}")
-        lists[name] = [value.item() if np.ndim(value) == 0 and hasattr(value, "item") else value for value in values]
-        if not lists[name]:
-            raise ValueError(f"over[{name!r}]: expected at least one value to try, got an empty sequence")
-        trial = copy.deepcopy(tracker)
-        for value in lists[name]:
-            setattr(trial, name, value)
-    return [dict(zip(lists, values, strict=True)) for values in itertools.product(*lists.values())]
+    lists = [[one.item() if isinstance(one, np.generic) else one for one in values] for values in over.values()]
+    if not all(lists):
+        raise ValueError(f"over[{list(over)[lists.index([])]!r}]: expected at least one value to try, got none")
+    candidates = [dict(zip(over, values, strict=True)) for values in itertools.product(*lists)]
+    for values in candidates:
+        tracker.replaced(**values)
+    return candidates
 
 
-def _through_the_start(tracker: ParameterTracker, y: Array, u: Array) -> int:
-    """Take the samples of which the tracker makes its first model, which no value changes; return how many."""
-    k = 0
-    while tracker.now.starts and k < y.size:
-        part = slice(k, min(k + max(tracker.now.starts[0].waits, 1), y.size))
-        tracker.run(y[part], u[part])
-        k = part.stop
-    return k
-
-
-def _residual(tracker: ParameterTracker, values: Any, y: Array, u: Array, first: int, counts: Any) -> Array | None:
-    """Return the prediction errors that count with these values, None if the filter breaks down."""
-    trial = tracker.replaced(**values)
-    try:
-        residual = trial.run(y[first:], u[first:]).residual
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    residual = residual[counts[first:]]
-    return np.asarray(residual[~np.isnan(residual)])
-
-
-def _doubt(chosen: Tried, candidates: list[dict[str, Any]]) -> str:
+def _doubt(chosen: dict[str, Any], candidates: list[dict[str, Any]]) -> str:
     """Say which value lies at the end of what was tried, where a further one may be better; or nothing."""
-    for name, value in chosen.values.items():
+    for name, value in chosen.items():
         tried = [values[name] for values in candidates]
-        if any(np.ndim(one) for one in tried) or len(set(tried)) < 2 or value == (0.0 if name == "Q" else 1.0):
+        if any(np.ndim(one) for one in tried) or len(set(tried)) < 2 or value == _STANDS_STILL[name]:
             continue
-        if name == "Q" and value == min((one for one in tried if one > 0.0), default=0.0):
-            between = ", also between 0 and it" if 0.0 in tried else ""
-            return f"the best Q, {value:g}, is the smallest that was tried; try smaller ones too{between}"
-        if value in (min(tried), max(tried)):
-            where = "smaller" if value == min(tried) else "larger"
+        # Between Q = 0 and the next value are many.
+        least = min(one for one in tried if one > 0.0)
+        if value in (least, max(tried)):
+            where = "smaller" if value == least else "larger"
             return f"the best {name}, {value:g}, is at the end of what was tried; try {where} ones too"
     return ""
 
