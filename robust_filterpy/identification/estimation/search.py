@@ -129,8 +129,8 @@ def ends(
             noise = noise if noise.given else replace(noise, R=max(mad_scale(shown) ** 2, least))
         else:
             begin = _best_of(model, missing, noise, _starts(model, missing, noise), searched=False)
-            rough = _searched(model, begin, noise, missing, ("the best start",), _ROUGH, limits)
-            begin, noise = rough.p, rough.noise
+            first = _searched(model, begin, noise, missing, ("the best start",), _ROUGH, limits)
+            begin, noise = first.p, first.noise
         noise = replace(noise, influence=START if influence is None else influence)
         return _best_first(
             model, missing, [_searched(model, begin, noise, missing, ("one start",), _FULL, limits)], limits

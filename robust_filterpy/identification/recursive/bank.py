@@ -251,10 +251,9 @@ class TrackerBank(track.Following):
         trackers = setup.for_each(lambda each: ParameterTracker(structure, **each), options)
         one, alike = trackers[0], np.arange(n) % len(trackers)
         self._regressor = one.regressor
-        words = ([tracker.gradient for tracker in trackers], [tracker.guard for tracker in trackers])
-        gradient, guard = (np.array(each)[alike] for each in words)
-        form = one.form
-        self.form = Form.of(structure, form.layout, form.has_offset, form.cleans, form.judges, gradient, guard)
+        form, forms = one.form, [tracker.form for tracker in trackers]
+        words = (np.concatenate([getattr(each, name) for each in forms])[alike] for name in ("gradient", "guard"))
+        self.form = Form.of(structure, form.layout, form.has_offset, form.cleans, form.judges, *words)
         # The kernel takes what all have in common once.
         self.Q, self.F = (
             np.stack([getattr(tracker, name) for tracker in trackers]) if name in own else getattr(one, name)

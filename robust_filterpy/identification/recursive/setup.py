@@ -282,16 +282,17 @@ def variances(value: Any, n: int, length: int | None = None) -> Array:
 
 def for_each(make: Callable[[dict[str, Any]], _Made], rows: list[dict[str, Any]]) -> list[_Made]:
     """Return what is made of the options of each actuator, or raise with the actuators whose options are refused."""
-    made, refused = [], []
-    for row in rows:
+    made: list[_Made] = []
+    refused: dict[int, Exception] = {}
+    for i, row in enumerate(rows):
         try:
             made.append(make(row))
         except (ValueError, TypeError) as error:
-            refused.append((len(made) + len(refused), error))
-    if refused:
-        error = refused[0][1]
-        which = np.isin(np.arange(len(rows)), [i for i, _ in refused])
-        raise type(error)(f"{error}: {actuators(which)}" if len(rows) > 1 else str(error))
+            refused[i] = error
+    for first in refused.values():
+        if len(rows) > 1:
+            first.args = (f"{first}: {actuators(np.isin(np.arange(len(rows)), list(refused)))}", *first.args[1:])
+        raise first
     return made
 
 
