@@ -92,33 +92,26 @@ static int set_mixture(held *h, PyObject *filter, const mixture *f, enum attribu
            set_attribute(filter, AT__kept, kept) == 0;
 }
 
-/* given_now: B, F and Q for this call, or None. */
-static int predict_mixture(held *h, PyObject *filter, PyObject *u, PyObject *const *given_now) {
+/* given: B, F and Q for this call, or None. */
+static int predict_mixture(held *h, PyObject *filter, PyObject *u, PyObject *const *given) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_F, AT_Q, AT__alpha_sq, AT_B, AT__policy};
-    PyObject *const *const given = h->objects;
-    PyObject *B_now, *F_now, *Q_now;
+    PyObject *const *const own = h->objects;
     mixture f;
-    const double *F, *Q;
-    double stack[STACK_WORK], *work, *control, alpha_sq;
+    motion how;
+    double stack[STACK_WORK], *work, *control;
     int fine;
-    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[8], AT_rule)) return -1;
-    if (!(B_now = given_or(h, given_now[0], given[7])) || !(F_now = given_or(h, given_now[1], given[4])) ||
-        !(Q_now = given_or(h, given_now[2], given[5])))
-        return -1;
-    fine = take_mixture(h, given, given[9], &f);
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, own[8], AT_rule)) return -1;
+    fine = take_mixture(h, own, own[9], &f);
     if (fine <= 0) return fine;
     const int n = (int)f.now.n;
-    F = matrix_of(F_now, n, n), Q = covariance_of(h, Q_now, n);
-    if (!Q && PyErr_Occurred()) return -1;
-    if (!F || !Q || !number_of(given[6], &alpha_sq) || !is_symmetric(Q, n)) return 0;
-    for (int i = 0; i < n; i++) fine = fine && Q[i * n + i] >= 0;
-    if (!fine) return 0;
+    fine = take_motion(h, given, own + 4, n, &how);
+    if (fine <= 0) return fine;
     work = work_of(stack, learnt_predict_work(n, learnt_models(&f.rule)) + (size_t)n);
     if (!work) return -1;
     control = work;
-    fine = take_control(B_now, u, n, &control);
+    fine = take_control(how.B, u, n, &control);
     if (fine) {
-        learnt_predict(n, &f.rule, &f.s, F, Q, control, alpha_sq, work + n);
+        learnt_predict(n, &f.rule, &f.s, how.F, how.Q, control, how.alpha_sq, work + n);
         fine = merge(&f, work + n);
     }
     work_done(stack, work);
@@ -198,69 +191,46 @@ static double outlier_probability(const learnt_rule *rule, int m, const double *
 
 /* Give a filter what a correction has left of it but x and P; 1, or -1 with an exception. */
 static int set_weighed(held *h, PyObject *filter, const learnt_rule *rule, int m, PyObject *z, PyObject *record,
-                       const weighed *made, const sensor_rows *c) {
+                       const weighed *made, const sensor_rows *rows) {
     PyObject *const probability =
         hold(h, PyFloat_FromDouble(outlier_probability(rule, m, numbers_of(made->outlying))));
-    if (!probability || set_attribute(filter, AT_z, z) < 0 || set_attribute(filter, AT__last, record) < 0 ||
-        set_attribute(filter, AT__outlier_probability, probability) < 0)
-        return -1;
-    if (c && c->m) {
-        if (!set_rows(h, filter, c, numbers_of(made->memory))) return -1;
-    } else if (rule->learns && set_attribute(filter, AT__memory, made->memory) < 0) {
-        return -1;
-    }
-    for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
-        if (set_attribute(filter, which, Py_None) < 0) return -1;
-    return 1;
+    if (!probability || set_attribute(filter, AT__outlier_probability, probability) < 0) return -1;
+    return set_measured(h, filter, z, record, rows, rule->learns ? made->memory : NULL);
 }
 
-/* given_now: R and H for this call, or None; M, or None. */
-static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *const *given_now) {
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_dim_z, AT_inv,
-                                           AT_R, AT_H, AT__memory, AT__policy, AT__other_sensors};
-    PyObject *const *const given = h->objects;
-    PyObject *seen, *shown, *lags, *H_now, *R_now, *H_too, *R_too, *M_too = Py_None, *before_too, *make, *record;
+/* given: R, H and M for this call, or None. */
+static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *const *given) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_dim_z, AT_inv, AT_R, AT_H,
+                                           AT__memory, AT__other_sensors, AT__policy};
+    PyObject *const *const own = h->objects;
+    PyObject *seen, *shown, *lags, *H_too, *R_too, *M_too = Py_None, *make, *record;
     mixture f;
-    sensor_rows c = {.m = 0};
+    sensors s;
     weighed made;
-    const double *H, *R, *M = NULL, *before;
+    const double *before;
     double stack[STACK_WORK], *work;
     int fine;
-    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[9], AT_rule)) return -1;
-    make = hold_attribute(h, given[9], AT_record);
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, own[10], AT_rule)) return -1;
+    make = hold_attribute(h, own[10], AT_record);
     z = make ? as_plain(h, z) : NULL;
-    R_now = z ? given_or(h, given_now[0], given[6]) : NULL;
-    H_now = R_now ? given_or(h, given_now[1], given[7]) : NULL;
-    if (!H_now) return -1;
-    fine = take_mixture(h, given, given[11], &f);
+    if (!z) return -1;
+    fine = take_mixture(h, own, own[11], &f);
     if (fine <= 0) return fine;
-    if (!is_array(H_now, 2) || given[5] != numpy_inverse) return 0;
-    const npy_intp rows = PyArray_DIM((PyArrayObject *)H_now, 0);
-    if (rows < 1 || rows > 1000 || (given_now[1] == Py_None && rows != whole_number(given[4]))) return 0;
-    const int n = (int)f.now.n, m = (int)rows, width = learnt_width(f.rule.K);
-    R = covariance_of(h, R_now, m), H = matrix_of(H_now, m, n);
-    if (!R && PyErr_Occurred()) return -1;
-    if (!R || !H || !is_finite_product(H, f.now.x, m, n)) return 0;
-    if (given_now[2] != Py_None) {
-        M = matrix_of(given_now[2], n, m);
-        if (!M || !all_finite(M, n * m)) return 0;
-        M_too = copied(h, M, 2, n, m);
-        if (!M_too) return -1;
-    }
-    before_too = given[8];
+    const int n = (int)f.now.n, width = learnt_width(f.rule.K);
+    s.memory = own[8];
+    s.rows = (sensor_rows){.width = f.rule.learns && !f.rule.joint ? width : 0, .begin = f.rule.begin};
+    fine = take_sensors(h, given, own + 4, n, &s);
+    if (fine <= 0) return fine;
+    const int m = (int)s.m;
+    const double *const H = s.H, *const R = s.R, *const M = s.M;
+    if (m > 1000 || !is_finite_product(H, f.now.x, m, n)) return 0;
+    if (M && !(M_too = copied(h, M, 2, n, m))) return -1;
     if (!f.rule.learns) {
-        before_too = array_of(h, 2, memory_rows(&f.rule, m), width, 0);
-        if (!before_too) return -1;
-        for (npy_intp k = 0; k < memory_rows(&f.rule, m) * width; k++) numbers_of(before_too)[k] = f.rule.begin[k % width];
-    } else if (H_now != given[7] && !f.rule.joint) {
-        c = (sensor_rows){.m = m, .width = width, .places = given[8], .rows = given[10], .begin = f.rule.begin};
-        fine = take_rows(h, &c, H, given[7], n);
-        if (fine <= 0) return fine;
-        before_too = array_of(h, 2, m, width, 0);
-        if (!before_too) return -1;
-        if (!read_rows(&c, numbers_of(before_too))) return PyErr_Occurred() ? -1 : 0;
+        s.memory = array_of(h, 2, memory_rows(&f.rule, m), width, 0);
+        if (!s.memory) return -1;
+        for (npy_intp k = 0; k < memory_rows(&f.rule, m) * width; k++) numbers_of(s.memory)[k] = f.rule.begin[k % width];
     }
-    before = matrix_of(before_too, memory_rows(&f.rule, m), width);
+    before = matrix_of(s.memory, memory_rows(&f.rule, m), width);
     if (!before) return 0;
     /* z is shown in the shape of x, and kept as a vector. */
     seen = array_of(h, 1, m, 0, 0);
@@ -279,10 +249,10 @@ static int correct_mixture(held *h, PyObject *filter, PyObject *z, PyObject *con
                  : NULL;
     record = lags ? hold(h, PyObject_CallFunction(make, "OOOdOOOOOOOOOO", f.x_next, f.P_next, made.memory, made.likelihood,
                                                   made.weights, made.outlying, f.x, f.P, H_too, R_too, M_too, seen,
-                                                  before_too, lags))
+                                                  s.memory, lags))
                   : NULL;
     if (!record || !set_mixture(h, filter, &f, AT_x_post, AT_P_post)) return -1;
-    return set_weighed(h, filter, &f.rule, m, shown, record, &made, &c);
+    return set_weighed(h, filter, &f.rule, m, shown, record, &made, &s.rows);
 }
 
 /* H (m, n) = C' P^-1, P (n, n) in units of its own and without directions in which it has no extent, and what of S such a line
@@ -328,8 +298,8 @@ static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_
     learnt_rule rule;
     filter_state now;
     weighed made;
-    const double *C, *S, *R, *at = NULL, *before;
-    double stack[STACK_WORK], *work, single;
+    const double *C, *S, *R, *before;
+    double stack[STACK_WORK], *work;
     int fine;
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0 || !hold_attribute(h, given[6], AT_rule)) return -1;
     make = hold_attribute(h, given[6], AT_record);
@@ -351,10 +321,7 @@ static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_
     curvature = R_too ? array_of(h, 2, m, m, 0) : NULL, x_next = curvature ? array_of(h, now.ndim, n, 1, 0) : NULL;
     P_next = x_next ? array_of(h, 2, n, n, 0) : NULL;
     if (!P_next || !begin_weighed(h, &rule, before, m, &made)) return -1;
-    if (!take_measurement(plain[0], m, numbers_of(seen))) return 0;
-    at = plain[1] == Py_None ? vector_of(plain[2], m)
-                             : m == 1 && number_of(plain[1], &single) ? &single : vector_of(plain[1], m);
-    if (!at || (plain[1] != Py_None && !all_finite(at, m))) return 0;
+    if (!take_difference(plain, m, numbers_of(seen), numbers_of(y))) return 0;
     const size_t k = (size_t)(n > m ? n : m), own = (size_t)(all * (all + 1 + m) + 3 * all);
     work = work_of(stack, own + correct_work(&rule, all, m) + (size_t)(m * m) + 3 * k * k + k);
     if (!work) return -1;
@@ -375,7 +342,7 @@ static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_
             int sees = 0;
             for (int j = 0; j < all; j++) whole[i * all + j] = j < n ? h_of[i * n + j] : j - n == i;
             for (int j = 0; j < n; j++) sees |= h_of[i * n + j] != 0;
-            numbers_of(y)[i] = !sees ? NAN : plain[1] == Py_None ? at[i] : numbers_of(seen)[i] - at[i];
+            if (!sees) numbers_of(y)[i] = NAN;
         }
         fine = fine && weigh(all, m, &rule, &s, numbers_of(y), numbers_of(seen), whole, R, NULL, &made, rest);
         for (int i = 0; i < n; i++) {
@@ -398,35 +365,14 @@ static int correct_innovation(held *h, PyObject *filter, PyObject *const *given_
     return set_weighed(h, filter, &rule, m, shown, record, &made, NULL);
 }
 
-static PyObject *innovation_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    held h = {.count = 0};
-    (void)self;
-    if (count != 7) {
-        PyErr_SetString(PyExc_TypeError, "correct_mixture_innovation: expected a filter, z, its prediction, y, C, S and R");
-        return NULL;
-    }
-    return answer(&h, correct_innovation(&h, arguments[0], arguments + 1));
-}
+STEP(innovation_step, 7, correct_innovation(&h, arguments[0], arguments + 1),
+     "correct_mixture_innovation: expected a filter, z, its prediction, y, C, S and R")
 
-static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    held h = {.count = 0};
-    (void)self;
-    if (count != 5) {
-        PyErr_SetString(PyExc_TypeError, "predict_mixture: expected a filter, u, B, F and Q");
-        return NULL;
-    }
-    return answer(&h, predict_mixture(&h, arguments[0], arguments[1], arguments + 2));
-}
+STEP(predict_step, 5, predict_mixture(&h, arguments[0], arguments[1], arguments + 2),
+     "predict_mixture: expected a filter, u, B, F and Q")
 
-static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    held h = {.count = 0};
-    (void)self;
-    if (count != 5) {
-        PyErr_SetString(PyExc_TypeError, "correct_mixture: expected a filter, z, R, H and M");
-        return NULL;
-    }
-    return answer(&h, correct_mixture(&h, arguments[0], arguments[1], arguments + 2));
-}
+STEP(correct_step, 5, correct_mixture(&h, arguments[0], arguments[1], arguments + 2),
+     "correct_mixture: expected a filter, z, R, H and M")
 
 PyMethodDef mixture_functions[] = {
     {"predict_mixture", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL,

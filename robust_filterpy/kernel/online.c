@@ -26,7 +26,7 @@ int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) 
 }
 
 /* A whole number from 1 to 10000, or 0: also of the square of such a size there is an int. */
-npy_intp whole_number(PyObject *object) {
+static npy_intp whole_number(PyObject *object) {
     npy_intp found;
     if (!PyLong_CheckExact(object)) return 0;
     found = PyLong_AsSsize_t(object);
@@ -87,20 +87,21 @@ int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
     return 1;
 }
 
-PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
+/* Plain; own where given is None; NULL with an exception. */
+static PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
 
-/* Say which sensors the rows of an H are. */
-int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n) {
+/* Say which sensors the rows of an H are; 1, 0, or -1 with an exception. */
+static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n) {
     const npy_intp m = c->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0;
-    const double *const known = rows > 0 ? matrix_of(own, rows, n) : NULL;
+    const double *const ours = rows > 0 ? matrix_of(own, rows, n) : NULL;
     const size_t size = (size_t)n * sizeof(double);
     int same = 0;
-    if (m > ROWS_NOW || !known || !PyDict_CheckExact(c->rows) || !is_array(c->places, 2) ||
+    if (m > ROWS_NOW || !ours || !PyDict_CheckExact(c->rows) || !is_array(c->places, 2) ||
         !matrix_of(c->places, PyArray_DIM((PyArrayObject *)c->places, 0), c->width))
         return 0;
     for (npy_intp i = 0; i < m; i++) {
         c->place[i] = 0, c->key[i] = NULL;
-        while (c->place[i] < rows && memcmp(H + i * n, known + c->place[i] * n, size)) c->place[i]++;
+        while (c->place[i] < rows && memcmp(H + i * n, ours + c->place[i] * n, size)) c->place[i]++;
         for (npy_intp j = 0; j < i; j++) same |= !memcmp(H + i * n, H + j * n, size);
     }
     for (npy_intp i = 0; i < m; i++) {
@@ -114,8 +115,8 @@ int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp 
     return 1;
 }
 
-/* What is known of these sensors: of a row that is met for the first time what is known of its place. */
-int read_rows(const sensor_rows *c, double *memory) {
+/* The memory of these sensors: of a row that is met for the first time that of its place. */
+static int read_rows(const sensor_rows *c, double *memory) {
     const npy_intp places = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
     for (npy_intp i = 0; i < c->m; i++) {
         PyObject *const row = c->key[i] ? PyDict_GetItemWithError(c->rows, c->key[i]) : NULL;
@@ -128,7 +129,8 @@ int read_rows(const sensor_rows *c, double *memory) {
     return 1;
 }
 
-int set_rows(held *h, PyObject *filter, const sensor_rows *c, const double *memory) {
+/* Whether that went well. */
+static int set_rows(held *h, PyObject *filter, const sensor_rows *c, const double *memory) {
     const npy_intp before = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
     npy_intp count = before, at = 0;
     PyObject *places, *rows = c->rows, *first, *none;
@@ -158,48 +160,47 @@ int set_rows(held *h, PyObject *filter, const sensor_rows *c, const double *memo
     return set_attribute(filter, AT__memory, places) == 0 && set_attribute(filter, AT__other_sensors, rows) == 0;
 }
 
+int take_motion(held *h, PyObject *const given[3], PyObject *const own[4], npy_intp n, motion *found) {
+    PyObject *const F = given_or(h, given[1], own[0]), *const Q = F ? given_or(h, given[2], own[1]) : NULL;
+    found->B = Q ? given_or(h, given[0], own[3]) : NULL;
+    if (!found->B) return -1;
+    found->F = matrix_of(F, n, n), found->Q = covariance_of(h, Q, n);
+    if (!found->Q) return PyErr_Occurred() ? -1 : 0;
+    if (!found->F || !number_of(own[2], &found->alpha_sq) || !is_symmetric(found->Q, n)) return 0;
+    for (npy_intp i = 0; i < n; i++)
+        if (!(found->Q[i * n + i] >= 0)) return 0;
+    return 1;
+}
+
 /* given: B, F and Q for this call, or None; moves: whether x does too. */
-static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *const *given_now, int moves) {
+static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *const *given, int moves) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_F, AT_Q, AT__alpha_sq, AT_B};
-    PyObject *const *const given = h->objects;
+    PyObject *const *const own = h->objects;
     filter_state now;
-    const double *F, *Q;
-    PyObject *x_next, *P_next, *B_now, *F_now, *Q_now;
-    double stack[STACK_WORK], *work, *control, alpha_sq;
-    int fine = 1;
+    motion how;
+    PyObject *x_next, *P_next;
+    double stack[STACK_WORK], *work, *control;
+    int fine;
     if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
-    if (!(B_now = given_or(h, given_now[0], given[6])) || !(F_now = given_or(h, given_now[1], given[3])) ||
-        !(Q_now = given_or(h, given_now[2], given[4])))
-        return -1;
-    if (!take_filter(given[0], given[1], given[2], &now)) return 0;
-    F = matrix_of(F_now, now.n, now.n);
-    Q = covariance_of(h, Q_now, now.n);
-    if (!Q && PyErr_Occurred()) return -1;
-    if (!F || !Q || !number_of(given[5], &alpha_sq) || !is_symmetric(Q, now.n)) return 0;
-    for (npy_intp i = 0; i < now.n; i++) fine = fine && Q[i * now.n + i] >= 0;
-    if (!fine) return 0;
+    if (!take_filter(own[0], own[1], own[2], &now)) return 0;
+    fine = take_motion(h, given, own + 3, now.n, &how);
+    if (fine <= 0) return fine;
     x_next = hold(h, new_array(now.ndim, now.n, 1));
     P_next = x_next ? hold(h, new_array(2, now.n, now.n)) : NULL;
     work = P_next ? work_of(stack, predict_work((int)now.n) + (size_t)now.n) : NULL;
     if (!work) return -1;
     control = work;
-    fine = take_control(B_now, u, now.n, &control) &&
-           predict((int)now.n, now.x, now.P, F, Q, control, alpha_sq, numbers_of(x_next), numbers_of(P_next), work + now.n);
+    fine = take_control(how.B, u, now.n, &control) &&
+           predict((int)now.n, now.x, now.P, how.F, how.Q, control, how.alpha_sq, numbers_of(x_next), numbers_of(P_next),
+                   work + now.n);
     work_done(stack, work);
     if (!fine) return 0;
     if (!moves) real_copy((int)now.n, now.x, numbers_of(x_next));
     return set_state(h, filter, x_next, P_next, AT_x_prior, AT_P_prior) ? 1 : -1;
 }
 
-static PyObject *predict_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    held h = {.count = 0};
-    (void)self;
-    if (count != 5) {
-        PyErr_SetString(PyExc_TypeError, "predict: expected a filter, u, B, F and Q");
-        return NULL;
-    }
-    return answer(&h, take_prediction(&h, arguments[0], arguments[1], arguments + 2, 1));
-}
+STEP(predict_step, 5, take_prediction(&h, arguments[0], arguments[1], arguments + 2, 1),
+     "predict: expected a filter, u, B, F and Q")
 
 static PyObject *covariance_step(PyObject *self, PyObject *filter) {
     PyObject *const none[3] = {Py_None, Py_None, Py_None};
@@ -232,61 +233,67 @@ int take_measurement(PyObject *object, npy_intp m, double *z) {
     return seen;
 }
 
-/* Everything that a measurement is taken up by, checked. */
-typedef struct {
-    correction_rule rule;
-    npy_intp m;
-    const double *H, *R, *M, *memory; /* M and memory may be NULL */
-} sensors;
-
-/* Take M, or None, and the memory of sensors that learn; whether they are that. */
-static int take_more(sensors *s, npy_intp n, PyObject *M, PyObject *memory) {
-    s->M = s->memory = NULL;
-    if (M != Py_None) {
-        s->M = matrix_of(M, n, s->m);
-        if (!s->M || !all_finite(s->M, n * s->m)) return 0;
-    }
-    if (s->rule.scaling == SCALING_LEARNT) {
-        s->memory = matrix_of(memory, s->m, SPREAD_NUMBERS);
-        if (!s->memory || !all_finite(s->memory, s->m * SPREAD_NUMBERS)) return 0;
-    }
+int take_difference(PyObject *const given[3], npy_intp m, double *z, double *y) {
+    const int subtracts = given[1] != Py_None;
+    double single;
+    const double *at;
+    if (!take_measurement(given[0], m, z)) return 0;
+    if (subtracts && m == 1 && number_of(given[1], &single)) at = &single;
+    else at = vector_of(given[subtracts ? 1 : 2], m);
+    if (!at || (subtracts && !all_finite(at, m))) return 0;
+    for (npy_intp i = 0; i < m; i++) y[i] = subtracts ? z[i] - at[i] : at[i];
     return 1;
 }
 
-/* given: R, H, M, then what take_correction has read; c->m > 0 says that rows of an H that is passed tell the sensors. */
-static int take_sensors(held *h, PyObject *const given[3], PyObject *const own[6], npy_intp n, sensors *s, sensor_rows *c) {
-    PyObject *const dim_z = own[0], *const inverse = own[1], *memory = own[4];
-    PyObject *const R = given_or(h, given[0], own[2]), *const H = R ? given_or(h, given[1], own[3]) : NULL;
-    if (!H) return -1;
-    if (inverse != numpy_inverse || !is_array(H, 2)) return 0;
-    s->m = PyArray_DIM((PyArrayObject *)H, 0);
-    s->H = matrix_of(H, s->m, n);
-    s->R = s->m > 0 && s->m <= 10000 ? covariance_of(h, R, s->m) : NULL;
-    if (!s->R && PyErr_Occurred()) return -1;
-    if (s->m < 1 || s->m > 10000 || !s->H || !s->R || (given[1] == Py_None && s->m != whole_number(dim_z))) return 0;
-    if (s->rule.scaling == SCALING_LEARNT && given[1] != Py_None && H != own[3]) {
-        int outcome;
-        *c = (sensor_rows){.m = s->m, .width = SPREAD_NUMBERS, .places = memory, .rows = own[5], .begin = NULL};
-        outcome = take_rows(h, c, s->H, own[3], n);
-        if (outcome <= 0) return outcome;
-        memory = hold(h, new_array(2, s->m, SPREAD_NUMBERS));
-        if (!memory) return -1;
-        if (!read_rows(c, numbers_of(memory))) return PyErr_Occurred() ? -1 : 0;
-    }
-    return take_more(s, n, given[2], memory);
+/* Take M, or None; whether it is that. */
+static int take_cross(sensors *s, npy_intp n, PyObject *M) {
+    s->M = M == Py_None ? NULL : matrix_of(M, n, s->m);
+    return M == Py_None || (s->M && all_finite(s->M, n * s->m));
 }
 
-/* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Not the innovations, S and C. */
-static void begin_record(double *values, npy_intp n, npy_intp m, const correction_rule *rule, const correction *c) {
-    double *const vectors = values + 4;
-    values[0] = (double)n;
-    values[1] = (double)m;
-    values[2] = (double)rule->scaling;
-    values[3] = correction_log_likelihood(rule, c);
-    real_copy((int)(4 * m), c->e, vectors + m);     /* e, weights, slopes, d */
-    real_copy((int)(2 * m), c->v, vectors + 5 * m); /* v, order */
-    for (npy_intp i = c->observed; i < m; i++) vectors[6 * m + i] = 0; /* no place for what is missing */
-    real_copy((int)m, c->first, vectors + 7 * m);   /* S_ii by which it was judged */
+/* Take the memory of sensors that are bounded by psi and learn; whether it is that. */
+static int take_memory(sensors *s, PyObject *memory) {
+    s->learned = s->rule.scaling == SCALING_LEARNT ? matrix_of(memory, s->m, SPREAD_NUMBERS) : NULL;
+    return s->rule.scaling != SCALING_LEARNT || (s->learned && all_finite(s->learned, s->m * SPREAD_NUMBERS));
+}
+
+int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s) {
+    PyObject *const R = given_or(h, given[0], own[2]), *const H = R ? given_or(h, given[1], own[3]) : NULL;
+    sensor_rows *const rows = &s->rows;
+    int outcome;
+    if (!H) return -1;
+    if (own[1] != numpy_inverse || !is_array(H, 2)) return 0;
+    s->m = PyArray_DIM((PyArrayObject *)H, 0);
+    if (s->m < 1 || s->m > 10000 || (given[1] == Py_None && s->m != whole_number(own[0]))) return 0;
+    s->H = matrix_of(H, s->m, n), s->R = covariance_of(h, R, s->m);
+    if (!s->R && PyErr_Occurred()) return -1;
+    if (!s->H || !s->R || !take_cross(s, n, given[2])) return 0;
+    rows->m = 0;
+    if (rows->width == 0 || H == own[3]) return 1;
+    rows->m = s->m, rows->places = own[4], rows->rows = own[5];
+    outcome = take_rows(h, rows, s->H, own[3], n);
+    if (outcome <= 0) return outcome;
+    s->memory = hold(h, new_array(2, s->m, rows->width));
+    if (!s->memory) return -1;
+    return read_rows(rows, numbers_of(s->memory)) ? 1 : PyErr_Occurred() ? -1 : 0;
+}
+
+/* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Numbers, rows of m numbers, S and C'. */
+enum record_number { RECORD_N, RECORD_M, RECORD_SCALING, RECORD_LOG_DENSITY, RECORD_HEAD };
+enum record_row { ROW_Y, ROW_E, ROW_WEIGHTS, ROW_PSI_DERIV, ROW_D, ROW_SCORE, ROW_ORDER, ROW_JUDGED, RECORD_ROWS };
+
+static double *record_row(double *record, enum record_row which, npy_intp m) { return record + RECORD_HEAD + which * m; }
+
+/* All but the innovations, S and C. */
+static void begin_record(double *record, npy_intp n, npy_intp m, const correction_rule *rule, const correction *c) {
+    record[RECORD_N] = (double)n;
+    record[RECORD_M] = (double)m;
+    record[RECORD_SCALING] = (double)rule->scaling;
+    record[RECORD_LOG_DENSITY] = correction_log_likelihood(rule, c);
+    real_copy((int)(4 * m), c->e, record_row(record, ROW_E, m));     /* e, weights, slopes, d */
+    real_copy((int)(2 * m), c->v, record_row(record, ROW_SCORE, m)); /* v, order */
+    for (npy_intp i = c->observed; i < m; i++) record_row(record, ROW_ORDER, m)[i] = 0; /* no place for what is missing */
+    real_copy((int)m, c->first, record_row(record, ROW_JUDGED, m));  /* S_ii by which it was judged */
 }
 
 static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z, const double *H, const double *x) {
@@ -296,9 +303,8 @@ static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z
         y[i] = z[i] == z[i] ? z[i] - predicted : 0;
     }
 }
-#define RECORD(n, m) (4 + 8 * (m) + (m) * (m) + (m) * (n))
 
-/* What a correction makes: x and P in the shape of before, a record, z with NaN where missing, and what is then known of the
+/* What a correction makes: x and P in the shape of before, a record, z with NaN where missing, and the memory of the
    sensors, NULL where nothing is learned. */
 typedef struct {
     PyObject *x, *P, *record, *z, *memory;
@@ -310,12 +316,12 @@ static int begin_corrected(held *h, const filter_state *now, const sensors *s, c
     made->memory = NULL;
     made->x = hold(h, new_array(now->ndim, n, 1));
     made->P = made->x ? hold(h, new_array(2, n, n)) : NULL;
-    made->record = made->P ? hold(h, new_array(1, RECORD(n, m), 0)) : NULL;
+    made->record = made->P ? hold(h, new_array(1, RECORD_HEAD + (RECORD_ROWS + m + n) * m, 0)) : NULL;
     made->z = made->record ? hold(h, new_array(now->ndim, m, 1)) : NULL;
-    if (made->z && s->memory) made->memory = hold(h, new_array(2, m, SPREAD_NUMBERS));
-    if (!made->z || (s->memory && !made->memory)) return -1;
+    if (made->z && s->learned) made->memory = hold(h, new_array(2, m, SPREAD_NUMBERS));
+    if (!made->z || (s->learned && !made->memory)) return -1;
     real_copy((int)(n * n), now->P, numbers_of(made->P));
-    if (made->memory) real_copy((int)(SPREAD_NUMBERS * m), s->memory, numbers_of(made->memory));
+    if (made->memory) real_copy((int)(SPREAD_NUMBERS * m), s->learned, numbers_of(made->memory));
     return 1;
 }
 
@@ -337,9 +343,9 @@ static int correct_linear(held *h, const filter_state *now, const sensors *s, Py
     if (outcome) {
         real_copy((int)n, now->x, numbers_of(made->x));
         outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), s->H, s->R, s->M, spreads_of(made),
-                         numbers_of(made->x), numbers_of(made->P), &c, values + 4 + 8 * m, work);
+                         numbers_of(made->x), numbers_of(made->P), &c, record_row(values, RECORD_ROWS, m), work);
         begin_record(values, n, m, &s->rule, &c);
-        write_innovations(values + 4, n, m, numbers_of(made->z), s->H, now->x);
+        write_innovations(record_row(values, ROW_Y, m), n, m, numbers_of(made->z), s->H, now->x);
     }
     work_done(stack, work);
     return outcome;
@@ -387,8 +393,8 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
     if (fine) {
         const double *const shown = work + update_work((int)n, (int)m);
         begin_record(values, n, m, &s->rule, &c);
-        real_copy((int)m, shown + m * m + m * n, values + 4);
-        real_copy((int)(m * m + m * n), shown, values + 4 + 8 * m);
+        real_copy((int)m, shown + m * m + m * n, record_row(values, ROW_Y, m));
+        real_copy((int)(m * m + m * n), shown, record_row(values, RECORD_ROWS, m));
         for (npy_intp k = 0; now->x && k < n; k++) x[k] = now->x[k] + x[k];
         fine = all_finite(x, n);
     }
@@ -396,33 +402,34 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
     return fine;
 }
 
-/* Give a filter what a correction made; 1, or -1 with an exception. */
-static int set_corrected(held *h, PyObject *filter, const corrected *made, const sensor_rows *c) {
-    if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
-    if (set_attribute(filter, AT_z, made->z) < 0 || set_attribute(filter, AT__last, made->record) < 0) return -1;
-    if (c && c->m) {
-        if (!set_rows(h, filter, c, numbers_of(made->memory))) return -1;
-    } else if (made->memory && set_attribute(filter, AT__memory, made->memory) < 0) {
+int set_measured(held *h, PyObject *filter, PyObject *z, PyObject *record, const sensor_rows *rows, PyObject *memory) {
+    if (set_attribute(filter, AT_z, z) < 0 || set_attribute(filter, AT__last, record) < 0) return -1;
+    if (memory && !(rows && rows->m ? set_rows(h, filter, rows, numbers_of(memory))
+                                    : set_attribute(filter, AT__memory, memory) == 0))
         return -1;
-    }
     for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
         if (set_attribute(filter, which, Py_None) < 0) return -1;
     return 1;
+}
+
+/* Give a filter what a correction made; 1, or -1 with an exception. */
+static int set_corrected(held *h, PyObject *filter, const corrected *made, const sensor_rows *rows) {
+    if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
+    return set_measured(h, filter, made->z, made->record, rows, made->memory);
 }
 
 /* Whether a sensor's far reading repeats for the first time: that is said, which may refuse the call, so that it is the
    definition's. */
 static int is_to_be_said(const sensors *s, const corrected *made) {
     for (npy_intp i = 0; made->memory && i < s->m; i++)
-        if (spreads_of(made)[i].filled > ((const spread_memory *)s->memory)[i].filled &&
-            ((const spread_memory *)s->memory)[i].filled == 0) return 1;
+        if (spreads_of(made)[i].filled > ((const spread_memory *)s->learned)[i].filled &&
+            ((const spread_memory *)s->learned)[i].filled == 0) return 1;
     return 0;
 }
 
 static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory,
                                            AT__other_sensors};
-    sensor_rows c = {.m = 0};
     filter_state now;
     sensors s;
     corrected made;
@@ -431,26 +438,22 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
     if (outcome <= 0) return outcome;
     own = h->objects + h->count;
     /* The last are for scaling "learnt" alone. */
-    if (hold_all(h, filter, names, s.rule.scaling == SCALING_LEARNT ? 9 : 7) < 0) return -1;
+    const int learns = s.rule.scaling == SCALING_LEARNT;
+    if (hold_all(h, filter, names, learns ? 9 : 7) < 0) return -1;
     if (!take_filter(own[0], own[1], own[2], &now)) return 0;
-    outcome = take_sensors(h, given, own + 3, now.n, &s, &c);
+    s.memory = learns ? own[7] : NULL, s.rows = (sensor_rows){.width = learns ? SPREAD_NUMBERS : 0};
+    outcome = take_sensors(h, given, own + 3, now.n, &s);
     if (outcome <= 0) return outcome;
+    if (!take_memory(&s, s.memory)) return 0;
     z = as_plain(h, z);
     if (!z) return -1;
     outcome = called_outcome(correct_linear(h, &now, &s, z, &made));
     if (outcome > 0 && is_to_be_said(&s, &made)) return 0;
-    return outcome > 0 ? set_corrected(h, filter, &made, &c) : outcome;
+    return outcome > 0 ? set_corrected(h, filter, &made, &s.rows) : outcome;
 }
 
-static PyObject *correct_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    held h = {.count = 0};
-    (void)self;
-    if (count != 5) {
-        PyErr_SetString(PyExc_TypeError, "correct: expected a filter, z, R, H and M");
-        return NULL;
-    }
-    return answer(&h, take_correction(&h, arguments[0], arguments[1], arguments + 2));
-}
+STEP(correct_step, 5, take_correction(&h, arguments[0], arguments[1], arguments + 2),
+     "correct: expected a filter, z, R, H and M")
 
 /* given: z, the prediction of z or None, the innovation or None, C, S, R. */
 static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) {
@@ -460,8 +463,6 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
     moments_given innovation;
     corrected made;
     PyObject *const *own, *plain[6], *room;
-    const double *at;
-    double *y, single;
     int outcome = rule_of_filter(h, filter, &s.rule);
     if (outcome <= 0) return outcome;
     own = h->objects + h->count;
@@ -469,34 +470,20 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
     for (int i = 0; i < 6; i++)
         if (!(plain[i] = as_plain(h, i == 5 && given[5] == Py_None ? own[4] : given[i]))) return -1;
     if (own[3] != numpy_inverse || !take_filter(own[0], own[1], own[2], &now)) return 0;
-    if (!take_moments(&s, &innovation, plain[3], plain[4], now.n) || !take_more(&s, now.n, Py_None, own[5])) return 0;
+    if (!take_moments(&s, &innovation, plain[3], plain[4], now.n) || !take_memory(&s, own[5])) return 0;
     s.R = covariance_of(h, plain[5], s.m);
     if (!s.R) return PyErr_Occurred() ? -1 : 0;
     if (begin_corrected(h, &now, &s, &made) < 0 || !(room = hold(h, new_array(2, s.m, s.m)))) return -1;
-    if (!take_measurement(plain[0], s.m, numbers_of(made.z)) || !is_covariance(s.R, s.m, numbers_of(room))) return 0;
-    if (plain[1] == Py_None) {
-        innovation.y = vector_of(plain[2], s.m);
-        if (!innovation.y) return 0;
-    } else {
-        at = s.m == 1 && number_of(plain[1], &single) ? &single : vector_of(plain[1], s.m);
-        if (!at || !all_finite(at, s.m)) return 0;
-        innovation.y = y = numbers_of(room);
-        for (npy_intp i = 0; i < s.m; i++) y[i] = numbers_of(made.z)[i] - at[i];
-    }
+    if (!is_covariance(s.R, s.m, numbers_of(room))) return 0;
+    innovation.y = numbers_of(room);
+    if (!take_difference(plain, s.m, numbers_of(made.z), numbers_of(room))) return 0;
     outcome = called_outcome(correct_innovation(&now, &s, &innovation, &made));
     if (outcome > 0 && is_to_be_said(&s, &made)) return 0;
     return outcome > 0 ? set_corrected(h, filter, &made, NULL) : outcome;
 }
 
-static PyObject *innovation_step(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    held h = {.count = 0};
-    (void)self;
-    if (count != 7) {
-        PyErr_SetString(PyExc_TypeError, "correct_innovation: expected a filter, z, its prediction, y, C, S and R");
-        return NULL;
-    }
-    return answer(&h, take_innovation(&h, arguments[0], arguments + 1));
-}
+STEP(innovation_step, 7, take_innovation(&h, arguments[0], arguments + 1),
+     "correct_innovation: expected a filter, z, its prediction, y, C, S and R")
 
 /* What a correction of arrays answers: (x, P, record, memory), or None where it was not for the kernel. */
 static PyObject *answer_arrays(held *h, const corrected *made, int outcome) {
@@ -511,7 +498,7 @@ static PyObject *answer_arrays(held *h, const corrected *made, int outcome) {
 static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize_t count) {
     held h = {.count = 0};
     filter_state now;
-    sensors s = {.M = NULL, .memory = NULL};
+    sensors s;
     corrected made;
     (void)self;
     if (count != 8) {
@@ -524,7 +511,7 @@ static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize
     now.x = vector_of(given[1], now.n), now.P = matrix_of(given[2], now.n, now.n);
     s.H = matrix_of(given[4], s.m, now.n), s.R = matrix_of(given[5], s.m, s.m);
     if (!now.x || !now.P || !s.H || !s.R || !is_symmetric(now.P, now.n)) Py_RETURN_NONE;
-    if (!take_more(&s, now.n, given[6], given[7])) Py_RETURN_NONE;
+    if (!take_cross(&s, now.n, given[6]) || !take_memory(&s, given[7])) Py_RETURN_NONE;
     return answer_arrays(&h, &made, correct_linear(&h, &now, &s, given[3], &made));
 }
 
@@ -545,7 +532,7 @@ static PyObject *correct_moments(PyObject *self, PyObject *const *given, Py_ssiz
     if (!rule_of(given[0], &s.rule) || !is_array(given[1], 2)) Py_RETURN_NONE;
     now.n = PyArray_DIM((PyArrayObject *)given[1], 0), now.P = matrix_of(given[1], now.n, now.n);
     if (now.n < 1 || now.n > 10000 || !now.P || !is_symmetric(now.P, now.n)) Py_RETURN_NONE;
-    if (!take_moments(&s, &innovation, given[4], given[5], now.n) || !take_more(&s, now.n, Py_None, given[7]))
+    if (!take_moments(&s, &innovation, given[4], given[5], now.n) || !take_memory(&s, given[7]))
         Py_RETURN_NONE;
     s.R = matrix_of(given[6], s.m, s.m), z = vector_of(given[2], s.m), innovation.y = vector_of(given[3], s.m);
     if (!s.R || !z || !innovation.y || !is_symmetric(s.R, s.m)) Py_RETURN_NONE;

@@ -12,26 +12,59 @@ typedef struct {
 } filter_state;
 
 int hold_all(held *h, PyObject *filter, const enum attribute *which, int count); /* 1, or -1 with an exception */
-npy_intp whole_number(PyObject *object);
 int take_filter(PyObject *dim_x, PyObject *x, PyObject *P, filter_state *s);
 int set_state(held *h, PyObject *filter, PyObject *x, PyObject *P, enum attribute x_too, enum attribute P_too);
 int take_control(PyObject *B, PyObject *u, npy_intp n, double **control);
 int take_measurement(PyObject *object, npy_intp m, double *z);
-PyObject *given_or(held *h, PyObject *given, PyObject *own); /* plain; own where given is None; NULL with an exception */
 
 /* Sensors by their places in z, or, of an H that is passed, by its rows: robust_filterpy.filters.states in C. */
 #define ROWS_MOST 32 /* rows that are remembered */
 #define ROWS_NOW 16  /* sensors at once */
 typedef struct {
-    npy_intp m, width;
+    npy_intp m, width;           /* m: 0 where places tell */
     npy_intp place[ROWS_NOW];
-    PyObject *key[ROWS_NOW]; /* bytes of its row, NULL where the place tells */
+    PyObject *key[ROWS_NOW];     /* bytes of its row, NULL where the place tells */
     PyObject *places, *rows;     /* memories: an array, a dictionary */
     const double *begin;         /* (width) memory of a new sensor; NULL: zeros */
 } sensor_rows;
-int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n); /* 1, 0, or -1 with an exception */
-int read_rows(const sensor_rows *c, double *memory);
-int set_rows(held *h, PyObject *filter, const sensor_rows *c, const double *memory); /* whether that went well */
+
+/* What a measurement is taken up by, checked. */
+typedef struct {
+    correction_rule rule;    /* where it is bounded by psi */
+    npy_intp m;
+    const double *H, *R, *M; /* M may be NULL */
+    PyObject *memory;        /* of these sensors, as the filter has it or read by rows; NULL where nothing is learned */
+    const double *learned;   /* its numbers, where it is bounded by psi */
+    sensor_rows rows;        /* width and begin are given, width 0 where nothing is learned by rows */
+} sensors;
+/* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors, the last two where
+   something is learned. 1, 0, or -1 with an exception. */
+int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s);
+
+/* What moves a state. */
+typedef struct {
+    const double *F, *Q;
+    PyObject *B;
+    double alpha_sq;
+} motion;
+/* given: B, F and Q, or None for the filter's; own: its F, Q, alpha_sq, B. 1, 0, or -1 with an exception. */
+int take_motion(held *h, PyObject *const given[3], PyObject *const own[4], npy_intp n, motion *found);
+
+/* Write z, and z less its prediction or, where that is None, the innovation; given: these three. Whether all is ordinary. */
+int take_difference(PyObject *const given[3], npy_intp m, double *z, double *y);
+
+/* Give a filter what a measurement has left of it but x and P; memory: NULL where nothing is learned. 1, or -1. */
+int set_measured(held *h, PyObject *filter, PyObject *z, PyObject *record, const sensor_rows *rows, PyObject *memory);
+
+/* A function of the module for one step of a filter: call it with h and arguments, if there are so many. */
+#define STEP(name, wanted, call, expected) \
+    static PyObject *name(PyObject *self, PyObject *const *arguments, Py_ssize_t count) { \
+        held h = {.count = 0}; \
+        (void)self; \
+        if (count == (wanted)) return answer(&h, call); \
+        PyErr_SetString(PyExc_TypeError, expected); \
+        return NULL; \
+    }
 int take_rule(learnt_rule *rule, PyObject *object); /* from the array of robust_filterpy.kernel.learnt.rule */
 size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m); /* of learnt_correct under this rule */
 npy_intp memory_rows(const learnt_rule *rule, npy_intp m);             /* of m sensors */
