@@ -22,7 +22,7 @@ static int fixed(const int steps, const double told, const int scaling, const do
     correction_begin(n, m, 0, &c, spare);
     for (int k = 0; k < steps; k++) {
         if (!predict(n, x, P, F, Q, NULL, 1, next, Pn, work)) return k;
-        if (!update(n, m, &rule, live_z + k, H, R, NULL, memory, next, Pn, &c, NULL, spare)) return k;
+        if (!update(n, m, &rule, live_z + k, live_z + k, H, R, NULL, memory, next, Pn, &c, NULL, spare)) return k;
         real_copy(n, next, x), real_copy(n * n, Pn, P);
         live_position[k] = x[0];
     }

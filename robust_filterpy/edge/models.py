@@ -84,7 +84,6 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
     part = _mixture if mixed else _bounded
     headers, said, own, start, shown, remark = part(kf, name, x, P, model)
     if extended:
-        headers = ("real", "prediction", *headers[1:]) if mixed else (*headers, "moments")
         start = {field: value for field, value in start.items() if field in ("x", "P", "memory")}
         own = {**own, "models": ""}
         remark += f" h, f and their Jacobians are yours: see {name}_sensor and {name}_motion."
@@ -138,7 +137,7 @@ def _mixture(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _
         "numbers": _listed(numbers[2:6]), "adapts": int(numbers[6]), "influence_fields": "",
     }  # fmt: skip
     remark = f"A step that Python leaves to its definition is refused, {name.upper()}_SINGULAR."
-    headers = "real", "psi", "correction", "spread", "update", "repeats", "learnt"
+    headers = "real", "psi", "prediction", "correction", "spread", "update", "repeats", "learnt"
     return headers, f"noise={kf.noise!r}, process={kf.process!r}", values, start, {}, remark
 
 

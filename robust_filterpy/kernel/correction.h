@@ -84,9 +84,7 @@ SIZED int innovate(const int n, const int m, const real *RESTRICT z, const real 
     c->observed = 0;
     for (int i = 0; i < m; i++) {
         const int seen = z[i] == z[i];
-        real predicted = 0;
-        for (int k = 0; k < n; k++) predicted += H[i * n + k] * x[k];
-        y[i] = seen ? z[i] - predicted : 0;
+        y[i] = seen ? z[i] - real_dot(n, H + i * n, x) : 0;
         left[i] = seen ? REAL(1.0) : REAL(0.0);
         c->observed += seen;
         check += y[i] - y[i];

@@ -7,6 +7,7 @@
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
+#include "prediction.h"
 #include "repeats.h"
 #include "update.h"
 
@@ -254,7 +255,7 @@ INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt
     return real_is_finite(check);
 }
 
-#define learnt_predict_work(n, models) ((size_t)(((models) + 1) * ((n) * (3 + (n))) + (n) * (n)))
+#define learnt_predict_work(n, models) ((size_t)(((models) + 1) * ((n) * (3 + (n))) + (n) * (n)) + predict_work(n))
 
 /* Predict: mixed as the scale of the process may have changed, then moved. control is B u, or NULL. */
 INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_state *const s, const real *RESTRICT F,
@@ -263,7 +264,7 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
     const real other = (1 - rule->stay) / (real)(q > 1 ? q - 1 : 1);
     int moved = q, wrong = 0, looks = 0;
     real *RESTRICT p = work, *RESTRICT origin = p + models * n, *RESTRICT x = origin + models * n;
-    real *RESTRICT P = x + (models + 1) * n, *RESTRICT FP = P + (models + 1) * n * n;
+    real *RESTRICT P = x + (models + 1) * n, *RESTRICT scaled = P + (models + 1) * n * n;
     real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     const real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
     for (int i = 0; learnt_gives(rule) && i < n; i++) {
@@ -303,27 +304,15 @@ INLINE void learnt_predict(const int n, const learnt_rule *const rule, learnt_st
     real_copy(models * n, p, s->p);
     for (int j = 0; j <= models; j++) {
         if (j < models ? j >= moved : !looks) continue;
-        const real *RESTRICT mean = x + j * n, *RESTRICT from = P + j * n * n;
-        real *RESTRICT to = s->P + j * n * n;
-        for (int i = 0; i < n; i++) {
-            real sum = 0;
-            for (int k = 0; k < n; k++) sum += F[i * n + k] * mean[k];
-            s->x[j * n + i] = control ? sum + control[i] : sum;
-            for (int k = 0; k < n; k++) FP[i * n + k] = 0;
-            for (int o = 0; o < n; o++) {
-                const real f = F[i * n + o];
-                for (int k = 0; k < n; k++) FP[i * n + k] += f * from[o * n + k];
-            }
-        }
         for (int i = 0; i < n; i++)
             for (int k = 0; k <= i; k++) {
-                real sum = 0;
-                for (int o = 0; o < n; o++) sum += FP[i * n + o] * F[k * n + o];
                 /* Parts differ in their scales, and no Q is between them. */
                 real times = j == models ? 1 : j < q ? rule->process[j] : origin[i] * origin[k];
                 if (wrong && j < models) times *= real_sqrt(factor[i]) * real_sqrt(factor[k]);
-                to[i * n + k] = to[k * n + i] = alpha_sq * sum + times * Q[i * n + k];
+                scaled[i * n + k] = times * Q[i * n + k];
             }
+        (void)predict(n, x + j * n, P + j * n * n, F, scaled, control, alpha_sq, s->x + j * n, s->P + j * n * n,
+                      scaled + n * n);
     }
 }
 
@@ -421,11 +410,7 @@ INLINE void learnt_kept(const int n, const int m, const real *RESTRICT spread, c
     for (int i = 0; i < m; i++)
         for (int k = 0; k < n; k++) {
             if (H[i * n + k] == 0) continue;
-            for (int j = 0; j < m; j++) {
-                real sum = 0;
-                for (int o = 0; o < n; o++) sum += spread[k * n + o] * H[j * n + o];
-                left_over[i * m + j] += H[i * n + k] * sum;
-            }
+            for (int j = 0; j < m; j++) left_over[i * m + j] += H[i * n + k] * real_dot(n, spread + k * n, H + j * n);
         }
     for (int i = 0; i < m; i++) kept[i] = left_over[i * m + i];
     for (int j = 0; j < m; j++) {
@@ -469,8 +454,7 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
             whole += column[i] * column[i];
         }
         for (int i = 0; i < m; i++) {
-            out[i] = 0;
-            for (int j = 0; j < m; j++) out[i] += rest[i * m + j] * column[j];
+            out[i] = real_dot(m, rest + i * m, column);
             length += out[i] * out[i];
         }
         if (!(length > REAL(1e-16) * whole)) continue;
@@ -517,9 +501,7 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
 
 /* What x leaves of a reading, in standard deviations of R, at most a million. */
 INLINE real learnt_left(const int n, const real *RESTRICT x, const real z, const real *RESTRICT h, const real variance) {
-    real rest = z;
-    for (int k = 0; k < n; k++) rest -= h[k] * x[k];
-    return real_within(rest / real_sqrt(variance), LEARNT_WILDEST);
+    return real_within((z - real_dot(n, h, x)) / real_sqrt(variance), LEARNT_WILDEST);
 }
 
 /* A reading in the standard deviations that R gives, finite however small R is. */
@@ -530,11 +512,7 @@ INLINE real learnt_reading(const real z, const real R) {
 /* Whether an innovation is so far from a mean that it asks for a jump. */
 INLINE int learnt_asks(const int n, const real *RESTRICT x, const real *RESTRICT P, const real z, const real *RESTRICT h,
                        const real noise) {
-    real rest = z, seen = 0;
-    for (int k = 0; k < n; k++) {
-        rest -= h[k] * x[k];
-        for (int j = 0; j < n; j++) seen += h[k] * P[k * n + j] * h[j];
-    }
+    const real rest = z - real_dot(n, h, x), seen = real_square(n, h, P);
     return seen > 0 && rest * rest / (seen + noise) > LEARNT_ASKS;
 }
 
@@ -615,11 +593,7 @@ INLINE real learnt_innovations(const int n, const int m, const int model, const 
         y[i] = real_within(y[i], REAL_LARGE);
     }
     for (int i = 0; i < m; i++)
-        for (int j = 0; j <= i; j++) {
-            real sum = 0;
-            for (int k = 0; k < n; k++) sum += C[i * n + k] * H[j * n + k];
-            S[i * m + j] = S[j * m + i] = sum;
-        }
+        for (int j = 0; j <= i; j++) S[i * m + j] = S[j * m + i] = real_dot(n, C + i * n, H + j * n);
     return check;
 }
 
@@ -679,7 +653,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         const real noise = w->r[i] * R[i * m + i], *RESTRICT h = H + i * n;
         const real square = real_min(y[i] * y[i], LEARNT_FAR * (S[i * m + i] + noise)), most_of = square / LEARNT_ASKS;
         const real times = (most_of - noise) / S[i * m + i];
-        real *RESTRICT C = w->C + (q * m + i) * n, whole = 0;
+        real *RESTRICT C = w->C + (q * m + i) * n, whole;
         for (int k = 0; k < n; k++) seen += h[k] * P[k * n + k] * h[k];
         for (int k = 0; k < n; k++) d[k] = P[k * n + k] * h[k] / seen;
         for (int o = 0; o < n; o++) {
@@ -694,11 +668,8 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
             const real root = real_sqrt(own * times > most_of ? real_max(most_of / own, 1) : times);
             for (int k = 0; k < n; k++) P[o * n + k] *= root, P[k * n + o] *= root;
         }
-        for (int k = 0; k < n; k++) {
-            C[k] = 0;
-            for (int o = 0; o < n; o++) C[k] += P[k * n + o] * h[o];
-            whole += h[k] * C[k];
-        }
+        for (int k = 0; k < n; k++) C[k] = real_dot(n, P + k * n, h);
+        whole = real_dot(n, h, C);
         whole += noise + LEARNT_LEFT * square;
         for (int o = 0; o < n; o++)
             for (int k = 0; part[o] == w->head[i] && k < n; k++)
@@ -789,12 +760,9 @@ INLINE real learnt_new_chance(const int n, const learnt_rule *const rule, const 
                               const learnt_work *const w) {
     const jumps_memory *const jumps = learnt_jumps(rule, s, i);
     const learnt_memory memory = learnt_of(rule, s, i);
-    real y = z, seen = 0, outlier = 0, like;
+    const real y = z - real_dot(n, h, w->at), seen = real_square(n, h, w->spread);
+    real outlier = 0, like;
     if (!jumps) return 0;
-    for (int k = 0; k < n; k++) {
-        y -= h[k] * w->at[k];
-        for (int j = 0; j < n; j++) seen += h[k] * w->spread[k * n + j] * h[j];
-    }
     like = learnt_like_before(jumps, y, seen + noise, R);
     learnt_predicted(rule->K, &memory, w->before);
     for (int k = 0; k < rule->K; k++) outlier += w->before[k] * learnt_normal(y, seen + rule->scales[k] * noise);
@@ -1420,7 +1388,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
         y[i] = c.y[i], S[i] = c.S[i * m + i];
         if (here[i] == here[i] && R[i * m + i] > 0 && S[i] > LEARNT_WIDEST * R[i * m + i]) return 0;
     }
-    if (!update(n, m, &huber, here, H, R, M, after, x, P, &c, NULL, work)) return 0;
+    if (!update(n, m, &huber, here, here, H, R, M, after, x, P, &c, NULL, work)) return 0;
     for (int i = 0; i < m; i++) learnt_of(rule, s, i).habits->spread = after[i];
     for (int i = 0; i < m; i++) {
         const int head = (int)part[learnt_sees(n, H, i)];

@@ -122,8 +122,7 @@ static int predict_mixture(held *h, PyObject *filter, PyObject *u, PyObject *con
 /* Whether H x is a number everywhere. */
 static int is_finite_product(const double *H, const double *x, npy_intp m, npy_intp n) {
     for (npy_intp i = 0; i < m; i++) {
-        double total = 0;
-        for (npy_intp k = 0; k < n; k++) total += H[i * n + k] * x[k];
+        const double total = real_dot((int)n, H + i * n, x);
         if (total - total != 0) return 0;
     }
     return 1;
@@ -165,11 +164,8 @@ static PyObject *lags_of(held *h, int n, int m, const double *z, const double *x
                          const double *R, const double *before, int width, const double *curvature) {
     PyObject *const lags = array_of(h, 1, m, 0, 0);
     for (int i = 0; lags && i < m; i++) {
-        double y = z[i], variance = R[i * m + i] * before[i * width] + (curvature ? curvature[i * m + i] : 0);
-        for (int k = 0; k < n; k++) {
-            y -= x ? H[i * n + k] * x[k] : 0;
-            for (int j = 0; j < n; j++) variance += H[i * n + k] * P[k * n + j] * H[i * n + j];
-        }
+        const double y = z[i] - (x ? real_dot(n, H + i * n, x) : 0), noise = R[i * m + i] * before[i * width];
+        const double variance = noise + (curvature ? curvature[i * m + i] : 0) + real_square(n, H + i * n, P);
         numbers_of(lags)[i] = fabs(y) < NO_LAG * sqrt(variance) ? 0 : y;
     }
     return lags;

@@ -2,8 +2,6 @@
 #include "online.h"
 
 #include "groups.h"
-#include "moments.h"
-#include "prediction.h"
 
 /* Python code may run where an attribute is read (a property of a subclass), and may do anything to arrays. So all that a
    step needs is read first, and looked into only then. */
@@ -298,9 +296,7 @@ static void begin_record(double *record, npy_intp n, npy_intp m, const correctio
 
 static void write_innovations(double *y, npy_intp n, npy_intp m, const double *z, const double *H, const double *x) {
     for (npy_intp i = 0; i < m; i++) {
-        double predicted = 0;
-        for (npy_intp k = 0; k < n; k++) predicted += H[i * n + k] * x[k];
-        y[i] = z[i] == z[i] ? z[i] - predicted : 0;
+        y[i] = z[i] == z[i] ? z[i] - real_dot((int)n, H + i * n, x) : 0;
     }
 }
 
@@ -342,7 +338,7 @@ static int correct_linear(held *h, const filter_state *now, const sensors *s, Py
     outcome = take_measurement(z, m, numbers_of(made->z)) && is_covariance(s->R, m, c.S);
     if (outcome) {
         real_copy((int)n, now->x, numbers_of(made->x));
-        outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), s->H, s->R, s->M, spreads_of(made),
+        outcome = update((int)n, (int)m, &s->rule, numbers_of(made->z), numbers_of(made->z), s->H, s->R, s->M, spreads_of(made),
                          numbers_of(made->x), numbers_of(made->P), &c, record_row(values, RECORD_ROWS, m), work);
         begin_record(values, n, m, &s->rule, &c);
         write_innovations(record_row(values, ROW_Y, m), n, m, numbers_of(made->z), s->H, now->x);
@@ -379,7 +375,7 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
     correction c;
     double stack[STACK_WORK], *work, *const values = numbers_of(made->record), *const x = numbers_of(made->x);
     int fine;
-    work = work_of(stack, update_moments_work((int)n, (int)m));
+    work = work_of(stack, update_work((int)n, (int)m));
     if (!work) return -1;
     correction_begin((int)n, (int)m, 1, &c, work);
     if (given->S) {
@@ -388,13 +384,15 @@ static int correct_innovation(const filter_state *now, const sensors *s, const m
         real_copy((int)(m * m), given->S, c.S);
     }
     for (npy_intp k = 0; k < n; k++) x[k] = 0;
-    fine = update_moments((int)n, (int)m, &s->rule, numbers_of(made->z), given->y, s->H, s->R, spreads_of(made), x,
-                          numbers_of(made->P), &c, work);
+    fine = 0;
+    for (npy_intp i = 0; i < m; i++) {
+        record_row(values, ROW_Y, m)[i] = given->y[i] == given->y[i] ? given->y[i] : 0;
+        fine |= given->y[i] == given->y[i];
+    }
+    fine = fine && update((int)n, (int)m, &s->rule, numbers_of(made->z), given->y, s->H, s->R, NULL, spreads_of(made), x,
+                          numbers_of(made->P), &c, record_row(values, RECORD_ROWS, m), work);
     if (fine) {
-        const double *const shown = work + update_work((int)n, (int)m);
         begin_record(values, n, m, &s->rule, &c);
-        real_copy((int)m, shown + m * m + m * n, record_row(values, ROW_Y, m));
-        real_copy((int)(m * m + m * n), shown, record_row(values, RECORD_ROWS, m));
         for (npy_intp k = 0; now->x && k < n; k++) x[k] = now->x[k] + x[k];
         fine = all_finite(x, n);
     }

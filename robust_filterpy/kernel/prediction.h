@@ -69,8 +69,7 @@ SIZED int predict(const int n, const real *RESTRICT x, const real *RESTRICT P, c
     real *RESTRICT W = work, *RESTRICT transposed = work + n * n;
     real check = 0;
     for (int i = 0; i < n; i++) {
-        real total = 0;
-        for (int k = 0; k < n; k++) total += F[i * n + k] * x[k];
+        const real total = real_dot(n, F + i * n, x);
         x_next[i] = control ? total + control[i] : total;
     }
     if (n > PREDICTION_PLAIN) {
@@ -90,11 +89,7 @@ SIZED int predict(const int n, const real *RESTRICT x, const real *RESTRICT P, c
                 for (int j = 0; j < n; j++) W[i * n + j] += F[i * n + k] * P[k * n + j];
         }
         for (int i = 0; i < n; i++)
-            for (int j = 0; j <= i; j++) {
-                real total = 0;
-                for (int k = 0; k < n; k++) total += W[i * n + k] * F[j * n + k];
-                P_next[i * n + j] = total;
-            }
+            for (int j = 0; j <= i; j++) P_next[i * n + j] = real_dot(n, W + i * n, F + j * n);
     }
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++)

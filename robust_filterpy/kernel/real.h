@@ -90,6 +90,20 @@ INLINE void real_copy(const int count, const real *RESTRICT from, real *RESTRICT
     for (int i = 0; i < count; i++) to[i] = from[i];
 }
 
+INLINE real real_dot(const int count, const real *RESTRICT a, const real *RESTRICT b) {
+    real total = 0;
+    for (int i = 0; i < count; i++) total += a[i] * b[i];
+    return total;
+}
+
+/* h P h'. */
+INLINE real real_square(const int n, const real *RESTRICT h, const real *RESTRICT P) {
+    real total = 0;
+    for (int k = 0; k < n; k++)
+        if (h[k] != 0) total += h[k] * real_dot(n, P + k * n, h);
+    return total;
+}
+
 INLINE void real_swap(real **const a, real **const b) {
     real *const first = *a;
     *a = *b;

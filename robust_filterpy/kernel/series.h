@@ -79,7 +79,7 @@ SIZED void series_span(const int n, const int m, const series_job *const job, co
                 if (fine && kept)
                     series_keep(n, job->covariance_width, row, x_next, P_next, job->means_p, job->covariances_p);
             }
-            fine = fine && update(n, m, &rule, z, H, R, NULL, memory, x_next, P_next, &c, NULL, spare);
+            fine = fine && update(n, m, &rule, z, z, H, R, NULL, memory, x_next, P_next, &c, NULL, spare);
             if (fine && job->update_first)
                 fine = predict(n, x_next, P_next, F, Q, u, job->alpha_sq, x_last, P_last, buffer);
             if (!fine) {

@@ -61,23 +61,19 @@ SIZED const real *smoother_at(const series_matrices *const of, const ptrdiff_t s
 SIZED real smoother_take(const int n, const real *RESTRICT h, const real z, const real d, const real o,
                          const int joseph, real *RESTRICT x, real *RESTRICT P, real *RESTRICT rows) {
     real *RESTRICT p = rows, *RESTRICT k = rows + n;
-    real predicted = 0, variance = 0;
+    real predicted = 0, variance;
     for (int i = 0; i < n; i++) p[i] = 0;
     for (int j = 0; j < n; j++) {
         const real hj = h[j];
         predicted += hj * x[j];
         for (int i = 0; i < n; i++) p[i] += P[j * n + i] * hj;
     }
-    for (int i = 0; i < n; i++) variance += p[i] * h[i];
+    variance = real_dot(n, p, h);
     const real left = 1 / (1 + d * variance), gain = (d * (z - predicted) + o) * left, taken = d * left;
     for (int i = 0; i < n; i++) x[i] += p[i] * gain;
     correction_shrink(n, taken, p, P);
     if (!(d * variance > SMOOTHER_SHARP) && !joseph) return d * variance;
-    for (int i = 0; i < n; i++) {
-        k[i] = 0;
-        for (int j = 0; j < n; j++) k[i] += P[i * n + j] * h[j];
-        k[i] = taken * (p[i] * left - k[i]);
-    }
+    for (int i = 0; i < n; i++) k[i] = taken * (p[i] * left - real_dot(n, P + i * n, h));
     /* Both halves alike: k is p times rounding. */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) P[i * n + j] += REAL(0.5) * (k[i] * p[j] + k[j] * p[i]);
@@ -97,11 +93,8 @@ SIZED real smoother_forward(const int n, const int m, const smoother_job *const 
         const real *RESTRICT z = smoother_at(&job->z, s, k), q = *smoother_at(&job->q, s, k);
         if (k == 0 || job->G.by_step || q != scale) {
             for (int i = 0; i < n; i++)
-                for (int j = 0; j <= i; j++) {
-                    real total = 0;
-                    for (int l = 0; l < r; l++) total += G[i * r + l] * G[j * r + l];
-                    room->Q[i * n + j] = room->Q[j * n + i] = q * total;
-                }
+                for (int j = 0; j <= i; j++)
+                    room->Q[i * n + j] = room->Q[j * n + i] = q * real_dot(r, G + i * r, G + j * r);
             scale = q;
         }
         predict(n, room->x, room->P, smoother_at(&job->F, s, k), room->Q, smoother_at(&job->c, s, k), 1, room->x_next,
@@ -134,17 +127,9 @@ CALLED void smoother_seen(const int n, const int m, const real *H, const real *x
                           smoother_room *const room) {
     for (int v = 0; v < m; v++) {
         real *const p = room->rows;
-        fitted[v] = 0;
-        for (int i = 0; i < n; i++) {
-            fitted[v] += H[v * n + i] * x[i];
-            p[i] = 0;
-            for (int j = 0; j < n; j++) p[i] += P[i * n + j] * H[v * n + j];
-        }
-        for (int u = 0; u <= v; u++) {
-            real total = 0;
-            for (int i = 0; i < n; i++) total += H[u * n + i] * p[i];
-            room->V[u * m + v] = room->V[v * m + u] = total;
-        }
+        fitted[v] = real_dot(n, H + v * n, x);
+        for (int i = 0; i < n; i++) p[i] = real_dot(n, P + i * n, H + v * n);
+        for (int u = 0; u <= v; u++) room->V[u * m + v] = room->V[v * m + u] = real_dot(n, H + u * n, p);
     }
 }
 
@@ -294,10 +279,7 @@ SIZED void smoother_backward(const int n, const int m, const smoother_job *const
             predict(n, room->x, room->P, room->Ft, room->none, NULL, 1, room->x_next, room->P_next, room->buffer);
             real_swap(&room->P, &room->P_next);
         } else {
-            for (int i = 0; i < n; i++) {
-                room->x_next[i] = 0;
-                for (int j = 0; j < n; j++) room->x_next[i] += room->Ft[i * n + j] * room->x[j];
-            }
+            for (int i = 0; i < n; i++) room->x_next[i] = real_dot(n, room->Ft + i * n, room->x);
         }
         real_swap(&room->x, &room->x_next);
     }

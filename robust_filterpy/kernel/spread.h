@@ -416,10 +416,7 @@ CALLED void spread_open(const int n, const int m, const real *H, const spread_ch
         const real *const h = H + i * n;
         real most, seen = 0;
         if (!(change->opened[i] > 0)) continue;
-        for (int k = 0; k < n; k++) {
-            c[k] = 0;
-            for (int j = 0; j < n; j++) c[k] += P[k * n + j] * h[j];
-        }
+        for (int k = 0; k < n; k++) c[k] = real_dot(n, P + k * n, h);
         most = spread_told(n, P, c);
         for (int k = 0; k < n; k++) {
             if (!spread_moved(n, k, P, c, most)) c[k] = 0;
@@ -446,28 +443,14 @@ INLINE void spread_weigh(const int m, const spread_change *const change, correct
         if (change->width[i] < 0) c->weights[i] = 0;
 }
 
-/* h P h'. */
-INLINE real spread_known(const int n, const real *RESTRICT h, const real *RESTRICT P) {
-    real known = 0;
-    for (int k = 0; k < n; k++) {
-        real sum = 0;
-        if (h[k] == 0) continue;
-        for (int j = 0; j < n; j++) sum += P[k * n + j] * h[j];
-        known += h[k] * sum;
-    }
-    return known;
-}
-
 /* Remember what the correction left of z - H x, and of H P H' / R. */
 INLINE void spread_after(const int n, const int m, const real *z, const real *H, const real *R, const real *x,
                          const real *P, const correction *const c, const spread_change *const change,
                          spread_memory *const memory) {
     for (int i = 0; i < m; i++) {
         if (c->weights[i] != c->weights[i]) continue;
-        real predicted = 0;
-        for (int k = 0; k < n; k++) predicted += H[i * n + k] * x[k];
-        memory[i].rest = z[i] - predicted;
-        memory[i].left = spread_ratio(spread_known(n, H + i * n, P), R[i * m + i], change->told[i] * change->told[i]);
+        memory[i].rest = z[i] - real_dot(n, H + i * n, x);
+        memory[i].left = spread_ratio(real_square(n, H + i * n, P), R[i * m + i], change->told[i] * change->told[i]);
     }
 }
 

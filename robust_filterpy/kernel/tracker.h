@@ -90,22 +90,9 @@ INLINE real tracker_bounded(const real value) {
     return real_min(real_max(value, -TRACKER_LARGEST), TRACKER_LARGEST);
 }
 
-INLINE real tracker_dot(const int count, const real *RESTRICT a, const real *RESTRICT b) {
-    real total = 0;
-    for (int i = 0; i < count; i++) total += a[i] * b[i];
-    return total;
-}
-
-/* phi' P phi */
-INLINE real tracker_spread(const int n, const real *RESTRICT phi, const real *RESTRICT P) {
-    real total = 0;
-    for (int i = 0; i < n; i++) total += phi[i] * tracker_dot(n, P + i * n, phi);
-    return total;
-}
-
 /* Whether an innovation nu is one that a cleaned regressor replaces, phi being what it was predicted from. */
 INLINE int tracker_is_far(const int n, const real nu, const real *RESTRICT phi, const real *RESTRICT P, const real r) {
-    return real_abs(nu) > TRACKER_CLEANED * real_sqrt(real_max(tracker_spread(n, phi, P), 0) + r);
+    return real_abs(nu) > TRACKER_CLEANED * real_sqrt(real_max(real_square(n, phi, P), 0) + r);
 }
 
 /* Note a reading that was not left out and what was not foreseen of it. */
@@ -212,7 +199,7 @@ CALLED void tracker_mend(const int n, const real *h, const real *C, const real v
                          real *work) {
     real *const delta = work, along = 0;
     for (int i = 0; i < n; i++) {
-        delta[i] = C[i] * left - tracker_dot(n, P + i * n, h);
+        delta[i] = C[i] * left - real_dot(n, P + i * n, h);
         along += delta[i] * h[i];
     }
     for (int i = 0; i < n && v > 0; i++)
@@ -290,7 +277,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         real_copy(n, s->theta, x);
         real_copy(n * n, s->P, P);
     }
-    predicted = tracker_dot(n, phi, x);
+    predicted = real_dot(n, phi, x);
     if (!(trace < REAL_MAX && real_abs(predicted) < REAL_ORDINARY)) return 0;
     sample->prediction = predicted;
     if (rule->judges && here && repeats_again(y, r, &s->readings->repeats))
@@ -312,7 +299,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
             real_copy(l->nd, s->measured + l->na, rest + l->d);
             /* Wild outputs explain no other wild one by being about as far out. Outputs that were replaced by what a
                wrong theta predicted run away, and those as measured are the smaller ones. */
-            again = real_max(tracker_spread(n, rest, P), 0) <= real_max(tracker_spread(n, phi, P), 0) ||
+            again = real_max(real_square(n, rest, P), 0) <= real_max(real_square(n, phi, P), 0) ||
                     !tracker_is_far(n, y - explained, rest, P, r);
         }
         if (again) {
@@ -327,7 +314,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         for (int i = 0; i < n; i++) chi[i] = i < l->c ? phi[i] : 0;
     }
     {
-        const real size = tracker_dot(n, g, g), prefiltered = l->nf ? tracker_dot(n, chi, chi) : 0;
+        const real size = real_dot(n, g, g), prefiltered = l->nf ? real_dot(n, chi, chi) : 0;
         const real limit = TRACKER_LARGEST * TRACKER_LARGEST;
         if (!(size < limit && prefiltered < limit)) return 0;
         sharp = rule->learns && here && !(size * trace <= TRACKER_SHARP * r);
@@ -341,8 +328,8 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     if (rule->learns && here) {
         const real nu = y - predicted;
         real own;
-        for (int i = 0; i < n; i++) C[i] = tracker_dot(n, P + i * n, g);
-        S = tracker_dot(n, g, C);
+        for (int i = 0; i < n; i++) C[i] = real_dot(n, P + i * n, g);
+        S = real_dot(n, g, C);
         own = real_max(S, 0);
         S = own + r;
         if (!(S > 0)) sample->refused = TRACKER_SINGULAR;
@@ -361,7 +348,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
     }
     if (rule->learns && feeds_back) sample->guard = tracker_restrain(l, n, rule->guard, s->theta, x, rest);
     /* All is well: from here on the state changes. */
-    after = tracker_dot(n, phi, x);
+    after = real_dot(n, phi, x);
     believed = here && !(rule->cleans && outlying) ? y : tracker_bounded(predicted);
     for (int i = l->na; i < l->c; i++) alone += phi[i] * x[i];
     for (int i = 0; i < l->c; i++) before += phi[i] * x[i];

@@ -33,17 +33,52 @@ CALLED int update_is_positive(const int n, const real *RESTRICT P, real *RESTRIC
     return 1;
 }
 
-/* Correct x and P in place by z (m), NaN where missing. memory (m) is what the sensors' spreads are learned from, under
+/* Take an innovation y as it is, where c holds C and S; whether it is finite. */
+CALLED int update_take(const int m, const real *RESTRICT y, correction *const c) {
+    real check = 0;
+    c->observed = 0;
+    for (int i = 0; i < m; i++) {
+        const int seen = y[i] == y[i];
+        c->y[i] = seen ? y[i] : 0;
+        c->left[i] = seen ? REAL(1.0) : REAL(0.0);
+        c->observed += seen;
+        check += c->y[i] - c->y[i];
+    }
+    return check == 0;
+}
+
+/* spread_after where only moments are known; S (m, m) is that of before, y the innovation. */
+CALLED void update_after(const int m, const correction_rule *const rule, const real *RESTRICT y, const real *RESTRICT S,
+                         const real *RESTRICT R, const correction *const c, const spread_change *const change,
+                         spread_memory *const memory) {
+    for (int i = 0; i < m; i++) {
+        real seen = S[i * m + i] - R[i * m + i], rest = y[i];
+        if (c->weights[i] != c->weights[i]) continue;
+        for (int k = 0; k < m; k++) {
+            /* What the k-th of those taken took of what sensor i sees. */
+            real taken = 0;
+            rest -= (S[i * m + k] - R[i * m + k]) * c->v[k];
+            for (int j = 0; j < m; j++) taken += c->W[k * m + j] * (S[i * m + j] - R[i * m + j]);
+            seen -= c->d[k] * taken * taken * (rule->joint ? 1 : c->t[k] * c->t[k]);
+        }
+        memory[i].rest = rest;
+        memory[i].left = spread_ratio(seen, R[i * m + i], change->told[i] * change->told[i]);
+    }
+}
+
+/* Correct x and P in place by readings z (m), NaN where missing, of which y is compared with H x: z itself, or the innovation
+   of a nonlinear sensor, H then being its Jacobian and x a state at 0; or NULL, and then c holds C and S of the innovation, and
+   a jump that makes P grow is for the definition. memory (m) is what the sensors' spreads are learned from, under
    SCALING_LEARNT; M (n, m) or NULL. Return whether all was ordinary: if not, what x and P now hold is of no use, and
    memory is as it was. shown: NULL, or room for S (m, m) and C (m, n) as the filter shows them, those of a P that may
-   have grown, without what a sensor is charged. work: update_work, of which c took the beginning. */
-SIZED int update(const int n, const int m, const correction_rule *const rule, const real *RESTRICT z,
+   have grown, without what is added to R; not NULL without H. work: update_work, of which c took the beginning. */
+SIZED int update(const int n, const int m, const correction_rule *const rule, const real *RESTRICT z, const real *y,
                   const real *RESTRICT H, const real *RESTRICT R, const real *M, spread_memory *const memory,
                   real *RESTRICT x, real *RESTRICT P, correction *const c, real *shown, real *work) {
     real *spread = work + correction_work(n, m), *rest = spread + m;
     spread_memory *const learnt = (spread_memory *)rest;
     spread_change change = {NULL, NULL, NULL, NULL, NULL, 0, 0};
-    if (!innovate(n, m, z, x, P, H, R, M, c)) return 0;
+    if (H ? !innovate(n, m, y, x, P, H, R, M, c) : !update_take(m, y, c)) return 0;
     if (rule->scaling == SCALING_LEARNT) {
         for (int i = 0; i < m; i++) {
             learnt[i] = memory[i];
@@ -51,8 +86,9 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
         }
         spread_before(n, m, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
         if (change.grows) {
+            if (!H) return 0;
             spread_open(n, m, H, &change, P, rest + SPREAD_NUMBERS * m + spread_work(n, m));
-            if (!innovate(n, m, z, x, P, H, R, M, c)) return 0;
+            if (!innovate(n, m, y, x, P, H, R, M, c)) return 0;
             spread_leave_out(m, &change, c);
         }
     }
@@ -70,7 +106,8 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
         spread[i] = change.width[i] / real_sqrt(c->S[i * m + i]);
     }
     if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
-    spread_after(n, m, z, H, R, x, P, c, &change, learnt);
+    if (H) spread_after(n, m, y, H, R, x, P, c, &change, learnt);
+    else update_after(m, rule, y, shown, R, c, &change, learnt);
     /* What is not noise of y includes its noise's part in the state, which is not in H x. */
     if (M)
         for (int i = 0; i < m; i++)

@@ -6,8 +6,8 @@
         for (int i = 0; i < N; i++) {
             next.x[i] = 0;
         }
-        if (!update_moments(N, M, &rule, z, y, H, model->R, $memory,
-                            next.x, next.P, &c, work)) {
+        if (!update(N, M, &rule, z, y, H, model->R, NULL, $memory,
+                    next.x, next.P, &c, NULL, work)) {
             return refusal(&c, next.x, next.P);
         }
         for (int i = 0; i < N; i++) {

@@ -47,7 +47,7 @@ $?mixes     real weights[M], outlying[M], belief[3 * N] = {0}, likelihood = 0;
 $?joint     static const real normalizers[JOINT_MOST] = {0}; /* of a likelihood nobody asks for */
 $!mixes     correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $normalizers};
 $!mixes     correction c;
-$!mixes     real work[update_moments_work(N, M)] = {0};
+$!mixes     real work[update_work(N, M)] = {0};
 $!mixes     int seen = 0;
     real at[M] = {0}, filled[M], y[M], H[M * N] = {0}, check = 0;
     if ((model == NULL) || (state == NULL) || (z == NULL) || (sensor == NULL)) {

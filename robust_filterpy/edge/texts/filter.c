@@ -36,16 +36,12 @@ $?joint     static const real normalizers[JOINT_MOST] = {0}; /* of a likelihood 
 $include rule.c
     next = *state;
     correction_begin(N, M, 0, &c, work);
-    if (!update(N, M, &rule, z, model->H, model->R, NULL, $memory,
+    if (!update(N, M, &rule, z, z, model->H, model->R, NULL, $memory,
                 next.x, next.P, &c, NULL, work)) {
         return refusal(&c, next.x, next.P);
     }
     for (int i = 0; (i < M) && (shown != NULL); i++) {
-        real predicted = 0;
-        for (int k = 0; k < N; k++) {
-            predicted += model->H[i * N + k] * state->x[k];
-        }
-        shown->y[i] = (z[i] == z[i]) ? z[i] - predicted : 0;
+        shown->y[i] = (z[i] == z[i]) ? z[i] - real_dot(N, &model->H[i * N], state->x) : 0;
         shown->e[i] = c.e[i];
         shown->weight[i] = c.weights[i];
     }

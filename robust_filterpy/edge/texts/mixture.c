@@ -56,11 +56,7 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
         return ${NAME}_NOT_FINITE;
     }
     for (int i = 0; (i < M) && (shown != NULL); i++) {
-        real predicted = 0;
-        for (int k = 0; k < N; k++) {
-            predicted += model->H[i * N + k] * state->x[k];
-        }
-        shown->y[i] = (z[i] == z[i]) ? z[i] - predicted : 0;
+        shown->y[i] = (z[i] == z[i]) ? z[i] - real_dot(N, &model->H[i * N], state->x) : 0;
         shown->outlying[i] = outlying[i];
         shown->weight[i] = weights[i];
     }
