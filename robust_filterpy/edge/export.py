@@ -127,7 +127,7 @@ def export_c(
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
     }  # fmt: skip
     exported = Exported(source, source.with_suffix(".h"))
-    texts = (_code(form, values, name, precision), _rendered(f"{form.header}.h", values))
+    texts = (_code(form, values, name, precision), _rendered(f"{form.text}.h", values))
     own = set(re.findall(rf"\b(?:{name}|{name.upper()})_\w+", re.sub(r"/\*.*?\*/", "", texts[1], flags=re.DOTALL)))
     if taken := own.intersection(re.findall(r"\w+", _kernel(form.headers))):
         raise ValueError(

@@ -35,8 +35,7 @@ class Described(NamedTuple):
     headers: tuple[str, ...]
     """Of the kernel, in their order."""
     text: str
-    """That steps by them."""
-    header: str
+    """That steps by them, and its header."""
     values: Mapping[str, Any]
     """What $names stand for, and which lines are there."""
     model: Mapping[str, Any]
@@ -80,6 +79,11 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
         "predict_parameter": f", const {name}_real u[{inputs}]" * bool(inputs),
         "control_given": "(u != NULL) ? control : NULL" if inputs else "NULL",
         "control_too": " || (u != NULL)" * bool(inputs),
+        "matrix": "(motion != NULL) ? F : model->F" if extended else "model->F",
+        "blind": " || (sensor == NULL)\n        || (sensor->h == NULL) || (sensor->jacobian == NULL)" * extended,
+        "compared": ("y, z, H" if mixed else "z, y, H") if extended else "z, z, model->H",
+        "hypotheses": "1" if extended else "MODELS",
+        "innovation_shown": "y[i]" if extended else "z[i] - real_dot(N, &model->H[i * N], state->x)",
     }  # fmt: skip
     part = _mixture if mixed else _bounded
     headers, said, own, start, shown, remark = part(kf, name, x, P, model)
@@ -87,10 +91,9 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
         start = {field: value for field, value in start.items() if field in ("x", "P", "memory")}
         own = {**own, "models": ""}
         remark += f" h, f and their Jacobians are yours: see {name}_sensor and {name}_motion."
-    text = "extended" if extended else "mixture" if mixed else "filter"
     title = f"{name}: {type(kf).__name__}(dim_x={n}, dim_z={m}), {said}"
     values = {**values, **own, "remark": f"A component of z that is NaN is missing. {remark}"}
-    return Described(title, headers, text, "filter", values, {**model, **shown}, start)
+    return Described(title, headers, "filter", values, {**model, **shown}, start)
 
 
 # Fields of a tracker's state that its text writes itself.
@@ -281,7 +284,7 @@ def described_tracker(tracker: ParameterTracker, name: str) -> Described:
     model, start = _model(tracker), _start(tracker)
     return Described(
         f"{name}: ParameterTracker({tracker.structure}), {shown(choices)}",
-        ("real", "psi", "prediction", "correction", "mend", "repeats", "tracker"), "tracker", "tracker",
+        ("real", "psi", "prediction", "correction", "mend", "repeats", "tracker"), "tracker",
         {
             **choice_values(choices, name), **_values(tracker, model, start),
             **{f"has_{field}": np.size(value) for field, value in (model | start).items()},
