@@ -11,7 +11,7 @@ from robust_filterpy import StudentT, TukeyBiweight
 from robust_filterpy.identification import ARX, FIR
 from robust_filterpy.influence import Linear
 from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_tracker
-from robust_filterpy.testing.assertions.tracking import assert_interval_coverage
+from robust_filterpy.testing.assertions.consistency import assert_interval_coverage
 from robust_filterpy.testing.scenarios.plants import Plant
 
 TRACKERS = {

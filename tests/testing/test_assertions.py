@@ -14,7 +14,7 @@ from support import told_tracker
 from robust_filterpy import ParameterTracker, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.influence import Linear
 from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_filter, run_tracker
-from robust_filterpy.testing.assertions.consistency import _correlation
+from robust_filterpy.testing.assertions.consistency import _correlation, assert_interval_coverage
 from robust_filterpy.testing.assertions.contracts import (
     assert_close,
     assert_refused_call_changes_nothing,
@@ -30,7 +30,6 @@ from robust_filterpy.testing.assertions.robustness import (
     assert_sensor_order_irrelevant,
     assert_unit_equivariant,
 )
-from robust_filterpy.testing.assertions.tracking import assert_interval_coverage
 from robust_filterpy.testing.scenarios.models import random_stable
 from robust_filterpy.testing.scenarios.runs import TrackerRun, load
 

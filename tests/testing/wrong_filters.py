@@ -711,6 +711,8 @@ fault("WeightsFromR", "The innovation is judged by R alone.", "innovations_are_j
 fault("WeightsFromPredictedState", "The innovation is judged by H P H' alone.",
       "innovations_are_judged_by_their_own_deviation", of=TextbookRobust,
       length=lambda self, y, S: TextbookRobust.length(self, y, S - self.noise() + 1e-9 * S))
+fault("Timid", "Bounded far out only: most outliers come through.", "outliers_cost_little", of=TextbookRobust,
+      k=9.5)
 fault("Deaf", "A threshold of .1: good data are cut, and P knows it.", "innovations_are_white",
       "clean_data_are_used_well", of=TextbookRobust, k=0.1)
 fault("QThroughF", "P = F (P + Q) F'.", "prediction_adds_Q_once", "prediction_moves_the_covariance_by_F",
