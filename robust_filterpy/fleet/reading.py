@@ -40,7 +40,7 @@ class Rows(NamedTuple):
     """What is wrong with a row, though the others go on."""
     like: Callable[[np.ndarray, dict[str, Any]], Any]
     """From the rows that were taken, and the columns that belong to them, to the form of the batch."""
-    instants: bool = False
+    instants: bool
     """Whether times were instants rather than seconds."""
 
 
