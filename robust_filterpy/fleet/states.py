@@ -178,12 +178,8 @@ class States(Mapping[Any, dict[str, Array]]):
         """
         new, size = np.flatnonzero(rows < 0), len(self.keys_of_rows)
         old = np.flatnonzero(rows >= 0)
-        every = len(new) == len(names) and not size
         columns = {}
         for name, values in entries.items():
-            if every:
-                columns[name] = values
-                continue
             whole = np.full((size + len(new), *values.shape[1:]), np.nan, dtype=values.dtype)
             before = self.columns.get(name)
             if before is not None:

@@ -684,3 +684,13 @@ def test_keys_of_trackers_go_together_and_are_the_trackers(options, monkeypatch)
             for name, value in tracker.state().items():
                 if name in states[key] and name != "format":
                     np.testing.assert_array_equal(states[key][name], value, err_msg=name)
+
+
+@pytest.mark.parametrize("name", ["kind", "P"])
+def test_an_arrow_table_of_states_that_lacks_a_column_is_refused_by_its_name(name):
+    pytest.importorskip("pyarrow")
+    model, table = MODELS["linear"](), pd.DataFrame({"device": ["a", "b"], "z": [0.1, 0.2]})
+    states = step(model, None, table, key="device")[0].to_arrow()
+    step(model, states, table, key="device")
+    with pytest.raises(StateError, match=rf"states: expected the columns \['{name}'\] of a RobustKalmanFilter"):
+        step(model, states.drop([name]), table, key="device")
