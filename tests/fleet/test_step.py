@@ -694,3 +694,20 @@ def test_an_arrow_table_of_states_that_lacks_a_column_is_refused_by_its_name(nam
     step(model, states, table, key="device")
     with pytest.raises(StateError, match=rf"states: expected the columns \['{name}'\] of a RobustKalmanFilter"):
         step(model, states.drop([name]), table, key="device")
+
+
+def test_a_flat_batch_is_a_column_and_inputs_may_be_absent():
+    model, z = MODELS["linear"](), [0.1, -0.2, 0.3]
+    flat, column = step(model, None, z), step(model, None, [[one] for one in z])
+    same(flat[0], column[0])
+    same(flat[1], column[1])
+    kf = RobustKalmanFilter(2, 1, dim_u=2)
+    kf.F, kf.H, kf.Q, kf.B = F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.eye(2)
+    state, _ = step(FilterModel(kf), None, z)
+    for one in z:
+        kf.predict()
+        kf.update(one)
+    np.testing.assert_allclose(state["x"], kf.x, rtol=1e-9)
+    for width in (2, 4):
+        with pytest.raises(ValueError, match=r"expected shape \(samples, 1 or 3\), 1 measurement\(s\), 2 input\(s\)"):
+            step(FilterModel(kf), None, np.zeros((3, width)))
