@@ -267,11 +267,6 @@ def checked(state: Any, model: Model) -> dict[str, Array]:
     """Return the entries of one state in their shapes, or raise."""
     shapes = model.shapes
     unknown = {name: np.zeros([size or 0 for size in shapes[name]]) for name in _UNKNOWN if name in shapes}
-    if type(state) is dict and state.get(_state.LABEL) is model.label:
-        quick = {name: state[name] for name in shapes if name in state}
-        if all(type(a) is np.ndarray and a.shape == shapes[name] and a.dtype == float for name, a in quick.items()):
-            if all(name in quick for name in shapes if name not in FLEET and name not in unknown):
-                return {**unknown, **quick}
     needed = {name: shape for name, shape in shapes.items() if name not in FLEET and name not in unknown}
     optional = {name: shape for name, shape in shapes.items() if name not in needed}
     # x may come as a vector or as a column.

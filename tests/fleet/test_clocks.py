@@ -34,9 +34,11 @@ def streamed(times, a_model, sizes=1):
 def test_one_wrong_stamp_in_a_table_costs_its_row_alone(place, wrong):
     t = DAY + np.arange(500.0)
     t[place] = wrong
-    found = filter_table(model(), pd.DataFrame({"device": "a", "t": t, "z": 1.0}))
+    # Another device stands before it.
+    table = pd.DataFrame({"device": np.repeat(["b", "a"], 500), "t": np.append(DAY + np.arange(500.0), t), "z": 1.0})
+    found = filter_table(model(), table)
     good = np.isfinite(found["x0"].to_numpy())
-    assert not good[place] and good.sum() == 499 and found["error"].notna().sum() == 1
+    assert not good[500 + place] and good.sum() == 999 and found["error"].notna().sum() == 1
 
 
 @pytest.mark.parametrize("dt, costs", [(1.0, 5), (None, 50)])
