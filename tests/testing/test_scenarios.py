@@ -6,6 +6,7 @@ import pytest
 import scipy.stats
 from filterpy.kalman import KalmanFilter
 
+from robust_filterpy.fusion import constant_velocity
 from robust_filterpy.identification import ARX
 from robust_filterpy.testing import assert_consistent, draw, run_filter
 from robust_filterpy.testing.scenarios.contamination import CONTAMINATIONS
@@ -156,6 +157,20 @@ def test_the_label_knowing_tracker_is_least_squares_where_nothing_is_to_be_known
     information = phi.T @ phi / scenario.R + np.eye(4)
     expected = np.linalg.solve(information, phi.T @ scenario.y / scenario.R + scenario.theta[0])
     np.testing.assert_allclose(scenario.reference.theta[-1], expected, rtol=1e-9)
+
+
+def test_moving_points_and_what_is_seen_of_them_are_their_equations():
+    point, cart = MODELS["constant velocity"](0.7), MODELS["two sensors"]()
+    for model, axes, q, dt in ((point, 2, 0.02, 0.7), (cart, 1, 0.2, 0.1)):
+        F, Q, _ = constant_velocity(axes, q).matrices(dt)
+        np.testing.assert_allclose(model.F, F, rtol=1e-12)
+        np.testing.assert_allclose(model.Q, Q, rtol=1e-12)
+    np.testing.assert_array_equal(point.measured(np.array([1.0, 2.0, 3.0, 4.0])), [1.0, 3.0])
+    target, x = MODELS["range and bearing"](), np.array([3.0, 1.0, 4.0, -2.0])
+    np.testing.assert_allclose(target.measured(x), [5.0, np.arctan2(4.0, 3.0)], rtol=1e-12)
+    steps = 1e-6 * np.eye(4)
+    slope = [(target.measured(x + step) - target.measured(x - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(target.jacobian(x), np.transpose(slope), atol=1e-8)
 
 
 # Bad input
