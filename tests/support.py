@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.stats
-from filterpy.kalman import KalmanFilter
+from filterpy.kalman import CubatureKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from robust_filterpy import Contaminated, RobustKalmanFilter, TukeyBiweight, kernel
+from robust_filterpy import Contaminated, RobustExtendedKalmanFilter, RobustKalmanFilter, TukeyBiweight, kernel
 from robust_filterpy.correction import Scales
 from robust_filterpy.filters import shell
 from robust_filterpy.identification import ParameterTracker, TrackerBank
@@ -162,6 +162,25 @@ def paper_problem(P0=0.1):
         B=None,
         M=np.zeros((4, 1)),
     )
+
+
+class Extended(RobustExtendedKalmanFilter):
+    """An extended filter of a linear sensor, whose update takes a measurement alone."""
+
+    def update(self, z, **named):
+        super().update(z, lambda x: self.H, lambda x: self.H @ x, **named)
+
+
+def of_matrices(kind, F, H, **options):
+    """A filter of any kind for a linear model; that of sigma points has functions that take its F and H."""
+    (m, n), functions = np.shape(H), {}
+    if issubclass(getattr(kind, "func", kind), (UnscentedKalmanFilter, CubatureKalmanFilter)):
+        functions = {"dt": 1.0, "hx": lambda x: kf.H @ x, "fx": lambda x, dt: kf.F @ x}
+        if issubclass(getattr(kind, "func", kind), UnscentedKalmanFilter):
+            functions["points"] = MerweScaledSigmaPoints(n, 1.0, 2.0, 3.0 - n)
+    kf = kind(dim_x=n, dim_z=m, **functions, **options)
+    kf.F, kf.H = np.array(F, dtype=float), np.array(H, dtype=float)
+    return kf
 
 
 def column(kf, z):

@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 import pytest
 import support
-from filterpy.kalman import MerweScaledSigmaPoints
 from support import RECOVERING, recovering, told, two_sided
 
 from robust_filterpy import (
@@ -28,16 +27,7 @@ pytestmark = pytest.mark.core
 
 def of_a_linear_model(cls, **options):
     """Make a sigma-point filter whose functions are its own F and H."""
-
-    def make(dim_x, dim_z):
-        functions = {"hx": lambda x: kf.H @ x, "fx": lambda x, dt: kf.F @ x}
-        if issubclass(cls, RobustUnscentedKalmanFilter):
-            functions["points"] = MerweScaledSigmaPoints(dim_x, 1.0, 2.0, 3.0 - dim_x)
-        kf = cls(dim_x=dim_x, dim_z=dim_z, dt=1.0, **functions, **options)
-        kf.F, kf.H = np.eye(dim_x), np.zeros((dim_z, dim_x))
-        return kf
-
-    return make
+    return lambda dim_x, dim_z: support.of_matrices(cls, np.eye(dim_x), np.zeros((dim_z, dim_x)), **options)
 
 
 SIGMA = ("memoryless", "pickle", "validates")

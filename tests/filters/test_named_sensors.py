@@ -6,12 +6,11 @@ import json
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
-from support import cart, load, needs_kernel, without_kernel
+from support import Extended, cart, load, needs_kernel, of_matrices, without_kernel
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, _state
 from robust_filterpy.correction.spread import SPREAD
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
-from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
 
 SIGMAS = {"gps": 5.0, "wheel": 0.1}
@@ -26,43 +25,25 @@ def fx(x, dt):
     return F @ x
 
 
-def linear(cls, **options):
-    kf = cls(2, 1, **options)
-    kf.F, kf.H = F, H
-    return kf
-
-
 FILTERS = {
-    "default": lambda: linear(RobustKalmanFilter),
-    "adaptive": lambda: linear(AdaptiveKalmanFilter),
-    "linear": lambda: linear(RobustKalmanFilter, noise="learnt"),
-    "extended": lambda: RobustExtendedKalmanFilter(2, 1, noise="learnt"),
-    "unscented": lambda: RobustUnscentedKalmanFilter(
-        2, 1, 1.0, hx, fx, MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0), noise="learnt"
-    ),
-    "cubature": lambda: RobustCubatureKalmanFilter(2, 1, 1.0, hx, fx, noise="learnt"),
-    "ensemble": lambda: RobustEnsembleKalmanFilter(np.zeros(2), 10.0 * np.eye(2), 1, 1.0, 100, hx, fx),
-}
+    "default": (RobustKalmanFilter, {}), "adaptive": (AdaptiveKalmanFilter, {}),
+    "linear": (RobustKalmanFilter, {"noise": "learnt"}), "extended": (Extended, {"noise": "learnt"}),
+    "unscented": (RobustUnscentedKalmanFilter, {"noise": "learnt"}),
+    "cubature": (RobustCubatureKalmanFilter, {"noise": "learnt"}), "ensemble": (None, {}),
+}  # fmt: skip
 
 
 @pytest.fixture(params=FILTERS)
 def kf(request):
-    made = FILTERS[request.param]()
-    made.Q, made.R = Q, np.eye(1)
-    if request.param == "ensemble":
+    kind, options = FILTERS[request.param]
+    if kind is None:
+        made = RobustEnsembleKalmanFilter(np.zeros(2), 10.0 * np.eye(2), 1, 1.0, 100, hx, fx)
         made.rng = np.random.default_rng(0)
     else:
+        made = of_matrices(kind, F, H, **options)
         made.P = 10.0 * np.eye(2)
-    if request.param == "extended":
-        made.F = F
+    made.Q, made.R = Q, np.eye(1)
     return made
-
-
-def correct(kf, z, **named):
-    if isinstance(kf, RobustExtendedKalmanFilter):
-        kf.update(z, lambda x: H, lambda x: H @ x, **named)
-    else:
-        kf.update(z, **named)
 
 
 def drawn(seed, steps=400):
@@ -79,7 +60,7 @@ def run(kf, readings, named=True):
     path = []
     for _, name, z in readings:
         kf.predict()
-        correct(kf, z, **({"sensor": name} if named else {}))
+        kf.update(z, **({"sensor": name} if named else {}))
         path.append(np.ravel(kf.x).copy())
     return np.array(path)
 
@@ -103,9 +84,9 @@ def test_a_call_that_is_refused_has_not_happened(kf):
     before = kf.state()
     for bad, error in (({"sensor": [1]}, TypeError), ({"sensor": True}, TypeError), ({"sensor": 1.5}, TypeError)):
         with pytest.raises(error, match="sensor: expected a name or a number"):
-            correct(kf, 1.0, **bad)
+            kf.update(1.0, **bad)
     with pytest.raises(ValueError, match="z: expected a finite number"):
-        correct(kf, np.inf, sensor="gps")
+        kf.update(np.inf, sensor="gps")
     for name, value in kf.state().items():
         np.testing.assert_array_equal(value, before[name], err_msg=name)
 
@@ -152,10 +133,10 @@ def test_a_name_costs_nothing_that_rows_of_their_own_do_not():
 def test_the_kernel_and_the_definition_learn_the_same(option, monkeypatch):
     needs_kernel()
     readings = drawn(4, 150)
-    by_kernel = linear(RobustKalmanFilter, **option)
+    by_kernel = of_matrices(RobustKalmanFilter, F, H, **option)
     expected = run(by_kernel, readings)
     without_kernel(monkeypatch)
-    by_definition = linear(RobustKalmanFilter, **option)
+    by_definition = of_matrices(RobustKalmanFilter, F, H, **option)
     np.testing.assert_allclose(run(by_definition, readings), expected, rtol=1e-8, atol=1e-10)
     for name, known in by_kernel._named_sensors.items():
         np.testing.assert_allclose(by_definition._named_sensors[name], known, rtol=1e-7, atol=1e-10)

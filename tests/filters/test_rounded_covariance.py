@@ -5,18 +5,11 @@ import warnings
 import numpy as np
 import pytest
 from filterpy.common import kinematic_kf
+from support import Extended
 
-from robust_filterpy import AdaptiveKalmanFilter, RobustExtendedKalmanFilter, RobustFilterWarning, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, RobustFilterWarning, RobustKalmanFilter
 from robust_filterpy.correction import SingularInnovationError
 from robust_filterpy.influence import Linear
-
-
-class Extended(RobustExtendedKalmanFilter):
-    """With a linear sensor."""
-
-    def update(self, z):
-        super().update(z, lambda x: self.H, lambda x: self.H @ x)
-
 
 MAKERS = {
     "linear": lambda n, m: RobustKalmanFilter(n, m, influence=Linear()),

@@ -4,12 +4,11 @@ from functools import partial
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
-from support import recovering, told, two_sided
+from filterpy.kalman import KalmanFilter
+from support import Extended, of_matrices, recovering, told, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
-    RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
 )
@@ -19,27 +18,16 @@ F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.0, 0.95]])
 H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]])
 
 
-class Extended(RobustExtendedKalmanFilter):
-    def update(self, z):
-        super().update(z, lambda x: self.H, lambda x: self.H @ x)
-
-
-def unscented(**options):
-    points = MerweScaledSigmaPoints(3, 0.5, 2.0, 0.0)
-    return RobustUnscentedKalmanFilter(3, 2, 0.1, lambda x: H @ x, lambda x, dt: F @ x, points, **options)
-
-
-def cubature(**options):
-    return RobustCubatureKalmanFilter(3, 2, 0.1, lambda x: H @ x, lambda x, dt: F @ x, **options)
-
-
 LINEAR = (RobustKalmanFilter, partial(RobustKalmanFilter, scaling="innovation"), recovering, told, two_sided)
 LINEAR = *LINEAR, partial(RobustKalmanFilter, noise="learnt"), AdaptiveKalmanFilter
 NAMES = "default", "innovation", "recovering", "told", "two_sided", "learnt", "adaptive"
 MAKERS = {
-    **{name: partial(cls, 3, 2, 1) for name, cls in zip(NAMES, LINEAR, strict=True)},
-    "extended": partial(Extended, 3, 2, 1), "extended_learnt": partial(Extended, 3, 2, 1, noise="learnt"),
-    "unscented": unscented, "unscented_learnt": partial(unscented, noise="learnt"), "cubature": cubature,
+    **{name: partial(of_matrices, cls, F, H, dim_u=1) for name, cls in zip(NAMES, LINEAR, strict=True)},
+    "extended": partial(of_matrices, Extended, F, H, dim_u=1),
+    "extended_learnt": partial(of_matrices, Extended, F, H, dim_u=1, noise="learnt"),
+    "unscented": partial(of_matrices, RobustUnscentedKalmanFilter, F, H),
+    "unscented_learnt": partial(of_matrices, RobustUnscentedKalmanFilter, F, H, noise="learnt"),
+    "cubature": partial(of_matrices, RobustCubatureKalmanFilter, F, H),
 }  # fmt: skip
 SHOWN = "x P x_prior P_prior x_post P_post y S K weights log_likelihood".split()
 
@@ -77,7 +65,7 @@ def test_a_write_in_place_is_an_assignment(name):
     for seed in range(5):
         rng, one, other = np.random.default_rng(seed), MAKERS[name](), MAKERS[name]()
         for kf in (one, other):
-            kf.H, kf.F, kf.B = H.copy(), F.copy(), 0.1 * np.ones((3, 1))
+            kf.B = 0.1 * np.ones((3, 1))
         for _ in range(40):
             change = drawn(rng, one)
             done(one, change, False)
