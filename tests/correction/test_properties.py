@@ -9,6 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.correction.spread import _charges, _seen_by
 from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
@@ -209,3 +210,14 @@ def test_information_is_gained_and_never_more_than_kalmans(data, problem, option
     tolerance = 1e-8 * np.abs(problem.P).max()
     assert np.linalg.eigvalsh(problem.P - kf.P).min() >= -tolerance
     assert np.linalg.eigvalsh(kf.P - kalman).min() >= -tolerance
+
+
+def test_what_a_sensor_is_noisier_than_its_witnesses_does_not_depend_on_units():
+    y, unit, here = np.array([0.2, 0.3, 0.25, 40.0]), np.array([1.0, 1e-3, 1e3, 30.0]), np.ones(4, dtype=bool)
+    B = np.ones((4, 4)) + 0.1 * np.eye(4)
+    plain, other = (
+        _charges(y * u, np.ones(4), u, B * np.outer(u, u), _seen_by(B * np.outer(u, u), here), here) / u**2
+        for u in (np.ones(4), unit)
+    )
+    assert plain[3] > 10.0 * plain[:3].max() and plain[3] > 0.0
+    np.testing.assert_allclose(other, plain, rtol=1e-9)

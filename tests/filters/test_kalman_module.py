@@ -32,6 +32,7 @@ def test_every_name_is_there_and_ours_are_ours():
         is_ours = name in OURS or (isinstance(getattr(theirs, name), ModuleType) and name in MODULES)
         assert (getattr(ours, name) is getattr(theirs, name)) == (not is_ours), name
     assert set(names) == set(ours.__all__) and set(names) >= OURS
+    assert {name for name in dir(filterpy.common) if not name.startswith("_")} == set(common.__all__)
     for name in OURS:
         assert getattr(ours, name).__module__.startswith("robust_filterpy.")
 
@@ -51,11 +52,6 @@ def test_every_module_is_there_and_gives_ours(room, module):
     for name in defined:
         assert getattr(own, name) is getattr(around, name), name
         assert getattr(own, name).__module__.startswith("robust_") == (name in OURS | {"kinematic_kf"}), name
-
-
-def test_common_has_every_name():
-    names = {name for name in dir(filterpy.common) if not name.startswith("_")}
-    assert names == set(common.__all__)
 
 
 @pytest.mark.parametrize("order_by_dim", [True, False])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import support
 from filterpy.kalman import KalmanFilter
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
 from robust_filterpy.influence import Hampel
@@ -111,7 +111,7 @@ def test_a_wild_value_leaves_the_weights_of_uncorrelated_sensors_at_1(path, wild
 @pytest.mark.pairwise(1)
 @pytest.mark.parametrize("m", [2, 3, 4])
 @pytest.mark.parametrize("fault", ["offset", "noisy"])
-def test_one_bad_sensor_among_those_that_see_the_same_costs_little(path, m, fault):
+def test_one_bad_sensor_among_those_that_see_the_same_costs_little_in_any_units(path, m, fault):
     """Against the filter without it; the Kalman filter has 4 and more."""
     ratios = []
     for seed in range(5):
@@ -119,10 +119,11 @@ def test_one_bad_sensor_among_those_that_see_the_same_costs_little(path, m, faul
         level = np.cumsum(0.1 * rng.normal(size=400))
         zs = level[:, None] + rng.normal(size=(400, m))
         zs[:, 0] += 10.0 if fault == "offset" else 30.0 * rng.normal(size=400)
-        found = []
-        for used in (zs, zs[:, 1:]):
+        found, units = [], np.array([1.0, 1e-3, 1e3, 30.0][:m])
+        for used, unit in ((zs * units, units), (zs[:, 1:], np.ones(m - 1))):
             kf = RobustKalmanFilter(1, used.shape[1])
-            kf.x, kf.H, kf.Q, kf.P = np.zeros(1), np.ones((used.shape[1], 1)), 0.01 * np.eye(1), 10.0 * np.eye(1)
+            kf.x, kf.H, kf.Q, kf.P = np.zeros(1), unit[:, None], 0.01 * np.eye(1), 10.0 * np.eye(1)
+            kf.R = np.diag(unit**2)
             found.append(np.sqrt(np.mean((kf.batch_filter(used)[0][50:, 0] - level[50:]) ** 2)))
         ratios.append(found[0] / found[1])
     assert np.median(ratios) < 1.6
@@ -139,16 +140,6 @@ def test_sensors_that_take_turns_are_told_apart_by_their_rows(path):
         kf.update(sigma[k % 2] * rng.normal(), H=rows[k % 2])
     spreads = [kf._prior(1, row).memory[0, 1] for row in rows]
     assert spreads[0] / spreads[1] == pytest.approx(50.0, rel=0.4)
-
-
-def test_a_state_carries_what_is_known_of_the_sensors(path):
-    zs = recording(3)
-    kf, other = built(3), built(3)
-    online(kf, zs[:70])
-    other.restore(kf.state())
-    assert_array_equal(other.spread, kf.spread)
-    for ours, theirs in zip(online(kf, zs[70:]), online(other, zs[70:]), strict=True):
-        assert_array_equal(ours, theirs)
 
 
 def level_and_cycle(**options):

@@ -5,7 +5,7 @@ import pytest
 import support
 from filterpy.common import kinematic_kf
 
-from robust_filterpy import RobustKalmanFilter, filter_series
+from robust_filterpy import RobustKalmanFilter
 
 STEPS = 40
 SIZES = [(2, 1), (3, 2), (4, 3), (5, 5)]
@@ -56,21 +56,6 @@ def test_no_other_update_does(path, method, dims):
         return kf.x, kf.P
 
     same(run(changed, others), run(problem, zs), method)
-
-
-@pytest.mark.parametrize("dims", SIZES)
-def test_neither_does_a_recording_or_a_series(path, dims):
-    problem, zs, changed, others = recording(9, dims)
-
-    def batch(problem, zs):
-        return support.make(RobustKalmanFilter, problem).batch_filter(zs)[:2]
-
-    def series(problem, zs):
-        p = problem
-        return filter_series(np.tile(zs, (3, 1, 1)), p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)[:2]
-
-    for run in (batch, series):
-        same(run(changed, others), run(problem, zs), run.__name__)
 
 
 @pytest.mark.parametrize("dim, order", [(7, 5), (3, 4)])

@@ -189,6 +189,17 @@ def test_state_jumps_are_learnt_with_the_process():
             assert both.process_weights[np.argmax(np.abs(w))] < 0.1 and both.process_contamination > 0.01
 
 
+def test_what_moves_the_states_in_a_step_is_judged_together():
+    """With equal noises of two levels turned coordinates change nothing; each judged for itself, they would."""
+    U, rng = np.linalg.qr(np.array([[1.0, 2.0], [-2.0, 1.0]]))[0], np.random.default_rng(2)
+    zs = np.cumsum(rng.normal(size=(60, 2)) * np.where(rng.random((60, 1)) < 0.1, 20.0, 1.0), axis=0)
+    kf, turned = KalmanFilter(2, 2), KalmanFilter(2, 2)
+    kf.H, turned.H = np.eye(2), U.T
+    plain, other = (smooth(one, zs, influence=Linear(), process=StudentT(2.0)) for one in (kf, turned))
+    assert plain.process_weights.min() < 0.3
+    np.testing.assert_allclose(other.x[..., 0] @ U, plain.x[..., 0], rtol=1e-6, atol=1e-6)
+
+
 def test_sensors_fail_each_on_its_own_or_together():
     """Each sensor has a contamination of its own; grouped, a measurement has one weight."""
     rng = np.random.default_rng(8)

@@ -10,6 +10,7 @@ from support import mover, without_kernel
 
 from robust_filterpy import Huber, smooth
 from robust_filterpy.influence import Linear
+from robust_filterpy.smoothing.readings import _rows
 
 G = np.array([0.5, 1.0])
 PLANE = np.kron(np.eye(2), [[1.0, 1.0], [0.0, 1.0]])
@@ -148,3 +149,14 @@ def test_a_state_that_has_moved_is_followed(begin, end):
         zs[begin:end] += 10.0
         error = smooth(plane(), zs).x[:, [0, 2], 0] - truth
         assert np.sqrt(np.mean(error**2)) < 1.2
+
+
+def test_a_row_of_outliers_is_one_that_chance_hardly_makes():
+    """Of 300 samples with three outliers in ten, gaps of one allowed, one such row in a hundred recordings."""
+    rng = np.random.default_rng(0)
+    rows = sum(len(_rows(rng.random(300) < 0.3)) for _ in range(400))
+    assert rows < 4.0 + 5.0 * 4.0**0.5
+    outliers = np.arange(300) % 3 == 0
+    outliers[100:120] = True
+    (row,) = _rows(outliers)
+    assert row[0] <= 100 and row[1] >= 120
