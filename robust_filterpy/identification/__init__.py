@@ -12,9 +12,8 @@ from __future__ import annotations
 
 from robust_filterpy._lazy import elsewhere
 from robust_filterpy.identification.estimation.identify import identify
-from robust_filterpy.identification.judging.compare import compare
 from robust_filterpy.identification.judging.select import select_structure
-from robust_filterpy.identification.judging.validate import validate
+from robust_filterpy.identification.judging.validate import compare, validate
 from robust_filterpy.identification.models.grey_box import GreyBox
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.state_space import StateSpace

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy.identification.judging.compare import Comparison
 from robust_filterpy.identification.judging.select import Selection
-from robust_filterpy.identification.judging.validate import Validation, Validations
+from robust_filterpy.identification.judging.validate import Comparison, Validation, Validations
 from robust_filterpy.identification.recursive.tuned import TunedTracker
 from robust_filterpy.plotting import _style as style
 

@@ -22,8 +22,7 @@ from robust_filterpy.identification import (
     ParameterTracker,
     TrackerBank,
 )
-from robust_filterpy.identification.recursive.recursion import ordinary_mean
-from robust_filterpy.identification.recursive.state import ColdStart
+from robust_filterpy.identification.recursive.recursion import ColdStart, ordinary_mean
 from robust_filterpy.influence import Huber
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]

@@ -1,8 +1,9 @@
 """Parameters sample by sample, by a robust filter with theta as its state.
 
 * `tracker`: theta in y = phi' theta + v. `bank`: many actuators at once. Both are `Following` of `track`.
-* `state`: what moves, immutable, for n actuators, and the samples that a model is made of. `track`: the driver, by the
-  kernel, else by `recursion`, the definition, which follows R and repairs P; and from a model to a recursion.
+* `recursion`: what moves, immutable, for n actuators, the samples that a model is made of, and the definition of one
+  sample, which follows R and repairs P. `track`: the driver, by the kernel, else by the definition; and from a model to
+  a recursion.
 * `watch`: whether an actuator is lost.
 * `setup`: from arguments to filters and arrays, and what is refused.
 * `tuned`: how fast the parameters drift, from a recording.

@@ -21,8 +21,7 @@ from robust_filterpy.identification.models.results import Columns, Intervals, Tr
 from robust_filterpy.identification.models.signals import recording, table
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup, track
-from robust_filterpy.identification.recursive.recursion import Gradient, Regressor
-from robust_filterpy.identification.recursive.state import Form, at_rest
+from robust_filterpy.identification.recursive.recursion import Form, Gradient, Regressor, at_rest
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.series import plain

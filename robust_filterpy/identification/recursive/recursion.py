@@ -1,4 +1,7 @@
-"""The recursion of one actuator, one sample after the other: the definition that the kernel is held to.
+"""The recursion of n actuators: what moves, and one sample of one of them, the definition that the kernel is held to.
+
+Everything that moves while parameters are followed is one immutable `State`, a tracker's with n = 1: no array in it is
+ever written into, so that a call that is refused leaves it as it was because it made another one.
 
 One sample: predict theta, predict y from phi, leave out a sensor that is stuck, look again at outputs that were
 replaced, correct theta along the gradient, restrain an unstable step, follow R, remember.
@@ -7,16 +10,22 @@ replaced, correct theta along the gradient, restrain an unstable step, follow R,
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import erfc, gammainc
 
+from robust_filterpy import _checks, _state
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
 from robust_filterpy.correction.contaminated import Contaminated
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.regressor import (
     CLEANED_FROM,
+    GUARDS,
+    Layout,
     Memory,
     are_stable,
     bounded,
@@ -25,8 +34,320 @@ from robust_filterpy.identification.models.regressor import (
     restrained,
 )
 from robust_filterpy.identification.models.results import Sample
-from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.state import Form, State
+from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.recursive.watch import Followed, Windows
+
+#: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
+WINDUP = 1e8
+#: What was learned of the readings, and for how many samples the sensor has been stuck.
+READINGS = repeats.WIDTH + 1
+#: What decides about another start: whether and of how many samples, samples seen, what is usual, what is rounding, and
+#: the scores of the gain.
+WATCHED = 8 + 2 * gain.BLOCKS
+# A recording that tells nothing yet may become so many times as long before its oldest samples go.
+_LONGEST: Final = 4
+
+
+class Form(NamedTuple):
+    """What the recursion of n actuators is, fixed when it is made."""
+
+    structure: Structure
+    layout: Layout
+    #: Where theta stands in what is estimated: besides it there may be a constant.
+    own: np.ndarray
+    has_offset: bool
+    #: Whether the regressor holds cleaned outputs.
+    cleans: bool
+    #: Whether outputs are judged at all, so that a sensor may be found to be stuck.
+    judges: bool
+    #: "filtered" or "pseudolinear", (n,).
+    gradient: np.ndarray
+    #: One of `GUARDS`, (n,).
+    guard: np.ndarray
+    #: What the kernel is to do, (n, 5): gradient filtered, guard, cleans, learns (written by the driver), judges.
+    flags: np.ndarray
+
+    @classmethod
+    def of(
+        cls, structure: Structure, layout: Layout, has_offset: bool, cleans: bool, judges: bool, gradient: Any,
+        guard: Any,
+    ) -> Form:  # fmt: skip
+        """Return the form of n actuators, gradient and guard being arrays (n,) of words."""
+        places = np.arange(layout.n)
+        own = np.delete(places, structure.constant_place) if has_offset else places
+        flags = np.empty((len(guard), 5), dtype=np.intp)
+        flags[:, 0], flags[:, 1] = gradient == "filtered", [GUARDS.index(name) for name in guard]
+        flags[:, 2], flags[:, 3], flags[:, 4] = cleans, True, judges
+        return cls(structure, layout, own, has_offset, cleans, judges, gradient, guard, flags)
+
+    @property
+    def n_signals(self) -> int:
+        """What residuals are held against: the prediction and the inputs."""
+        return 1 + self.structure.n_inputs
+
+    def with_constant(self, u: Array) -> Array:
+        """Return inputs (.., n_inputs) with the constant, where phi has one."""
+        return np.concatenate((u, np.ones((*u.shape[:-1], 1))), axis=-1) if self.has_offset else u
+
+
+class ColdStart(NamedTuple):
+    """A recording that grows; a model is made of an eighth, a quarter, half and all of the samples asked for."""
+
+    #: How many samples it may look at.
+    samples: int
+    y: Array
+    u: Array
+    #: Samples until the next look.
+    waits: int
+
+    @classmethod
+    def of(cls, n_theta: int, n_inputs: int, samples: int) -> ColdStart:
+        """Keep nothing yet."""
+        return cls(samples, np.zeros(0), np.zeros((0, n_inputs)), _until_next(samples, 0, n_theta))
+
+    def added(self, y: Array, u: Array) -> ColdStart:
+        """Return it with more samples, at most as many as it waits for."""
+        # A frozen tracker does not look: it stays due, and a count below 0 would say in a state that there is no start.
+        waits, keep = max(self.waits - len(y), 0), max(0, _LONGEST * self.samples - len(y))
+        return ColdStart(self.samples, np.append(self.y[-keep:], y), np.concatenate((self.u[-keep:], u)), waits)
+
+    def is_first_look(self, n_theta: int) -> bool:
+        """Whether no model can have been made of fewer samples."""
+        return self.y.size <= _until_next(self.samples, 0, n_theta)
+
+    @property
+    def is_last_look(self) -> bool:
+        """Whether there are as many samples as were asked for."""
+        return self.y.size >= self.samples
+
+    def waiting(self, n_theta: int) -> ColdStart:
+        """Return it waiting for the next look."""
+        return self._replace(waits=_until_next(self.samples, self.y.size, n_theta))
+
+    def levels(self, more: Array) -> Array:
+        """Return the median of the outputs before each of some more, and after the last, 0 while there are none."""
+        y = np.append(self.y, more)
+        medians = np.zeros(more.size + 1)
+        for k in range(more.size + 1):
+            measured = y[: self.y.size + k]
+            measured = measured[measured == measured]
+            medians[k] = np.median(measured) if measured.size else 0.0
+        return medians
+
+
+def _until_next(samples: int, size: int, n_theta: int) -> int:
+    """Return after how many samples the next look is."""
+    least = max(20, 5 * (n_theta + 1))
+    lengths = [max(samples >> k, 1) for k in (3, 2, 1, 0)]
+    later = [length for length in lengths if length > size and (length >= least or length == samples)]
+    return later[0] - size if later else max(samples // 4, 1)
+
+
+class Unjudged(NamedTuple):
+    """Samples that came one by one and wait to be looked at together."""
+
+    #: y, u, prediction, residual, weight and guard of each, with the axes (n, 1).
+    samples: tuple[tuple[Any, ...], ...] = ()
+    #: After how many the next look at anything is.
+    due: int = 0
+    #: After how many the next look at starts and at what residuals follow is.
+    looked_at: int = 0
+    #: The actuators that start anew if their residuals follow the inputs.
+    watched: Any = None
+    enabled: bytes = b""
+    #: For how many samples each sensor had been stuck before.
+    stuck: Any = None
+
+
+class State(NamedTuple):
+    """Parameters, covariances, past signals and what decides about another start, of n actuators."""
+
+    #: With the constant, where there is one, (n, d).
+    theta: Array
+    P: Array
+    past: Memory
+    #: R and the fields of `NoiseScale`, (n, 5).
+    scale: Array
+    #: What was learned of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
+    #: (n, 7).
+    readings: Array
+    #: What is taken off the outputs, so that the constant is small, (n,).
+    centre: Array
+    #: Trace of P beyond which it stops growing, (n,).
+    windup: Array
+    #: Whether there is a model, (n,).
+    begun: np.ndarray
+    #: Whether another model may be made when this one is no longer the plant's, (n,).
+    restarts: np.ndarray
+    #: How many samples a start may look at, (n,).
+    samples: np.ndarray
+    #: The actuators that look for a model.
+    starts: Mapping[int, ColdStart]
+    followed: Followed
+    windows: Windows
+    unjudged: Unjudged = Unjudged()
+
+    def copied(self) -> State:
+        """Return it with copies of what a sample moves, to be written into."""
+        past = Memory(*[a.copy() if a.size else a for a in self.past])
+        return State(self.theta.copy(), self.P.copy(), past, self.scale.copy(), self.readings.copy(), *self[5:])
+
+    def rows(self, which: np.ndarray | slice) -> State:
+        """Return the state of some actuators: of a slice in the same arrays, of a list of them in arrays of its own."""
+
+        def taken(part: Any) -> Any:
+            return type(part)(*map(taken, part)) if isinstance(part, tuple) else part[which]
+
+        those = enumerate(np.arange(len(self.theta))[which].tolist())
+        starts = {j: self.starts[i] for j, i in those if i in self.starts}
+        arrays = {name: taken(getattr(self, name)) for name in (*State._fields[:_STARTS], "followed", "windows")}
+        return State(**arrays, starts=starts)
+
+    def with_rows(self, which: np.ndarray, rows: State) -> State:
+        """Return this with some actuators as another state has them; starts, what is followed and windows stay."""
+
+        def replaced(whole: Any, part: Any) -> Any:
+            if isinstance(whole, tuple):
+                return type(whole)(*map(replaced, whole, part))
+            updated = whole.copy()
+            updated[which] = part
+            return updated
+
+        fields = State._fields[:_STARTS]
+        return self._replace(**{name: replaced(getattr(self, name), getattr(rows, name)) for name in fields})
+
+    def arrays(self) -> dict[str, Array]:
+        """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
+        n, width = len(self.theta), self.followed.rows.shape[2]
+        waits = np.full(n, -1.0)
+        sizes = np.zeros(n)
+        for i, start in self.starts.items():
+            waits[i], sizes[i] = start.waits, start.y.size
+        recorded = np.full((n, int(sizes.max(initial=0)), width - 1), np.nan)
+        for i, start in self.starts.items():
+            recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
+        rule = np.column_stack((self.centre, self.windup, self.scale[:, 1:4], self.begun, waits))
+        followed = self.followed
+        watch = np.insert(np.column_stack((self.restarts, self.samples, followed.numbers)), 7, self.scale[:, 4], axis=1)
+        shown = min(int(followed.seen.max(initial=0)), followed.rows.shape[1])
+        rows = followed.rows[:, followed.rows.shape[1] - shown :]
+        return {
+            "theta": self.theta, "P": self.P, **self.past._asdict(), "recursion": rule, "start": recorded,
+            "kept": sizes, "watch": watch, "followed": rows, "readings": self.readings,
+        }  # fmt: skip
+
+    def restored(self, stored: Mapping[str, Array], R: Array) -> State:
+        """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said."""
+        n = len(self.theta)
+        rule = stored["recursion"]
+        watch = stored.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 6)))))
+        recorded, sizes = stored["start"], stored.get("kept", np.full(n, stored["start"].shape[1]))
+        samples = watch[:, 1].astype(int)
+        starts = {}
+        for i in np.flatnonzero(rule[:, 6] >= 0).tolist():
+            part = recorded[i, recorded.shape[1] - int(sizes[i]) :]
+            starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
+        rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
+        rows = stored.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
+        followed = Followed.restored(np.delete(watch, 7, axis=1)[:, 2:] if watch.shape[1] > 7 else watch[:, 2:], rows)
+        return State(
+            stored["theta"], stored["P"], Memory(*(stored[name] for name in Memory._fields)),
+            np.column_stack((R, rule[:, 2:5], rounding)), stored.get("readings", np.zeros((n, READINGS))),
+            rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
+            watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
+        )  # fmt: skip
+
+
+# All fields before these are arrays of the actuators, or tuples of such.
+_STARTS = State._fields.index("starts")
+
+
+def padded(parts: Any) -> Array:
+    """Return arrays of different lengths as one, NaN before the shorter ones."""
+    rows = np.full((len(parts), max(map(len, parts)), parts[0].shape[1]), np.nan)
+    for whole, part in zip(rows, parts, strict=True):
+        whole[len(whole) - len(part) :] = part
+    return rows
+
+
+def apart(whole: Array, lengths: np.ndarray) -> np.ndarray:
+    """Return the last rows of each of several arrays, so many, as an array of objects."""
+    parts = np.empty(len(whole), dtype=object)
+    for i, length in enumerate(lengths.tolist()):
+        parts[i] = whole[i, whole.shape[1] - length :].copy()
+    return parts
+
+
+def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, begun: bool) -> State:
+    """Return the state of n actuators that have seen nothing; begun: whether they are to begin without a start."""
+    n, structure = len(theta), form.structure
+    past = Memory.at_rest(form.layout, n)
+    starts = {} if begun else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
+    windup = WINDUP * np.maximum(np.trace(P, axis1=1, axis2=2), 1e-300)
+    return State(
+        theta, P, past, scale, np.zeros((n, READINGS)), np.zeros(n),
+        windup, np.full(n, begun), np.full(n, not begun), np.full(n, samples), starts,
+        Followed.none(n, form.n_signals), Windows.none(n),
+    )  # fmt: skip
+
+
+def checked(
+    state: Any, form: Form, axes: tuple[int, ...], needed: Mapping[str, Any], optional: Mapping[str, Any]
+) -> dict[str, Array]:
+    """Return the arrays of a state, copied, or raise."""
+    d, signals = form.layout.n, form.n_signals
+    shapes: dict[str, Any] = {"theta": (d,), "P": (d, d), **form.layout.shapes(), "enabled": (), "recursion": (7,)}
+    shapes |= {"start": (None, signals)} if "start" in state else {}
+    if "watch" in state or "followed" in state:
+        shapes |= {"watch": (None,), "followed": (None, 1 + signals)}
+    shapes |= {"readings": (READINGS,)} if "readings" in state else {}
+    whole = {name: (*axes, *shape) for name, shape in shapes.items()}
+    stored = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
+    for name, least in (("R", "> 0"), ("alpha_sq", ">= 1")):
+        if name in stored and not (stored[name] > 0.0 if name == "R" else stored[name] >= 1.0).all():
+            raise _state.StateError(f"state: expected {name} {least}, got {_checks.shown(stored[name])}")
+    _require_plausible(stored)
+    guarded = form.guard != "none"
+    if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(stored["theta"])[guarded]):
+        raise _state.StateError(
+            "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
+            "circle"
+        )
+    stored.setdefault("start", np.zeros((*axes, 0, signals)))
+    return {**stored, "enabled": stored["enabled"].astype(bool)}
+
+
+def _require_plausible(stored: Mapping[str, Array]) -> None:
+    """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., WATCHED), may be of `arrays`."""
+    _, limit, samples, mean, memory, begun, waits = np.moveaxis(stored["recursion"], -1, 0)
+    conditions = [
+        ("recursion", "a limit of tr P > 0", limit > 0.0),
+        ("recursion", "counts of samples >= 0", (samples >= 0.0) & (memory >= 0.0)),
+        ("recursion", "a mean of min(e^2, 4) in [0, 4]", (mean >= 0.0) & (mean <= 4.0)),
+        ("recursion", "begun to be 0 or 1", (begun == 0.0) | (begun == 1.0)),
+        ("recursion", "a whole number of samples until the next look, or -1", (waits >= -1.0) & (waits % 1.0 == 0.0)),
+    ]
+    if "watch" in stored:
+        # Format 1 began without the share that follows the inputs anyway, what is rounding, and the scores of the gain.
+        if stored["watch"].shape[-1] not in (6, 7, 8, WATCHED):
+            raise _state.StateError(f"state: expected watch of {WATCHED} numbers, got {stored['watch'].shape[-1]}")
+        restarts, looks, seen, variance = np.moveaxis(stored["watch"], -1, 0)[:4]
+        whole = (looks >= 1.0) & (seen >= 0.0) & (looks % 1.0 == 0.0) & (seen % 1.0 == 0.0)
+        conditions += [
+            ("watch", "whether it may start anew to be 0 or 1", (restarts == 0.0) | (restarts == 1.0)),
+            ("watch", "whole numbers of samples >= 0", whole),
+            ("watch", "a variance >= 0", variance >= 0.0),
+            ("watch", "information >= 0", stored["watch"][..., 9::2] >= 0.0),
+        ]
+    if "readings" in stored:
+        counts = stored["readings"][..., [2, 3, repeats.WIDTH]]
+        conditions.append(("readings", "a scale and counts >= 0", counts >= 0.0))
+    for name, what, good in conditions:
+        if not good.all():
+            raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(stored[name])}")
+
+
+# One sample of one actuator.
 
 #: What the gain is computed from.
 Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
@@ -88,7 +409,7 @@ class Recursion:
             kf.predict()
         x = kf.x
         shown = predicted = H.dot(x).item()
-        r = setup.noise_variance(kf) if R is None else R
+        r = noise_variance(kf) if R is None else R
         stuck = seen and self.judges and self._is_stuck(y, predicted, H, r)
         # What is stuck counts as missing.
         seen = seen and not stuck
@@ -247,3 +568,21 @@ def repaired(P: Array) -> Array:
     if values[0] >= -floor:
         return P if np.array_equal(P, symmetric) else symmetric
     return np.asarray((vectors * np.maximum(values, floor)).dot(vectors.T))
+
+
+def noise_variance(kf: RobustKalmanFilter) -> float:
+    """Return a filter's R as a number, or raise."""
+    r = told_variance(kf)
+    if math.isnan(r):
+        raise ValueError(f"R: expected a variance > 0, got {kf.R!r}; NaN in y is for a sample that is missing")
+    return r
+
+
+def told_variance(kf: RobustKalmanFilter) -> float:
+    """Return that, NaN where it would raise: the next sample that needs it does."""
+    R = kf.R
+    try:
+        r = float(R.item() if type(R) is np.ndarray and R.size == 1 else np.ravel(R)[0])
+    except (TypeError, ValueError, IndexError):
+        return math.nan
+    return r if 0.0 < r < math.inf else math.nan

@@ -18,7 +18,7 @@ from robust_filterpy.filters.shell import leave_unwatched
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.state import Form, checked
+from robust_filterpy.identification.recursive.recursion import Form, checked, told_variance
 from robust_filterpy.influence.functions import Linear
 
 _Made = TypeVar("_Made")
@@ -61,8 +61,7 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> RobustKalmanFilt
     chosen = {name: value for name, value in choices.items() if value is not None}
     if given is not None and chosen:
         raise ValueError(f"{', '.join(chosen)}: expected only without filter=; set them on the filter that you pass")
-    is_class = isinstance(given, type)
-    makes = issubclass(given, KalmanFilter) if is_class else callable(given) and not isinstance(given, KalmanFilter)
+    makes = isinstance(given, type) and issubclass(given, KalmanFilter)
     # R is followed, so that S is right: no typical innovation of a wrong one has to be learned.
     options: dict[str, Any] = {"scaling": "innovation", **chosen}
     kf = RobustKalmanFilter(n, 1, **options) if given is None else given(dim_x=n, dim_z=1) if makes else given
@@ -171,24 +170,6 @@ def covariance(name: str, value: Any, n: int) -> Array:
     finite(name, matrix)
     _checks.covariance(name, matrix)
     return matrix.copy()
-
-
-def noise_variance(kf: RobustKalmanFilter) -> float:
-    """Return a filter's R as a number, or raise."""
-    r = told_variance(kf)
-    if math.isnan(r):
-        raise ValueError(f"R: expected a variance > 0, got {kf.R!r}; NaN in y is for a sample that is missing")
-    return r
-
-
-def told_variance(kf: RobustKalmanFilter) -> float:
-    """Return that, NaN where it would raise: the next sample that needs it does."""
-    R = kf.R
-    try:
-        r = float(R.item() if type(R) is np.ndarray and R.size == 1 else np.ravel(R)[0])
-    except (TypeError, ValueError, IndexError):
-        return math.nan
-    return r if 0.0 < r < math.inf else math.nan
 
 
 def load(kf: RobustKalmanFilter, theta: Array, P: Array, R: float) -> None:
@@ -356,8 +337,9 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
     if not _have_squares(values):
         bad = ~(np.abs(values) <= LARGEST).all(axis=-1)
         raise ValueError(
-            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing), got "
-            f"{values[bad][0]}{_where(np.broadcast_to(bad, (*time, n)))}"
+            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; fill in what acted, "
+            f"u.ffill() for a valve that stayed where it was), got {values[bad][0]}"
+            f"{_where(np.broadcast_to(bad, (*time, n)))}"
         )
     return values if values.shape == (*time, n, width) else np.broadcast_to(values, (*time, n, width))
 

@@ -31,8 +31,19 @@ from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.recursion import Recursion, Regressor, note, ordinary_mean
-from robust_filterpy.identification.recursive.state import READINGS, WINDUP, ColdStart, Form, State, Unjudged
+from robust_filterpy.identification.recursive.recursion import (
+    READINGS,
+    WINDUP,
+    ColdStart,
+    Form,
+    Recursion,
+    Regressor,
+    State,
+    Unjudged,
+    note,
+    ordinary_mean,
+    told_variance,
+)
 from robust_filterpy.identification.recursive.watch import STUCK, News, Trouble, is_right, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
 
@@ -295,9 +306,6 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
     """Return what these samples make of the starts, and of those that turn out to be lost."""
     news: News = []
     watched, enabled = waiting.watched, np.frombuffer(waiting.enabled, dtype=bool)
-    signals = np.concatenate((shown.prediction[..., None], u), axis=2)
-    starting = np.array([i for i in now.starts if now.begun[i] and form.structure.n_inputs], dtype=int)
-    now = now._replace(followed=now.followed.noted(starting, shown.residual[starting], signals[starting]))
     for i, start in list(now.starts.items()):
         start = start.added(y[i], u[i])
         now = now._replace(starts={**now.starts, i: start})
@@ -305,8 +313,9 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
             now, said = _with_model(form, now, i, start)
             news += said
     if watched.size:
-        followed, lost = now.followed.noted(watched, shown.residual[watched], signals[watched]).looked(
-            watched, form.structure, now.theta[watched][:, form.own], form.has_offset, now.scale[watched, 4]
+        new = np.concatenate((shown.residual[..., None], shown.prediction[..., None], u), axis=2)[watched]
+        followed, lost = now.followed.looked(
+            watched, new, form.structure, now.theta[watched][:, form.own], form.has_offset, now.scale[watched, 4]
         )
         now = now._replace(followed=followed)
         for one in lost:
@@ -557,6 +566,6 @@ class _Stretch:
             error.args = (f"{self.using.place(k, i)}{error}", *error.args[1:])
             raise
         now.theta[row], now.P[row] = np.ravel(kf.x), kf.P
-        now.scale[row], now.readings[row] = (setup.told_variance(kf), *one.scale), one.readings
+        now.scale[row], now.readings[row] = (told_variance(kf), *one.scale), one.readings
         for stack, value in zip(now.past, one.memory, strict=True):
             stack[row] = value

@@ -35,8 +35,21 @@ from robust_filterpy.identification.models.signals import (
 )
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup, track
-from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Gradient, Regressor, ordinary_mean
-from robust_filterpy.identification.recursive.state import Form, State, apart, at_rest, checked, padded
+from robust_filterpy.identification.recursive.recursion import (
+    GRADIENTS,
+    REGRESSORS,
+    Form,
+    Gradient,
+    Regressor,
+    State,
+    apart,
+    at_rest,
+    checked,
+    noise_variance,
+    ordinary_mean,
+    padded,
+    told_variance,
+)
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
 from robust_filterpy.identification.recursive.watch import SPAN
 from robust_filterpy.influence.functions import Influence
@@ -266,7 +279,7 @@ class ParameterTracker(track.Following, PolynomialSystem):
             setup.warn_of_default_noise(kf)
         self.enabled = True
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
-        scale = np.array([[setup.told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
+        scale = np.array([[told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
         x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
         self.dt: float | None = None
@@ -370,7 +383,7 @@ class ParameterTracker(track.Following, PolynomialSystem):
     @property
     def R(self) -> float:
         """Variance of the ordinary noise, as it is followed; may be set, and is then no longer followed."""
-        return setup.noise_variance(self._filter) if self._asked else float(self._now.scale[0, 0])
+        return noise_variance(self._filter) if self._asked else float(self._now.scale[0, 0])
 
     @R.setter
     def R(self, value: float) -> None:
@@ -799,7 +812,7 @@ class ParameterTracker(track.Following, PolynomialSystem):
     def _pulled(self) -> State:
         """Return the state with theta, P and R as the filter has them."""
         kf, scale = self._filter, self._now.scale.copy()
-        scale[0, 0] = setup.told_variance(kf)
+        scale[0, 0] = told_variance(kf)
         x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         return self._now._replace(theta=x, P=P, scale=scale)
 
@@ -853,7 +866,7 @@ class ParameterTracker(track.Following, PolynomialSystem):
         go_on_beside(kf, stored["theta"], stored["P"], state)
         setup.apply_settings(kf, stored)
         arrays = {name: value[None] for name, value in stored.items()}
-        self._now = self._now.restored(arrays, np.array([setup.told_variance(kf)]))
+        self._now = self._now.restored(arrays, np.array([told_variance(kf)]))
         self._load()
         self.enabled, self._time, self._used, self._unshown = bool(stored["enabled"]), None, None, []
 

@@ -135,25 +135,13 @@ class Followed(NamedTuple):
         after.usual[i] = *covariances, max(shares)
         return after, float(np.mean(shares)) if np.mean([one.significant for one in regressions]) > 0.5 else 0.0
 
-    def noted(self, which: np.ndarray, residuals: Array, signals: Array) -> Followed:
-        """Return it with more samples of some actuators."""
-        if not which.size:
-            return self
-        rows, seen, new = self.rows.copy(), self.seen.copy(), np.concatenate((residuals[..., None], signals), axis=2)
-        rows[which] = np.concatenate((rows[which], new), axis=1)[:, -SPAN:]
-        seen[which] += residuals.shape[1]
-        return self._replace(rows=rows, seen=seen)
-
-    def is_right(self, i: int) -> bool:
-        """Tell whether what an actuator has left so far does not follow its inputs."""
-        last = self.rows[i, -min(int(self.seen[i]), SPAN) :] if self.seen[i] else self.rows[i, :0]
-        return len(last) > 0 and is_right(last[:, 0], last[:, 1:])
-
     def looked(
-        self, which: np.ndarray, structure: Structure, theta: Array, has_offset: bool, rounding: Array
+        self, which: np.ndarray, new: Array, structure: Structure, theta: Array, has_offset: bool, rounding: Array
     ) -> tuple[Followed, News]:
-        """Return it with the last samples judged, and of which of some actuators the model is another plant's."""
+        """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's."""
         seen, usual, rows, scores = (a.copy() for a in self)
+        rows[which] = np.concatenate((rows[which], new), axis=1)[:, -SPAN:]
+        seen[which] += new.shape[1]
         news: News = []
         for k, i in enumerate(which.tolist()):
             e, shown = rows[i, :, 0], rows[i, :, 1:]
