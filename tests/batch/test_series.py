@@ -195,7 +195,7 @@ def test_a_series_that_is_refused_is_nan_from_there_on_and_leaves_the_others_alo
     np.testing.assert_allclose(found.state[name][1], before.state[name][0], rtol=1e-10)
 
 
-def test_a_series_whose_covariance_would_be_indefinite_is_named():
+def test_a_series_whose_covariance_would_be_indefinite_is_named(form):
     P0 = np.tile(0.1 * np.eye(2), (3, 1, 1))
     P0[2] *= 1e4
     model = (np.zeros((3, 5, 1)), np.eye(2), np.eye(1, 2), 1e-3 * np.eye(2), np.eye(1), np.zeros(2), P0)
@@ -203,9 +203,10 @@ def test_a_series_whose_covariance_would_be_indefinite_is_named():
         filter_series(*model, scaling="unit")
     found = filter_series(*model, scaling="unit", refused="nan")
     np.testing.assert_array_equal(np.isnan(found.x).all(axis=(1, 2)), [False, False, True])
-    with pytest.raises(SingularInnovationError, match="series 0, step 0: "):
-        nothing = np.zeros((1, 1))
-        filter_series(np.ones((1, 3, 1)), np.eye(1), np.eye(1), nothing, nothing, [0.0], nothing, **LEARNING)
+    nothing, scaling = np.zeros((1, 1)), {"scaling": "innovation"}
+    for options in (LEARNING, scaling, {**scaling, "grouping": ((0,),)}):
+        with pytest.raises(SingularInnovationError, match="series 0, step 0: "):
+            filter_series(np.ones((1, 3, 1)), np.eye(1), np.eye(1), nothing, nothing, [0.0], nothing, **options)
 
 
 @EITHER

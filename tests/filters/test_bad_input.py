@@ -220,7 +220,7 @@ def test_what_it_is_built_with():
         RobustKalmanFilter(4, 2, 0, Huber())
 
 
-@pytest.mark.pairwise
+@pytest.mark.pairwise(1)
 @pytest.mark.parametrize(
     "influence", [Huber(), Huber(0.5), Hampel(), TukeyBiweight(), StudentT(), StudentT(50.0)], ids=repr
 )

@@ -77,45 +77,27 @@ def test_a_prediction_that_overflows_is_refused_in_the_usual_words(raising):
     support.assert_unchanged(before, kf)
 
 
-def gaps():
-    """Return measurements of two sensors with gaps, and the same as nullable columns of pandas."""
+@pytest.mark.parametrize("m", [1, 2])
+def test_missing_values_of_pandas_are_missing(m):
+    """As NaN, in nullable columns, in rows of objects and for each call."""
     pd = pytest.importorskip("pandas")
     zs, _ = support.simulate(support.random_problem(6, 3, 2), 12, seed=6)
     zs[3, 0] = zs[5] = zs[8, 1] = np.nan
-    table = pd.DataFrame(zs, columns=["a", "b"]).convert_dtypes()
+    table, p = pd.DataFrame(zs, columns=["a", "b"]).convert_dtypes(), support.random_problem(6, 3, m)
     assert table["a"].isna().sum() == 2 and str(table["a"].dtype) == "Float64"
-    return pd, zs, table
-
-
-def test_missing_values_of_pandas_are_missing():
-    pd, zs, table = gaps()
-    problem = support.random_problem(6, 3, 2)
-    expected = support.make(RobustKalmanFilter, problem).batch_filter(zs)[0]
-    rows = [[pd.NA if np.isnan(v) else v for v in row] for row in zs]
-    for form in (table, rows, table.to_numpy()):
+    zs, rows = zs[:, :m], [[pd.NA if np.isnan(v) else v for v in row] for row in zs[:, :m]]
+    expected = support.make(RobustKalmanFilter, p).batch_filter(zs)[0]
+    for form in (table["a"], table[["a"]], rows) if m == 1 else (table, rows, table.to_numpy()):
         # Rows of objects go by the filter's own steps, which agree with the kernel to rounding.
-        found = support.make(RobustKalmanFilter, problem).batch_filter(form)[0]
+        found = support.make(RobustKalmanFilter, p).batch_filter(form)[0]
         np.testing.assert_allclose(found, expected, rtol=1e-12)
-    kf = support.make(RobustKalmanFilter, problem)
-    for k, row in enumerate(table.itertuples(index=False)):
-        kf.predict()
-        kf.update(list(row))
-        support.assert_close(kf.x, expected[k])
-    p = problem
-    ours = filter_series([rows], p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)
-    theirs = filter_series([zs], p.F, p.H, p.Q, p.R, p.x.ravel(), p.P)
+    path = support.through(support.make(RobustKalmanFilter, p), rows)
+    np.testing.assert_allclose(path, expected[:, :, 0], rtol=1e-10)
+    ours, theirs = (filter_series([form], p.F, p.H, p.Q, p.R, p.x.ravel(), p.P) for form in (rows, zs))
     np.testing.assert_array_equal(ours.x, theirs.x)
-
-
-def test_missing_values_of_pandas_are_missing_for_one_sensor():
-    pd, zs, table = gaps()
-    problem = support.random_problem(6, 3, 1)
-    expected = support.make(RobustKalmanFilter, problem).batch_filter(zs[:, :1])[0]
-    np.testing.assert_array_equal(support.make(RobustKalmanFilter, problem).batch_filter(table["a"])[0], expected)
-    filters = [support.make(RobustKalmanFilter, problem) for _ in range(2)]
-    nonlinear = [RobustExtendedKalmanFilter(3, 1) for _ in range(2)]
-    for (kf, twin), functions in ((filters, ()), (nonlinear, (lambda x: problem.H, problem.H.dot))):
-        kf.update(pd.NA, *functions)
+    for cls, functions in ((RobustKalmanFilter, ()), (RobustExtendedKalmanFilter, (lambda x: p.H, p.H.dot))):
+        kf, twin = (cls(3, m) for _ in range(2))
+        kf.update(pd.NA if m == 1 else [pd.NA] * m, *functions)
         twin.update(None, *functions)
         np.testing.assert_array_equal(kf.x, twin.x)
         np.testing.assert_array_equal(kf.P, twin.P)
