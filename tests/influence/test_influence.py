@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -54,6 +55,15 @@ def test_rho_is_the_integral_of_psi_and_psi_that_of_its_derivative(influence):
     for e in (0.3, 1.2, 1.7, 3.0, 5.0, 11.0):
         for whole, slope in ((influence.rho, influence.psi), (influence.psi, influence.psi_deriv)):
             np.testing.assert_allclose(whole(e), integral(slope, e, corners(influence)), rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "influence", [Huber(0.5), Linear(), StudentT(4.0), Contaminated(0.1, 10.0), Contaminated(0.3, 5.0)], ids=ids
+)
+def test_the_density_that_a_psi_belongs_to_integrates_to_one(influence):
+    edges = [0.0, 1.0, 3.0, 10.0, 30.0, 100.0, np.inf]
+    density = lambda e: np.exp(-influence.rho(e) - influence.log_normalizer(1))  # noqa: E731
+    assert 2.0 * sum(quad(density, a, b)[0] for a, b in pairwise(edges)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_corners_are_where_the_derivative_of_psi_jumps():
