@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import wrong_filters
 from filterpy.kalman import KalmanFilter
 from right_estimators import FILTERS
 from wrong_filters import PLAIN, WRONG_FILTERS, CutAndCertain, HardGate, NoSetter, Textbook
@@ -45,6 +46,21 @@ def is_caught(cls):
 @pytest.mark.parametrize("cls", WRONG_FILTERS, ids=lambda cls: cls.__name__)
 def test_a_wrong_filter_is_caught_by_the_check_whose_name_fits(cls):
     assert is_caught(cls), cls.__doc__
+
+
+@pytest.mark.parametrize(("name", "check", "words"), [
+    ("TransposedTransition", "prediction_moves_the_state_by_F", "prediction 1: .* from F x; it is F'$"),
+    ("TransposedTransitionOfP", "prediction_moves_the_covariance_by_F", "; it is F' P F$"),
+    ("QThroughF", "prediction_adds_Q_once", "where F is not I .*; it is F Q F'$"),
+    ("PNotUpdated", "correction_leaves_P_minus_K_S_K", "; it is P: it was not corrected$"),
+    ("ShownInnovationOfTheOtherSign", "innovation_and_its_covariance_are_shown", "; it has the other sign$"),
+    ("LikelihoodWithoutConstant", "likelihood_is_the_gaussian_density_of_the_innovation",
+     r"-m log\(2 pi\) / 2 is missing$"),
+])  # fmt: skip
+def test_a_well_known_slip_is_named(name, check, words):
+    (one,) = [each for each in filter_checks(not_claimed=PLAIN) if each.name == check]
+    with pytest.raises(AssertionError, match=words):
+        one(getattr(wrong_filters, name))
 
 
 def test_every_check_catches_something_wrong():
