@@ -96,7 +96,7 @@ def draw(truth, zs, bad, found, weights, out):
     axes[0].legend(fontsize=8, ncols=3, loc="upper left")
     figure.colorbar(dots, ax=axes[0], label="weight in smooth", pad=0.01)
     axes[0].set_title("Each measurement weighed by all others: the error of a smoother that is told the outliers")
-    colours = (LOOKS[name]["color"] for name in ("Kalman", "Huber", "learnt", "told"))
+    colours = (LOOKS[name]["color"] for name in ("Kalman", "Huber", "learnt", "ideal"))
     for ax, (name, (x, deviation)), colour in zip(axes[1:], found.items(), colours, strict=True):
         rms = np.sqrt(np.mean((x - truth) ** 2))
         ax.fill_between(steps, -2 * deviation, 2 * deviation, color=colour, alpha=0.2, lw=0, label="± 2 deviations")

@@ -248,7 +248,7 @@ STYLE = {
     "T(k), realized": {**LOOKS["Huber"], "linewidth": 2.2},
     "T=1,  expected": dict(color="tab:cyan", linestyle=":", linewidth=2.0),
     "T=1,  realized": dict(color="tab:cyan", linestyle="-", linewidth=1.4),
-    LABELS: {**LOOKS["told"], "linewidth": 1.6},
+    LABELS: {**LOOKS["ideal"], "linewidth": 1.6},
 }
 MARKER = {"Ka": "o", "T(": "s", "T=": "^"}
 

@@ -5,7 +5,7 @@
 * `workbench`: pictures of structures, models and their comparison.
 
 `LOOKS` has color and line style of the filters that pictures compare: "Kalman", "gate", "Huber", "Tukey", "learnt"
-(noise learned on the way) and "told" (which knows what nobody can). ``ax.plot(t, x, **LOOKS["Huber"])``.
+(noise learned on the way) and "ideal" (which knows what nobody can). ``ax.plot(t, x, **LOOKS["Huber"])``.
 
 matplotlib is imported when something is drawn.
 """

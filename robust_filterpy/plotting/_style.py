@@ -22,7 +22,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "Huber": {"color": COLOURS[0], "linestyle": "-"},
     "Tukey": {"color": COLOURS[2], "linestyle": "-."},
     "learnt": {"color": "#41ab5d", "linestyle": (0, (5, 1))},
-    "told": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+    "ideal": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
 }
 
 

@@ -3,7 +3,7 @@
 Run ``python tests/benchmarks/adaptive_study.py [--table NAME] [--runs N] [--seed S] [--jobs J] [--quick]``. All filters
 see the same recordings; intervals are 95 % bootstrap intervals over them. What the peers' authors tune by the truth is
 tuned so here, for each kind of noise anew, on two recordings of other seeds. --quick leaves the peers out. A target is
-compared with the adaptive filter below the table. Beside each ratio: what the squared error is of what the filter's P
+compared with the adaptive filter below the table. With each ratio: what the squared error is of what the filter's P
 says (NEES over the number of states, 1 if P is right), and how often the truth is in its 95 % region.
 """
 

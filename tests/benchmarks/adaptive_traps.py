@@ -3,7 +3,7 @@
 Run ``python tests/benchmarks/adaptive_traps.py [--runs N] [--seed S] [--rows A B] [--write-page]``. Each row has a
 figure and what it is aimed at: a root mean square error over that of the Kalman filter which is told the covariances of
 every step (where the noise has a colour: told R and Q), the share of states within the 95 % region, or steps until the
-estimate is back; beside each the adaptive filter's NEES over n and coverage. --rows makes those from A to before B;
+estimate is back; with each the adaptive filter's NEES over n and coverage. --rows makes those from A to before B;
 --write-page puts all of them into docs/learnt_noise.md.
 """
 
@@ -305,7 +305,7 @@ def steps_back(trap: Trap, xs: np.ndarray, Ps: np.ndarray, at: int = 0) -> float
 
 
 Measure = Callable[[Trap, np.ndarray, np.ndarray], float]
-#: What it is called, how it is drawn, what is measured, what it is aimed at, and which option is tried beside.
+#: What it is called, how it is drawn, what is measured, what it is aimed at, and which option is tried too.
 ROWS: list[tuple[str, Callable[[int], Trap], Measure, float, str | None]] = [
     ("sensors in turn, sigma 5 and .1, as NaN rows: error", in_turn, error, 1.15, None),
     ("the same through one row: error", one_row, error, 1.15, NAMED),

@@ -109,7 +109,7 @@ def coarse(rng: Any, y: Any, u: Any, clean: Any) -> tuple[Any, Any]:
 
 
 BREAKS: tuple[Callable[..., Any], ...] = (fill_value, input_constant, step, ramp, gross, stuck, input_outliers, gain)
-# Other draws, with ``--coloured``: what these leave follows itself, beside a break of the others or none.
+# Other draws, with ``--coloured``: what these leave follows itself, with a break of the others or none.
 COLOURED: tuple[Callable[..., Any], ...] = (slow_noise, bursts, coarse, step, ramp, input_outliers)
 
 

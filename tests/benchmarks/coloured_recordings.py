@@ -2,7 +2,7 @@
 
     python tests/benchmarks/coloured_recordings.py [PART ..] [--draws 20] [--first 0]
 
-Each part prints a line: fits to the plant's own output for fresh inputs, in percent, beside those of
+Each part prints a line: fits to the plant's own output for fresh inputs, in percent, with those of
 ``trend="constant"`` and of an ARX by least squares; coverage of theta +- 2 std; or seconds of the processor.
 """
 
@@ -41,7 +41,7 @@ def least_squares(y: Any, u: Any, fresh: Any, n: int = 2) -> Any:
 
 
 def compared(y: Any, u: Any, structure: Any, clean: Any, fresh: Any) -> tuple[float, float, float]:
-    """Return the fits of the model told nothing, that beside a constant, and least squares; levels left out."""
+    """Return the fits of the model told nothing, that with a constant, and least squares; levels left out."""
     shown = [recorded(y, u, structure, **o).simulate(fresh) for o in ({}, {"trend": "constant"})]
     shown.append(least_squares(y, u, fresh))
     a, b, c = (percent(clean - clean.mean(), one - one.mean()) for one in shown)
@@ -49,7 +49,7 @@ def compared(y: Any, u: Any, structure: Any, clean: Any, fresh: Any) -> tuple[fl
 
 
 def slow_input(seed: int, **options: Any) -> tuple[float, float, float]:
-    """A linear trend beside a second input that wanders; truth .03 for its b: estimate, std, R (truth .0225)."""
+    """A linear trend with a second input that wanders; truth .03 for its b: estimate, std, R (truth .0225)."""
     rng = np.random.default_rng([5101, seed])
     N = 1000
     u = np.column_stack((rng.choice([-1.0, 1.0], N).repeat(5)[:N], np.cumsum(rng.normal(size=N))))

@@ -1,7 +1,7 @@
 """Time `receding_horizon_binary` against the steps of section 3.2 as the paper prints them, in one run.
 
 The printed steps recompute every lag sum for every candidate, O(2^m n N^2); they are timed at N = 1000 and scaled to
-N = 10000 by (10000/1000)^2, and beside it by 10000/1000 alone, which favours them.
+N = 10000 by (10000/1000)^2, and also by 10000/1000 alone, which favours them.
 
 Run ``python tests/benchmarks/excitation_speed.py``.
 """

@@ -1,4 +1,4 @@
-"""What a fleet costs on each engine, beside `filter_series` in the same run, and what 1e8 devices at 1 Hz would need.
+"""What a fleet costs on each engine, with `filter_series` in the same run, and what 1e8 devices at 1 Hz would need.
 
     python tests/benchmarks/fleet.py [--keys 20000] [--steps 100] [--engines dask spark]
 
@@ -92,7 +92,7 @@ def row(name, state, whole):
 
 
 def bytes_and_files(state):
-    """Print what packing costs, beside numpy's .npz."""
+    """Print what packing costs, and what numpy's .npz does."""
 
     def npz():
         file = io.BytesIO()

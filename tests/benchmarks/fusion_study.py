@@ -261,11 +261,11 @@ def verdicts(args):
     sure, wrong = 0, 0
     for fault, size in cases:
         delays, sensor, right = {who: [] for who in "bac"}, 0, 0
-        beside = {"gate": {who: [] for who in "bac"}, "CUSUM": {who: [] for who in "bac"}}
+        others = {"gate": {who: [] for who in "bac"}, "CUSUM": {who: [] for who in "bac"}}
         for seed, who in product(range(args.runs), "bac"):
             motion, readings = redundant(seed, 50.0, fault, size, who=who)
             for rule, one in baselines(motion, readings).items():
-                beside[rule][who].append(one)
+                others[rule][who].append(one)
             table = dict(zip(("sensor", "time", "value"), zip(*readings, strict=True), strict=True))
             said = [
                 one for one in watching(motion).run(table).verdicts if one[1] != "motion" and one[2].fault != "silent"
@@ -284,7 +284,7 @@ def verdicts(args):
         rules = "   ".join(
             f"{rule} {np.mean([np.median([t for t, _ in one] or [np.nan]) for one in got.values()]):6.2f} "
             f"{np.mean([named == who for who, one in got.items() for _, named in one] or [0]):.2f}"
-            for rule, got in beside.items()
+            for rule, got in others.items()
         )
         print(
             f"  {fault:9s} {size:4.1f}  {' '.join(f'{one:5.2f}' for one in each)}  {np.mean(each):5.2f}   "

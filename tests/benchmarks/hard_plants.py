@@ -150,7 +150,7 @@ def knowing(y, u, order, wild):
 
 
 def large(arguments):
-    """Identify ARX(20, 20) plants of 1e4 samples, every other one with outliers, beside one who knows these."""
+    """Identify ARX(20, 20) plants of 1e4 samples, every other one with outliers, as one does who knows these."""
     errors, failed = [], []
     for seed in range(arguments.seed, arguments.seed + arguments.runs):
         rng = np.random.default_rng([seed, 4])

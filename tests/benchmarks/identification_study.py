@@ -4,7 +4,7 @@
 
 Parts: intervals, tracker, drifting, noise_scale, regressors, plants, noise, sampling, invariance, time, arx.
 
-Beside it: the estimate that starts at the truth, the one that knows which samples are outliers, scipy's
+With it: the estimate that starts at the truth, the one that knows which samples are outliers, scipy's
 `least_squares(loss="soft_l1")` from a naive start, filterpy's Kalman filter in the tracker, and padasip's recursive
 least squares. Each target is printed with whether it is met. A table is printed
 line by line as it comes, and every line can be had alone, by naming its part and one order. Fits are those of the free
@@ -309,7 +309,7 @@ def arx(arguments):
 
 
 def tracker(arguments):
-    """Track OE(4, 4) plants by default, nothing told, beside the batch estimate that starts at the truth."""
+    """Track OE(4, 4) plants by default, nothing told, and compare with the batch estimate that starts at the truth."""
     found = {"tracker": [], "told R, start=0": [], "filterpy's Kalman": [], "padasip": [], "from the truth": []}
     for plant in range(arguments.plants):
         truth, y, u, _, fresh = recording(arguments.seed, 4, plant, 0.1)
@@ -334,7 +334,7 @@ def tracker(arguments):
 
 
 def drifting(arguments):
-    """Follow parameters that wander, or jump, after the start: told nothing but Q, beside the recursion told all."""
+    """Follow parameters that wander, or jump, after the start: told nothing but Q, with the recursion told all."""
     for name, jump in (("wander by Q = 1e-5 I", 0.0), ("jump by .3 in b", 0.3)):
         errors = {"told nothing but Q": [], "told R, theta, P and Q": [], "filterpy's Kalman, told nothing but Q": []}
         for plant in range(arguments.plants):
@@ -369,7 +369,7 @@ def slowly_sampled(arguments, period):
 
 
 def noise_scale(arguments):
-    """Follow an R that nobody told: errors beside the true R, coverage of the intervals, a step of the noise."""
+    """Follow an R that nobody told: errors with the true R, coverage of the intervals, a step of the noise."""
     truth = np.array([-1.5, 0.7, 1.0, 0.5])
     for contamination in (0.0, 0.1):
         errors, inside = {"told R": [], "followed": [], "from 1e-4 R": [], "from 1e4 R": []}, []

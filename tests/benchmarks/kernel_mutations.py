@@ -114,7 +114,7 @@ def drawn(count: int, seed: int, name: str) -> list[tuple[Path, int, str, str]]:
 
 
 def build(copy: Path, chosen: list[tuple[Path, int, str, str, str]]) -> None:
-    """Put the wrong lines beside the right ones and build."""
+    """Put the wrong lines next to the right ones and build."""
     for path, number, _, _, both in chosen:
         place = copy / path.relative_to(ROOT)
         lines = place.read_text().split("\n")
@@ -136,7 +136,7 @@ def build(copy: Path, chosen: list[tuple[Path, int, str, str, str]]) -> None:
         old.unlink()
     subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=copy, env=environment, check=True)
     if not list((copy / "robust_filterpy" / "kernel").glob("*.so")):
-        raise SystemExit("the kernel with the wrong lines beside the right ones does not compile")
+        raise SystemExit("the kernel with the wrong lines next to the right ones does not compile")
 
 
 def main() -> None:

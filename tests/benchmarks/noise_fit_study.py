@@ -170,7 +170,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--intervals", type=int, default=0, help="models of the third table")
     parser.add_argument("--level", action="store_true", help="intervals of one level in place of random models")
     parser.add_argument("--shares", type=float, nargs="+", default=SHARES, help="of outliers")
-    parser.add_argument("--statsmodels", action="store_true", help="only the table beside statsmodels")
+    parser.add_argument("--statsmodels", action="store_true", help="only the table with statsmodels")
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args(argv)
     if args.statsmodels:

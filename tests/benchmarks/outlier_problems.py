@@ -1,4 +1,4 @@
-"""The problems that `outlier_tables` compares filters on, and the filters beside ours."""
+"""The problems that `outlier_tables` compares filters on, and the filters that ours are compared with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""This package beside others on the same recordings: who is closest to the truth, who is fastest, where others win.
+"""This package and others on the same recordings: who is closest to the truth, who is fastest, where others win.
 
 Run ``python tests/benchmarks/side_by_side.py [--runs N] [--seed S] [--jobs J] [--rows TEXT ..] [--store FILE]
 [--write-page]``. Peers are tuned by the truth, on recordings of other seeds; ours are not tuned. --write-page writes

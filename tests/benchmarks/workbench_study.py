@@ -2,9 +2,9 @@
 
     python tests/benchmarks/workbench_study.py [part ..] [--plants 100] [--recordings 400] [--seed 0]
 
-Parts: selection, alarms, structures, coverage, tuned, sippy. Beside select_structure: a plain least-squares ARX by the
-criterion of Akaike, over the same grid. Beside validate: the Ljung-Box test of statsmodels on the same residuals;
-beside ARMA its exact likelihood. Fits are those of the free run on fresh input without noise, in percent. Each target
+Parts: selection, alarms, structures, coverage, tuned, sippy. With select_structure: a plain least-squares ARX by the
+criterion of Akaike, over the same grid. With validate: the Ljung-Box test of statsmodels on the same residuals;
+with ARMA its exact likelihood. Fits are those of the free run on fresh input without noise, in percent. Each target
 is printed with whether it is met. sippy: the choice of SIPPY (``pip install sippy_unipi``, 1.0.1) on every tenth of the
 plants, a quarter of a minute each.
 """
@@ -101,7 +101,7 @@ def sippy(arguments):
         order, delay, y, u, fresh, clean = recording(arguments.seed, plant + (plant // 10) % 4)
         orders = [ORDERS[0], ORDERS[-1]]
         with contextlib.redirect_stdout(None):
-            # Its delay comes beside the one sample that every B has.
+            # Its delay comes on top of the one sample that every B has.
             chosen = system_identification(y, u, "ARX", IC="BIC", na_ord=orders, nb_ord=orders, delays=[0, 8])
         numerator, denominator = chosen.G.num[0][0], chosen.G.den[0][0]
         numerator = np.concatenate((np.zeros(len(denominator) - len(numerator)), numerator))

@@ -45,10 +45,6 @@ def run(script, *arguments):
     )
 
 
-def test_there_are_examples():
-    assert {"water_flow.py", "state_estimation_study.py", "first_screen.py"} <= {name_of(s) for s in SCRIPTS}
-
-
 def test_small_settings_belong_to_a_script():
     assert {*SMALL, *QUICK} <= {name_of(s) for s in SCRIPTS}
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence, default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from recordings import assert_refused
 
 from robust_filterpy.experiments import monte_carlo, rerun
 
@@ -246,22 +247,13 @@ def test_progress_bar_is_shown_on_demand(capsys):
         assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize(("arguments", "error", "match"), [
-    ((3, 5), TypeError, "trial: expected a callable"),
-    ((draw, 0), ValueError, "runs: expected an integer >= 1"),
-    ((draw, -2), ValueError, "runs: expected an integer >= 1"),
-    ((draw, []), ValueError, "runs: expected at least one"),
-    ((draw, 2.0), TypeError, "runs: expected an integer"),
-    ((draw, True), TypeError, "runs: expected an integer"),
-    ((draw, [1, 1]), ValueError, "every run once"),
-    ((draw, 2, -1), ValueError, "seed: expected integers"),
-    ((draw, 2, "x"), TypeError, "seed: expected integers"),
-    ((draw, 2, 0, 0), ValueError, "n_jobs: expected"),
-    ((draw, 2, 0, 1.5), TypeError, "n_jobs: expected"),
-])  # fmt: skip
-def test_wrong_arguments_are_named(arguments, error, match):
-    with pytest.raises(error, match=match):
-        monte_carlo(*arguments)
+def test_wrong_arguments_are_named():
+    assert_refused(monte_carlo, {"trial": draw, "runs": 2}, {
+        "trial": [3],
+        "runs": [0, -2, 2.0, True, [], [1, 1]],
+        "seed": [-1, "x"],
+        "n_jobs": [0, 1.5],
+    })  # fmt: skip
 
 
 def test_rerun_refuses_what_names_no_run():

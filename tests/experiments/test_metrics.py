@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from recordings import assert_refused
 
 from robust_filterpy.experiments import bootstrap_interval, fit_percent
 
@@ -87,16 +88,15 @@ def test_batches_and_callables_change_nothing():
             assert_allclose(found, expected)
 
 
-@pytest.mark.parametrize(("arguments", "match"), [
-    (([1.0],), "at least 2 runs"),
-    ((([1.0, 2.0], [1.0]), "ratio"), r"samples\[1\]: expected shape \(2,\)"),
-    (([1.0, 2.0], "ratio"), "a tuple of two arrays"),
-    (((1.0, 2.0),), r"samples\[0\]: expected shape"),
-    (([1.0, 2.0], "mean", 95), "level: .* use 0.95"),
-    (([1.0, 2.0], "mean", 0.95, 0, 1), "n_resamples: expected"),
-    (([1.0, 2.0], "mean", 0.95, 0, 99, "bca"), "method: expected"),
-    (([1.0, 2.0], "mode"), "statistic: expected one of 'mean'"),
-])  # fmt: skip
-def test_wrong_bootstrap_arguments_are_named(arguments, match):
-    with pytest.raises(ValueError, match=match):
-        bootstrap_interval(*arguments)
+def test_wrong_bootstrap_arguments_are_named():
+    assert_refused(bootstrap_interval, {"samples": [1.0, 2.0], "n_resamples": 99}, {
+        "samples": [[1.0], (1.0, 2.0)],
+        "level": [95, 0.0, 1.0],
+        "n_resamples": [1],
+        "method": ["bca"],
+        "statistic": ["mode"],
+    })  # fmt: skip
+    with pytest.raises(ValueError, match=r"samples\[1\]: expected shape \(2,\)"):
+        bootstrap_interval(([1.0, 2.0], [1.0]), "ratio")
+    with pytest.raises(ValueError, match="a tuple of two"):
+        bootstrap_interval([1.0, 2.0], "ratio")

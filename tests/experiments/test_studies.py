@@ -179,12 +179,3 @@ def test_first_figure_shows_a_typical_gain(tmp_path, capsys):
         ratios.append(kalman / robust)
     assert min(ratios) > 1
     assert 3 < shown < np.median(ratios) * 1.25
-
-
-def test_first_figure_is_small_and_wide_enough():
-    from matplotlib import image
-
-    path = EXAMPLES / "figures" / "first_screen.png"
-    height, width = image.imread(path).shape[:2]
-    assert (width, height) == (900, 475)
-    assert path.stat().st_size < 120_000

@@ -100,7 +100,6 @@ def test_several_recordings_and_times_of_an_index():
 @pytest.mark.parametrize(("change", "says"), [
     (lambda y, u, t: (y, u, None), "expected the times"),
     (lambda y, u, t: (y, u, t[::-1]), "times that increase"),
-    (lambda y, u, t: (y, u[:-1], t), "150 samples like y"),
     (lambda y, u, t: (np.full(150, np.nan), u, t), "output 0 in recording 0"),
     (lambda y, u, t: (np.column_stack((y, y)), u, t), "h: expected one number for each output, 2"),
     (lambda y, u, t: (y[:3], u[:3], t[:3]), "at least 6 measured"),

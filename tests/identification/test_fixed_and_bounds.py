@@ -1,9 +1,10 @@
 """Parameters that are told, as numbers or between bounds; noise that is summed up."""
 
-import warnings
 
 import numpy as np
 import pytest
+import recordings
+from recordings import THETA, A, B, unheard
 from scipy.signal import lfilter
 from support import by_night
 
@@ -14,22 +15,15 @@ from robust_filterpy.identification import (
     FIR,
     GreyBox,
     OutputError,
-    ParameterTracker,
     StateSpace,
     identify,
     validate,
 )
 from robust_filterpy.identification.models.structures import Structure
 
-A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
-THETA = np.array([-1.5, 0.7, 1.0, 0.5])
-
 
 def recording(seed=0, length=400, filtered=False):
-    rng = np.random.default_rng([31, seed])
-    u = rng.choice([-1.0, 1.0], length)
-    noise = 0.1 * np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length)
-    return lfilter(B, A, u) + (lfilter([1.0], A, noise) if filtered else noise), u
+    return recordings.recording([31, seed], length, sigma=0.1, inside=filtered)
 
 
 @pytest.mark.parametrize("structure", by_night([OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1)], ARX(2, 2)), ids=str)
@@ -63,29 +57,10 @@ def test_a_bound_that_binds_is_kept_and_named():
         model = identify(y, u, OutputError(2, 2), bounds={"b2": (None, 0.4)})
     assert model.theta[3] == 0.4
     assert model.std[3] == 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with unheard():
         fixed = identify(y, u, OutputError(2, 2), fixed={"b2": 0.4})
     np.testing.assert_allclose(model.theta, fixed.theta, atol=1e-6)
     np.testing.assert_allclose(model.std, fixed.std, rtol=1e-3)
-
-
-@pytest.mark.parametrize(("told", "error", "words"), [
-    ({"fixed": {"a3": 1.0}}, ValueError, "expected parameters among a1, a2, b1, b2, got 'a3'"),
-    ({"fixed": {"offset": 1.0}}, ValueError, "offset=False leaves the constant out"),
-    ({"fixed": {"a1": np.nan}}, ValueError, "expected a finite number, got nan"),
-    ({"fixed": {"a1": "x"}}, TypeError, "expected a number, got 'x'"),
-    ({"fixed": ["a1"]}, TypeError, "expected a dict of parameter names"),
-    ({"fixed": {"a1": -3.0}}, ValueError, "limits that a stable model .* keeps"),
-    ({"fixed": dict(zip(("a1", "a2", "b1", "b2"), THETA, strict=True))}, ValueError, "at least one .* free"),
-    ({"bounds": {"a1": (1.0, 0.0)}}, ValueError, "expected low < high"),
-    ({"bounds": {"a1": 3.0}}, ValueError, r"expected \(low, high\), got 3.0"),
-    ({"bounds": {"a1": (None, "x")}}, TypeError, "expected two numbers"),
-    ({"fixed": {"a1": -1.5}, "bounds": {"a1": (-2.0, 0.0)}}, ValueError, "parameters that are not fixed, got 'a1'"),
-], ids=str)  # fmt: skip
-def test_what_cannot_be_kept_is_refused(told, error, words):
-    with pytest.raises(error, match=words):
-        identify(*recording(), OutputError(2, 2), **told)
 
 
 def test_matrices_and_physics_have_no_such_names():
@@ -118,14 +93,6 @@ def test_beside_a_level_that_wanders_and_jumps_the_dynamics_are_found_from_diffe
     left = y - model.predict(y, u)
     assert np.nanmedian(np.abs(left[5:60])) < 0.15
     assert validate(model, y, u).verdict == "nothing is left in the residuals"
-
-
-@pytest.mark.nightly
-def test_a_tracker_follows_differences_too():
-    y, u = wandering(1)
-    tracker = ParameterTracker(OutputError(2, 2, integrated=True))
-    tracker.run(y, u)
-    np.testing.assert_allclose(tracker.theta[:4], THETA, atol=0.05)
 
 
 def test_a_structure_of_differences_is_its_orders():

@@ -4,34 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from robust_filterpy import ARX, Contaminated, identify
+from robust_filterpy import ARX, Contaminated
 from robust_filterpy.correction.contaminated import START
-from robust_filterpy.identification.estimation.missing import Neighbours, Unknowns, found_outliers
+from robust_filterpy.identification.estimation.missing import Unknowns, found_outliers
 from robust_filterpy.identification.models.model import cleaned_residuals
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.integers(1, 40), st.integers(1, 8), st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
-def test_neighbours_solve_and_invert_as_the_whole_matrix_does(m, reach, share, seed):
-    rng = np.random.default_rng(seed)
-    begins = rng.random(m) < share
-    begins[0] = True
-    chain = np.cumsum(begins)
-    i, j = np.indices((m, m))
-    band = rng.normal(size=(reach, m))
-    band[0] += 4.0 * reach
-    G = np.where((chain[i] == chain[j]) & (np.abs(i - j) < reach), band[np.abs(i - j) % reach, np.minimum(i, j)], 0.0)
-    right, inverse, found = rng.normal(size=(m, 3)), np.linalg.inv(G), Neighbours(band, begins)
-    np.testing.assert_allclose(found.solve(right), inverse @ right, atol=1e-12)
-    np.testing.assert_allclose(found.solve(right[:, 0]), inverse @ right[:, 0], atol=1e-12)
-    for d in range(min(reach, m)):
-        np.testing.assert_allclose(found.inverse[d, : m - d], np.diag(inverse, d), atol=1e-12)
 
 
 def _problem(rng, samples, length, share, gap):
@@ -121,20 +101,6 @@ def test_predictions_made_together_are_those_made_one_by_one(a, c, d, gap):
         w[k] = Noise.weights(noise, r[k] / np.sqrt(variance[k])) if known[k] else 0.0
     np.testing.assert_allclose(found.residual, r, atol=1e-6)
     np.testing.assert_allclose(found.weights, w, atol=1e-6)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("seed", [101, 109])
-def test_outliers_whose_patterns_overlap_do_not_hide_each_other(seed):
-    rng = np.random.default_rng([seed, 4])
-    poles = rng.uniform(0.3, 0.95, 10) * np.exp(1j * rng.uniform(0.1, 3.0, 10))
-    a, b, u = np.real(np.poly([*poles, *poles.conj()])), rng.normal(size=20), rng.choice([-1.0, 1.0], 4000)
-    y = lfilter([0.0, *b], a, u) + lfilter([1.0], a, 0.3 * rng.normal(size=u.size))
-    # Each residual has outliers of 21 samples in it, two of them on average.
-    y += np.where(rng.random(u.size) < 0.1, np.std(y), 0.0) * rng.normal(size=u.size)
-    model, right = identify(y, u, ARX(20, 20), progress=False), np.array([*a[1:], *b])
-    assert np.linalg.norm(model.theta - right) < 0.2 * np.linalg.norm(right)
-    assert model.R == pytest.approx(0.09, rel=0.1)
 
 
 def test_outliers_that_hide_each_other_are_found_all_at_once():

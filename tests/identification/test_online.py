@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import recordings
 import support
 from filterpy.kalman import KalmanFilter
+from recordings import same, silence
+from scipy.signal import lfilter
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.identification import ARX, FIR, OutputError, ParameterTracker, TrackerBank
@@ -38,8 +41,8 @@ def one_by_one(tracker, y, u):
 
 
 MADE = [
-    lambda: ParameterTracker(OutputError(2, 2), start=200),
-    lambda: ParameterTracker(ARX(2, 2), start=200),
+    lambda: ParameterTracker(OutputError(2, 2), start=100),
+    lambda: ParameterTracker(ARX(2, 2), start=100),
     lambda: ParameterTracker(ARX(2, 2), theta=0.0, P=1.0, R=0.01, Q=1e-6),
     lambda: ParameterTracker(OutputError(2, 2), start=0, forgetting=0.99, offset=True),
     lambda: ParameterTracker(FIR(3), start=0, filter=KalmanFilter, R=0.01),
@@ -60,8 +63,7 @@ def test_update_gives_the_numbers_of_run_to_the_last_bit(make):
     for name, found, expected in zip(TrackingResult._fields, one.run(y, u), columns, strict=True):
         rows = ~looks if name in ("theta", "std") else slice(None)
         np.testing.assert_array_equal(found[rows], expected[rows], err_msg=name)
-    for name, value in one.state().items():
-        np.testing.assert_array_equal(other.state()[name], value, err_msg=name)
+    same(one.state(), other.state())
 
 
 def test_a_bank_that_goes_sample_by_sample_is_its_run_to_the_last_bit():
@@ -74,21 +76,7 @@ def test_a_bank_that_goes_sample_by_sample_is_its_run_to_the_last_bit():
         other.update(y[k], u[k])
         if k + 1 not in (25, 50, 100):
             np.testing.assert_array_equal(other.theta, result.theta[k])
-    for name, value in one.state().items():
-        np.testing.assert_array_equal(other.state()[name], value, err_msg=name)
-
-
-def test_the_samples_that_wait_for_a_look_are_in_a_state():
-    y, u = recording()
-    one, other = (ParameterTracker(OutputError(2, 2), start=100) for _ in range(2))
-    for k in range(330):
-        one.update(y[k], u[k])
-    restored = ParameterTracker(OutputError(2, 2), start=100)
-    restored.restore(one.state())
-    other.run(y[:330], u[:330])
-    for tracker in (one, restored):
-        for name, value in other.state().items():
-            np.testing.assert_array_equal(tracker.state()[name], value, err_msg=name)
+    same(one.state(), other.state())
 
 
 def test_a_plant_that_changes_is_said_at_the_same_sample():
@@ -195,16 +183,56 @@ def test_matrices_in_any_order_of_memory_serve():
 
 @pytest.mark.pairwise(1)
 @pytest.mark.parametrize("size", support.by_night([1e9, 1e100, 1e300], 1e300))
-@pytest.mark.parametrize("at", [100, 600])
+@pytest.mark.parametrize("at", [100, 400])
 def test_one_reading_of_any_size_is_as_one_that_is_missing(size, at):
-    rng = np.random.default_rng(30)
-    u, y = rng.choice([-1.0, 1.0], 800), np.zeros(800)
-    for k in range(2, 800):
-        y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + u[k - 1] + 0.5 * u[k - 2] + 0.2 * rng.normal()
+    rng, u = recordings.binary(30, 500)
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + lfilter([0.2], [1.0, -1.5, 0.7], rng.normal(size=500))
     far, missing = y.copy(), y.copy()
     far[at], missing[at] = size, np.nan
-    one, other = (ParameterTracker(ARX(2, 2)) for _ in range(2))
+    one, other = (ParameterTracker(ARX(2, 2), start=200) for _ in range(2))
     one.run(far, u), other.run(missing, u)
     for tracker in (one, other):
         np.testing.assert_allclose(tracker.theta, [-1.5, 0.7, 1.0, 0.5], atol=4.0 * tracker.std.max())
     np.testing.assert_allclose(one.std, other.std, rtol=0.02)
+
+
+# What a state replaces is said: a tracker that was made with another forgetting does not keep it in silence.
+
+
+RNG = np.random.default_rng(10_300)
+Y, U = RNG.normal(size=(2, 50))
+
+
+def tracker(**options):
+    return ParameterTracker(ARX(1, 1), start=0, **options)
+
+
+def bank(**options):
+    return TrackerBank(2, ARX(1, 1), start=0, **options)
+
+
+SHARED = r"restore: Q of the state, 0, took the place of what was set, 0\.001; forgetting of the state, "
+SAID = {
+    tracker: {
+        "forgetting": r"restore: forgetting of the state, 0\.99, took the place of what was set, 0\.9;",
+        "Q": SHARED + r"0\.99, took the place of what was set, 1;",
+    },
+    bank: {
+        "forgetting": r"forgetting of the state, array\(\[0\.99, 0\.99\]\), .* what was set, array\(\[0\.9, 0\.9\]\);",
+        "Q": SHARED + r"array\(\[0\.99, 0\.99\]\), took",
+    },
+}
+
+
+@pytest.mark.parametrize(("make", "said"), SAID.items())
+def test_another_forgetting_or_q_is_said_with_both_values_and_the_same_is_not(make, said):
+    one = make(forgetting=0.99)
+    one.run(*((Y, U) if make is tracker else (np.tile(Y[:, None], 2), np.tile(U[:, None], 2))))
+    state = one.state()
+    with silence():
+        make(forgetting=0.99).restore(state)
+        one.reset()
+    with pytest.warns(UserWarning, match=said["forgetting"]):
+        make(forgetting=0.9).restore(state)
+    with pytest.warns(UserWarning, match=said["Q"]):
+        make(Q=1e-3).restore(state)

@@ -3,14 +3,14 @@
 import re
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 import support
 from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from robust_filterpy import ARX, OutputError, identify
-from robust_filterpy.identification import ARMAX, FIR, compare, validate
+from robust_filterpy.identification import ARMAX, ARX, FIR, OutputError, compare, identify, validate
 from robust_filterpy.identification.models.dependence import whitening_of
 from robust_filterpy.influence import Linear
 
@@ -118,17 +118,6 @@ def test_missing_dynamics_are_named_with_their_lags():
     assert "nothing is left" in validate(identify(y, u, FIR(5)), y, u).verdict
 
 
-@support.draws(5, 20)
-def test_coloured_noise_is_named_and_is_no_missing_dynamics(draws):
-    alarms = 0
-    for seed in range(draws):
-        y, u = recorded([7, seed], 0.0, 1000, noise=(1.0, -0.8))
-        found = validate(identify(y, u, OutputError(2, 2)), y, u)
-        assert found.verdict.split(";")[-1].strip().startswith(("the noise is not white: ", "residuals follow one"))
-        alarms += "dynamics" in found.verdict
-    assert alarms <= 1 + draws // 10
-
-
 @support.draws(6, 20)
 def test_bounds_hold_where_noise_and_input_are_coloured_alike(draws):
     """Without the residuals' autocorrelations a third of the chance correlations would lie outside."""
@@ -220,11 +209,9 @@ def test_what_is_no_model_is_refused_by_name(model):
         compare([model], y, u)
     with pytest.raises(ValueError, match="models: expected at least one"):
         compare({}, y, u)
-    with pytest.raises(ValueError, match="u: expected 400 samples"):
-        validate(model, y, u[:-1])
 
 
-@support.draws(2, 5)
+@support.draws(1, 5)
 @pytest.mark.parametrize("whose", support.by_night(["process", "measurement"], "measurement"))
 def test_a_right_armax_is_not_condemned_for_outliers(whose, draws):
     a, b, c = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, 0.7, 0.3]
@@ -235,8 +222,9 @@ def test_a_right_armax_is_not_condemned_for_outliers(whose, draws):
         wild = np.where(rng.random(1000) < 0.1, 3.0 * rng.normal(size=1000), 0.0)
         y = lfilter(b, a, u) + lfilter(c, a, e + wild * (whose == "process")) + wild * (whose == "measurement")
         model = identify(y, u, ARMAX(2, 2, 2))
+        assert "another plant" not in {one.kind for one in model.findings}
         condemned += validate(model, y, u).verdict != "nothing is left in the residuals"
-    assert condemned <= 1
+    assert condemned <= draws // 5
 
 
 def test_a_wrong_armax_is_condemned_through_outliers():
@@ -257,3 +245,90 @@ def test_noise_of_second_order_is_made_white_by_its_own_polynomial(a1, a2):
 
 def test_where_there_is_no_noise_nothing_is_made_white():
     assert whitening_of(np.zeros(3)) == ()
+
+
+# validate says of dynamics and of noise apart, and has a verdict for residuals that are rounding.
+
+
+
+
+def plant(seed, n=600):
+    """Input and noise-free output of a plant of order 2."""
+    u = np.random.default_rng(seed).choice([-1.0, 1.0], n)
+    return u, lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u)
+
+
+@pytest.mark.parametrize(("structure", "step"), [(OutputError(2, 2), 0.1), (OutputError(2, 2), 8.0), (ARX(2, 2), 8.0)])
+def test_a_sensor_that_rounds_gets_a_verdict(structure, step):
+    u, w = plant(100)
+    y = step * np.round(w / step)
+    model = identify(y, u, structure, progress=False)
+    found = validate(model, y[300:], u[300:])
+    assert found.verdict and found.dynamics and found.noise
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_right_model_with_coloured_noise_has_right_dynamics(seed):
+    u, w = plant(seed, 1200)
+    noise = lfilter([1.0], [1.0, -0.8], 0.3 * np.random.default_rng(seed + 50).normal(size=w.size))
+    found = validate(identify(w + noise, u, OutputError(2, 2), progress=False), w + noise, u)
+    assert found.dynamics == "right: residuals do not follow the inputs"
+    assert found.noise.startswith("not white: residuals follow one another at lag")
+    assert found.verdict == f"the noise is {found.noise}"
+    small = validate(identify(w + 0.1 * noise, u, OutputError(1, 1), progress=False), w + 0.1 * noise, u)
+    assert small.dynamics.startswith("missing: residuals follow u at lag")
+    assert small.verdict.startswith(f"dynamics are {small.dynamics}")
+    for line in (found.dynamics, found.noise):
+        assert line in found.to_text()
+
+
+# validate and compare take transfer functions of python-control: those of a model give the model's numbers.
+
+
+def delayed(seed=10005, size=1500):
+    y, u = recorded(seed, length=size, b=[0.0, *B])
+    return 40.0 + y, u
+
+
+def test_that_of_a_model_is_judged_as_the_model():
+    model = identify(*delayed(), OutputError(2, 2, nk=2))
+    y, u = delayed(seed=10006)
+    found = compare({"model": model, "transfer function": model.transfer_function(0.1)}, y, u)
+    ours, theirs = sorted(found.rows)
+    np.testing.assert_allclose(ours[1:], theirs[1:], atol=0.05)
+    one, other = validate(model, y, u), validate(model.transfer_function(0.1), y, u)
+    assert one.verdict == other.verdict == "nothing is left in the residuals"
+
+
+def test_the_true_one_passes_and_a_wrong_one_is_named():
+    y, u = delayed()
+    y[100:110] = np.nan
+    # python-control writes polynomials in z.
+    right = control.TransferFunction([1.0, 0.5], [1.0, -1.5, 0.7, 0.0], True)
+    late = control.TransferFunction([1.0, 0.5], [1.0, -1.5, 0.7, 0.0, 0.0], True)
+    assert validate(right, y, u).verdict == "nothing is left in the residuals"
+    assert validate(late, y, u).verdict.startswith("dynamics are missing")
+    assert [row.name for row in compare({"late": late, "right": right}, y, u).rows] == ["right", "late"]
+
+
+@pytest.mark.parametrize("system, error, message", [
+    (control.TransferFunction([1.0], [1.0, 1.0]), ValueError, "discrete time"),
+    (control.TransferFunction([[[1.0], [1.0]]], [[[1.0, 0.5], [1.0, 0.5]]], True), ValueError, "one input"),
+    (control.TransferFunction([1.0, 0.0, 0.0], [1.0, 0.5], True), ValueError, "proper"),
+    (3.0, TypeError, "StateSpaceModel or GreyBoxModel that identify found, or a control.TransferFunction"),
+])  # fmt: skip
+def test_what_cannot_be_judged_is_refused(system, error, message):
+    y, u = delayed(size=200)
+    with pytest.raises(error, match=message):
+        validate(system, y, u)
+    with pytest.raises(error, match=r"models\['it'\].*" + message):
+        compare({"it": system}, y, u)
+
+
+def test_another_period_than_that_of_the_recording_is_refused():
+    pd = pytest.importorskip("pandas")
+    y, u = delayed(size=300)
+    index = pd.date_range("2026-01-01", periods=300, freq="100ms")
+    system = control.TransferFunction([1.0, 0.5], [1.0, -1.5, 0.7, 0.0], 0.2)
+    with pytest.raises(ValueError, match=r"0\.2"):
+        validate(system, pd.Series(y, index), pd.Series(u, index))

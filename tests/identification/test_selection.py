@@ -5,20 +5,22 @@ import warnings
 import numpy as np
 import pytest
 import support
+from numpy.testing import assert_allclose
+from recordings import assert_refused, recording
 from scipy.signal import lfilter
 from statsmodels.tsa.ar_model import AutoReg
 
+from robust_filterpy import _progress
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, OutputError, identify, select_structure
-from robust_filterpy.identification.judging.select import Grid
+from robust_filterpy.identification.estimation import search
+from robust_filterpy.identification.judging import select
+from robust_filterpy.identification.judging.select import Grid, _as_begin
 
 A, B = [1.0, -1.5, 0.7], [1.0, 0.5]
 
 
 def recorded(seed=0, delay=4, share=0.1, length=1000, a=A, b=B):
-    rng = np.random.default_rng([seed, delay])
-    u = rng.choice([-1.0, 1.0], length)
-    clean = lfilter([*[0.0] * delay, *b], a, u)
-    return clean + 0.3 * np.where(rng.random(length) < share, 10.0, 1.0) * rng.normal(size=length), u
+    return recording([seed, delay], length, share, a=a, b=[*[0.0] * delay, *b])
 
 
 @pytest.mark.parametrize("delay", [8, *(pytest.param(delay, marks=pytest.mark.nightly) for delay in (0, 1))])
@@ -90,8 +92,6 @@ def test_the_held_out_part_is_fitted_by_the_model_of_the_part_before():
     assert poor.held_out_fit < selection.rows[0].held_out_fit - 5.0
     assert "held out" in str(selection).splitlines()[0]
     assert np.isnan([row.held_out_fit for row in before.rows]).all() and "held out" not in str(before)
-    with pytest.raises(ValueError, match="held_out: expected a share"):
-        select_structure(y, u, held_out=0.9)
 
 
 def test_a_progress_bar_counts_the_structures(capsys):
@@ -158,26 +158,19 @@ def test_an_input_that_excites_few_lags_tries_all_delays():
     assert selection.best.structure == OutputError(1, 1, 2)
 
 
-@pytest.mark.parametrize(("options", "error", "message"), [
-    ({"na": []}, ValueError, "na: .*empty"), ({"nk": range(3, 3)}, ValueError, "nk: .*empty"),
-    ({"na": [1.5]}, TypeError, "na"), ({"nk": [-1]}, ValueError, "nk"), ({"na": "two"}, TypeError, "na"),
-    ({"na": [0, 1]}, ValueError, "nb: "), ({"kind": sorted}, ValueError, "kind"), ({"kind": "oe"}, ValueError, "kind"),
-    ({"criterion": "best"}, ValueError, "criterion"), ({"na": [100]}, ValueError, "y: expected at least"),
-])  # fmt: skip
-def test_bad_options_are_refused_by_name(options, error, message):
+def test_bad_options_and_inputs_are_refused_by_name():
     y, u = recorded(length=200)
-    with pytest.raises(error, match=message):
-        select_structure(y, u, **options)
-
-
-def test_bad_inputs_are_refused_by_name():
-    y, u = recorded(length=200)
-    with pytest.raises(ValueError, match="u: expected inputs that together excite"):
-        select_structure(y, np.column_stack((u, u)))
-    with pytest.raises(ValueError, match="u: expected an input for OutputError"):
-        select_structure(y, None)
-    with pytest.raises(ValueError, match="u: expected 200 samples"):
-        select_structure(y, u[:-1])
+    assert_refused(select_structure, {"y": y, "u": u, "na": [1], "nk": [1], "progress": False}, {
+        "na": [[], [1.5], "two"],
+        "nk": [range(3, 3), [-1]],
+        "kind": [sorted, "oe"],
+        "criterion": ["best"],
+        "held_out": [0.9],
+        "u": [np.column_stack((u, u)), None],
+    })  # fmt: skip
+    for orders, words in (([0, 1], "nb: "), ([100], "y: expected at least")):
+        with pytest.raises(ValueError, match=words):
+            select_structure(y, u, na=orders)
 
 
 def test_each_of_several_inputs_has_orders_and_a_delay_of_its_own():
@@ -217,47 +210,11 @@ def test_what_is_taken_is_not_below_the_best_on_samples_held_out(draws):
     assert said
 
 
-def actuator(seed, length=1024):
-    """Return input and pressure of an actuator with a valve that has a dead zone and saturates, and a springy arm."""
-    rng = np.random.default_rng([seed, 1])
-    times = rng.integers(1, 41, length)
-    u, p, x, v, y = np.repeat(rng.uniform(-1.0, 1.0, length), times)[:length], 0.0, 0.0, 0.0, np.empty(length)
-    for k in range(length):
-        y[k] = p
-        opened = np.clip(np.sign(u[k]) * max(abs(u[k]) - 0.15, 0.0), -0.6, 0.6)
-        for _ in range(5):
-            p += 0.05 * (6.0 * opened * np.sqrt(max(4.0 - np.sign(opened) * p, 0.0)) - 6.0 * v - 0.4 * p)
-            v += 0.05 * (p - 2.0 * x - 0.3 * v)
-            x += 0.05 * v
-    return y + 0.05 * np.random.default_rng([seed, 3]).normal(size=length), u
-
-
-@pytest.mark.nightly
-def test_a_model_that_a_part_of_the_recording_does_not_confirm_is_not_taken():
-    # The criterion takes a fourth order whose slow pole fits the drift of this recording, and nothing of the next.
-    y, u = actuator(102)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        found = select_structure(y[:512], u[:512], na=[1, 3, 4], nk=[1, 3])
-        likeliest = identify(y[:512], u[:512], OutputError(4, 4))
-    assert likeliest.fit(y[512:], u[512:]) < 30.0
-    assert found.best.fit(y[512:], u[512:]) > 60.0
-    assert len({row.held_out_fit for row in found.rows}) > 1
-
-
 def test_a_fit_that_nobody_asked_for_is_a_dash_in_the_table():
     found = select_structure(*recorded(length=500), na=range(1, 3), nk=[3, 4])
     untried = next(i for i, row in enumerate(found.rows) if np.isnan(row.held_out_fit))
     assert found.to_text().splitlines()[1 + untried].endswith(" -")
     assert "nan" not in found.to_text()
-
-
-def test_the_criterion_decides_among_structures_that_the_samples_held_out_do_not_tell_apart():
-    y, u = recorded()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        found = select_structure(y, u, na=[1, 2], nk=[3, 4])
-    assert found.rows[0].criterion == min(row.criterion for row in found.rows if row.shows_delay)
 
 
 def test_fill_values_are_said_and_are_findings_of_the_best_model():
@@ -284,3 +241,79 @@ def test_what_breaks_in_the_recording_takes_no_orders_from_it(broken):
     assert found.best.structure == ARX(2, 2)
     assert not any("the criterion would take" in str(each.message) for each in caught)
     assert np.isnan([row.held_out_fit for row in found.rows]).all() == (broken == "input outliers")
+
+
+# select_structure looks everywhere for the structures that it begins with, and from there for those next to them.
+
+
+RNG = np.random.default_rng([514, 0])
+U = RNG.choice([-1.0, 1.0], (250, 2)) + [3.0, -2.0]
+Y = 7.0 + lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], U[:, 0]) + lfilter([0.0, 0.4], [1.0, -1.5, 0.7], U[:, 1])
+Y += 0.3 * RNG.normal(size=250)
+
+
+@pytest.fixture
+def searched(monkeypatch):
+    """Collect the structures that are searched from every start."""
+    structures, starts = [], search._starts
+    monkeypatch.setattr(
+        search, "_starts", lambda model, *given: structures.append(model.structure) or starts(model, *given)
+    )
+    return structures
+
+
+def test_structures_next_to_the_best_begin_at_it_and_are_as_likely_as_from_everywhere(searched, monkeypatch):
+    said = []
+    monkeypatch.setattr(_progress._Lines, "stage", lambda self, text: said.append(text.split()))
+    found = select_structure(Y, U[:, 0], na=[1, 2], nb=[1, 2], nk=[1, 2])
+    # How many are to come is said with the first.
+    done, totals = ([int(words[i]) for words in said if words[0].isdigit()] for i in (0, 2))
+    assert totals[0] > done[-1] - 3
+    assert all(total > count for count, total in zip(done[:-1], totals[:-1], strict=True))
+    assert done[-1] == totals[-1]
+    near = [row for row in found.rows if row.structure not in searched]
+    assert near
+    for row in near:
+        first = 3 - max(row.structure.nf, sum(row.structure.inputs[0]) - 1)
+        anywhere = identify(
+            Y[max(first, 0) :], U[max(first, 0) :, 0], row.structure, trend="constant", sampled=False, progress=False
+        )
+        assert row.log_likelihood > anywhere.log_likelihood - 3.0
+
+
+def test_a_model_as_the_beginning_of_another_structure_has_its_output():
+    model = identify(Y, U, OutputError(2, (2, 1)), trend="constant", sampled=False)
+    structure = BoxJenkins(nb=(3, 2), nc=1, nd=1, nf=3)
+    p, places = _as_begin(model, structure), structure.polynomials
+    inputs = zip(places.b, U.T, model.operating_point, strict=True)
+    f = np.append(1.0, p[places.f])
+    output = sum(lfilter(np.append(0.0, p[b]), f, column - rest) for b, column, rest in inputs)
+    assert_allclose(output[120:] + p[structure.n_theta], model.simulate(U)[120:], atol=1e-6)
+
+
+# Steps of the level are those of the recording, the same for every structure that is compared.
+
+
+def test_every_structure_has_the_same_steps(monkeypatch):
+    rng = np.random.default_rng(9101)
+    u = rng.choice([-1.0, 1.0], 500)
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + 0.2 * rng.normal(size=500)
+    y[300:] += 1.0
+    models, levels = [], []
+    identify = select.identify
+
+    def recorded(y, *arguments, **options):
+        model = identify(y, *arguments, **options)
+        if model.structure.nf:
+            models.append({y.size - one.place[0] for one in model.findings if one.kind == "step"})
+            levels.append(options.get("trend"))
+        return model
+
+    monkeypatch.setattr(select, "identify", recorded)
+    chosen = select.select_structure(y, u, na=range(1, 3), nk=range(3), held_out=0.0, progress=False)
+    assert chosen.best.structure == OutputError(2, 2)
+    assert [one.kind for one in chosen.best.findings] == ["step"]
+    assert len(models) > 3
+    assert all(one == models[0] for one in models)
+    # It is looked for in the largest structure alone.
+    assert sum(one is None for one in levels) == 1

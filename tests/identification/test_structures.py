@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recordings import assert_refused
+from scipy.signal import lfilter
 
 from robust_filterpy.identification import AR, ARMA, ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.regressor import is_stable, restrained
 from robust_filterpy.identification.models.structures import Structure
 
@@ -76,31 +79,30 @@ def test_structures_are_values():
         ARX(2, 2).na = 3
 
 
-@pytest.mark.parametrize(("make", "error", "words"), [
-    (lambda: ARX(-1, 2), ValueError, "na: expected an integer >= 0"),
-    (lambda: ARX(1, -2), ValueError, "nb: expected"),
-    (lambda: ARX(1, (1, -2)), ValueError, r"nb\[1\]"),
-    (lambda: ARX(1, 1, nk=-1), ValueError, "nk: expected"),
-    (lambda: ARX(0, 0), ValueError, "all zero"),
-    (lambda: Structure(), ValueError, "all zero"),
-    (lambda: Structure(nf=1), ValueError, "at least one b"),
-    (lambda: Structure(na=1, form="AR(1)"), ValueError, "form: expected one of"),
-    (lambda: ARMAX(0, 0, 0), ValueError, "all zero"),
-    (lambda: FIR((0, 0)), ValueError, "all zero"),
-    (lambda: ARX(1, ()), ValueError, "at least one input"),
-    (lambda: OutputError(2, 0), ValueError, "at least one b"),
-    (lambda: LinearRegression(0), ValueError, "n: expected"),
-    (lambda: ARX(2.0, 1), TypeError, "na: expected an integer"),
-    (lambda: ARX(2, True), TypeError, "nb"),
-    (lambda: ARX(2, (1, 1), (1, 1, 1)), ValueError, "expected 2 delays"),
-    (lambda: ARX(2, 1, (1, 1)), ValueError, "one delay"),
-    (lambda: ARX(2, 1).regressors(u=[1.0]), ValueError, "y: expected a signal"),
-    (lambda: ARX(2, 1).regressors(u=[1.0], y=[1.0, 2.0]), ValueError, "y: expected 1 samples"),
-    (lambda: ARX(1, (1, 1)).regressors(u=np.zeros((2, 5)), y=np.zeros(2)), ValueError, "u: expected shape"),
-    (lambda: ARX(1, (1, 1)).regressors(u=np.zeros((2, 5)), y=np.zeros(5)), ValueError, "u.T|samples"),
+def test_bad_orders_and_signals_are_refused_by_name():
+    nothing = [-1, 2.0]
+    assert_refused(ARX, {"na": 2, "nb": 1}, {"na": nothing, "nb": [-2, (1, -2), True, ()], "nk": [-1, (1, 1)]})
+    assert_refused(ARX, {"na": 2, "nb": (1, 1)}, {"nk": [(1, 1, 1)]})
+    assert_refused(BoxJenkins, {"nb": 1, "nc": 1, "nd": 1, "nf": 1}, {"nb": [0], "nc": nothing, "nd": nothing})
+    assert_refused(LinearRegression, {"n": 1}, {"n": [0]})
+    assert_refused(AR, {"na": 1}, {"na": [0]})
+    assert_refused(Structure, {"na": 1}, {"form": ["AR(1)"]})
+    assert_refused(ARX(2, 1).regressors, {"u": [1.0], "y": [1.0]}, {"y": [None, [1.0, 2.0]], "u": [np.zeros((1, 5))]})
+
+
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: ARX(0, 0), "all zero"),
+    (lambda: Structure(), "all zero"),
+    (lambda: ARMAX(0, 0, 0), "all zero"),
+    (lambda: ARMA(0, 0), "all zero"),
+    (lambda: FIR((0, 0)), "all zero"),
+    (lambda: Structure(nf=1), "at least one b"),
+    (lambda: OutputError(2, 0), "at least one b"),
+    (lambda: BoxJenkins(0, 1, 1, 1), "without input use ARMA"),
+    (lambda: BoxJenkins(2, 1, 1, 2).regressors([1.0], [1.0]), "use identify"),
 ])  # fmt: skip
-def test_bad_orders_and_signals_are_refused(make, error, words):
-    with pytest.raises(error, match=words):
+def test_what_is_no_structure_is_refused(make, words):
+    with pytest.raises(ValueError, match=words):
         make()
 
 
@@ -130,3 +132,71 @@ def test_guard_rejects_or_lets_pass():
     theta, event = restrained(new, old, [slice(0, 1)], "reject")
     assert event == -1 and theta == old and theta is not old
     assert restrained(new, old, [slice(0, 1)], "none") == (new, 0)
+
+
+# One predictor for every structure: its residuals are those of the definitions, its derivatives of differences.
+
+
+STRUCTURES = [
+    ARX(2, 2), ARX(2, 0), OutputError(2, (1, 2), nk=(1, 3)), OutputError(3, 1, nk=0), ARMAX(1, 2, 3, nk=0),
+    ARMAX(2, 0, 1), FIR((2, 0, 1)), LinearRegression(2), AR(2), ARMA(2, 1), BoxJenkins((2, 1), 1, 2, 2, nk=(0, 2)),
+    BoxJenkins(1, 2, 0, 0), Structure(na=2, nb=2, nc=2, nd=2, nf=1),
+]  # fmt: skip
+
+
+def recorded(structure, length=60, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=length) + 3.0, rng.normal(size=(length, structure.n_inputs))
+
+
+@pytest.mark.parametrize("offset", [True, False])
+@pytest.mark.parametrize("structure", STRUCTURES, ids=str)
+def test_the_jacobian_is_the_derivative_of_the_residuals(structure, offset):
+    y, u = recorded(structure)
+    model = PolynomialModel(structure, y, u, offset)
+    p = 0.2 * np.random.default_rng(1).normal(size=model.n)
+    differences = [(model.residuals(p + h) - model.residuals(p - h)) / 2e-6 for h in 1e-6 * np.eye(model.n)]
+    np.testing.assert_allclose(model.jacobian(p), np.transpose(differences), atol=1e-8)
+
+
+def test_residuals_of_linear_structures_are_those_of_the_regression():
+    for structure in (ARX(2, 2), FIR((2, 1), nk=(0, 3)), LinearRegression(3), ARX(1, (1, 2))):
+        y, u = recorded(structure)
+        model = PolynomialModel(structure, y, u, True)
+        p = np.random.default_rng(1).normal(size=model.n)
+        expected = y - structure.regressors(u, y) @ p[:-1] - p[-1]
+        np.testing.assert_allclose(model.residuals(p), expected[model.first :], rtol=1e-10)
+
+
+def test_residuals_of_an_output_error_model_are_measured_less_filtered():
+    structure = OutputError(2, 2)
+    y, u = recorded(structure)
+    p = np.array([-1.2, 0.6, 1.0, 0.5, 3.0])
+    model = PolynomialModel(structure, y, u, True)
+    w = lfilter([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u[:, 0])
+    # The two samples before the first residual, which the start stands for.
+    start = lfilter([1.0, -1.2, 0.6], [1.0], np.concatenate((w[:2], np.zeros(2))))[2:]
+    residuals = model.residuals(np.concatenate((p, -start)))
+    np.testing.assert_allclose(residuals, (y - w - 3.0)[2:], rtol=1e-10)
+
+
+def test_residuals_of_an_armax_model_make_the_output_again():
+    structure = ARMAX(2, 1, 1)
+    rng = np.random.default_rng(2)
+    u, v = rng.normal(size=200), rng.normal(size=200)
+    a, c = [1.0, -1.5, 0.7], [1.0, 0.4]
+    y = lfilter([0.0, 1.0], a, u) + lfilter(c, a, v)
+    residuals = PolynomialModel(structure, y, u[:, None], False).residuals(np.array([-1.5, 0.7, 1.0, 0.4]))
+    # What is unknown of the noise before the first residual fades with the powers of -c.
+    np.testing.assert_allclose(residuals[40:], v[42:], atol=1e-12)
+
+
+def test_a_delay_moves_the_first_residual_not_the_others():
+    late, early = OutputError(1, 1, nk=5), OutputError(1, 1)
+    y, u = recorded(early)
+    moved = np.concatenate((np.zeros((4, 1)), u[:-4]))
+    p = np.array([-0.5, 1.0, 0.0])
+    now = PolynomialModel(late, y, u, False).residuals(p)
+    then = PolynomialModel(early, y, moved, False)
+    assert now.size == 55
+    np.testing.assert_allclose(now, then.residuals(p)[4:] * 1.0, atol=1e-12)

@@ -4,18 +4,23 @@ All by the definition, where one path has one set of bits; `test_tracker_compile
 """
 
 import copy
-import signal
+import pickle
 
 import control
 import numpy as np
 import pytest
 import support
 from filterpy.kalman import InformationFilter, KalmanFilter, SquareRootKalmanFilter
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from interruption import interrupted
+from recordings import assert_refused, same, unchanged
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, RobustKalmanFilter
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
-from robust_filterpy.influence import Linear
-from robust_filterpy.plants import simulate_arx, simulate_output_error
+from robust_filterpy.influence import Hampel, Linear
+from robust_filterpy.plants import simulate_output_error
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 2), FIR(6), FIR(2, nk=0), ARX(1, 2, nk=3), ARMAX(0, 1, 1)]
@@ -36,12 +41,6 @@ def recording(length=150, contamination=0.1, missing=True, seed=1):
     if missing:
         y[[20, 21, 22, 60]] = np.nan
     return y, u
-
-
-def same(a, b):
-    """Hold every column together, to the last bit."""
-    for x, y in zip(a, b, strict=True):
-        np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
 
 
 # One sample or a recording
@@ -94,17 +93,6 @@ def test_result_has_a_row_for_each_sample():
     assert result.guard.dtype.kind == "i"
 
 
-def test_identity_of_a_linear_regression():
-    rng = np.random.default_rng(0)
-    phi, theta = rng.normal(size=(50, 3)), np.array([1.0, -2.0, 0.5])
-    tracker = support.told_tracker(LinearRegression(3), R=1e-6)
-    tracker.run(phi @ theta, phi)
-    np.testing.assert_allclose(tracker.theta, theta, atol=1e-8)
-    assert tracker.predict([1.0, 1.0, 1.0]) == pytest.approx(-0.5)
-    with pytest.raises(ValueError, match="your regressor"):
-        tracker.coefficients  # noqa: B018
-
-
 def test_model_without_input():
     y = np.sin(0.3 * np.arange(60))
     tracker = support.told_tracker(ARX(2, 0), R=1e-6)
@@ -118,14 +106,6 @@ def test_model_without_input():
 # The model
 
 
-def test_coefficients_split_theta():
-    a, b, c = support.told_tracker(ARMAX(1, (2, 1), 1), theta=[0.1, 1, 2, 3, 0.5]).coefficients
-    assert a == [0.1] and c == [0.5]
-    same(b, ([1, 2], [3]))
-    a, b, c = support.told_tracker(OutputError(2, 2), theta=PLANT).coefficients
-    same((a, b, c), (PLANT[:2], PLANT[2:], []))
-
-
 @pytest.mark.parametrize("nk", [0, 1, 3])
 def test_transfer_function_answers_as_simulate_does(nk):
     u = np.random.default_rng(0).normal(size=(2, 80))
@@ -135,13 +115,6 @@ def test_transfer_function_answers_as_simulate_does(nk):
     assert (tf.ninputs, tf.noutputs, tf.dt) == (2, 1, 0.1)
     parts = [control.forced_response(tf[0, i], None, u[i]).outputs for i in range(2)]
     np.testing.assert_allclose(tracker.simulate(u.T), sum(np.ravel(p) for p in parts), atol=1e-10)
-
-
-def test_simulate_is_the_plant():
-    u = np.random.default_rng(0).normal(size=80)
-    for structure in (ARX(2, 2), OutputError(2, 2)):
-        model = support.told_tracker(structure, theta=PLANT).simulate(u)
-        np.testing.assert_allclose(model, simulate_arx(PLANT, u, na=2, nb=2).y_clean, atol=1e-12)
 
 
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
@@ -200,13 +173,6 @@ def test_missing_sample_is_replaced_by_the_prediction():
     same(gap.run(y[51:], u[51:]), filled.run(y[51:], u[51:]))
 
 
-def test_missing_samples_add_to_the_uncertainty():
-    tracker = support.told_tracker(FIR(2), P=1.0, Q=0.1)
-    tracker.run(np.full(5, np.nan), np.ones(5))
-    np.testing.assert_allclose(tracker.P, 1.5 * np.eye(2))
-    np.testing.assert_array_equal(tracker.theta, 0.0)
-
-
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 def test_frozen_tracker_predicts_and_does_not_learn(structure):
     y, u = recording()
@@ -241,9 +207,6 @@ def test_forgetting_without_excitation_does_not_blow_up():
     np.testing.assert_allclose(tracker.theta, [2.0, 1.0], atol=1.01)
 
 
-# Interruption
-
-
 def test_reset_goes_back_to_the_start():
     y, u = recording()
     tracker = support.told_tracker(ARMAX(2, 2, 1), theta=0.1, P=2.0)
@@ -261,83 +224,50 @@ class Moody(KalmanFilter):
     """A subclass, whose methods might do anything."""
 
 
-@pytest.mark.parametrize(("options", "error", "words"), [
-    ({"theta": [1.0, 2.0]}, ValueError, "theta: expected 4 parameters"),
-    ({"theta": [np.nan, 0, 0, 0]}, ValueError, "theta: expected finite"),
-    ({"theta": [-2.0, 1.5, 1.0, 1.0]}, ValueError, "stable model"),
-    ({"P": -1.0}, ValueError, "positive semidefinite"),
-    ({"P": np.ones(4)}, ValueError, r"P: expected shape \(4, 4\).*np.diag\(P\)"),
-    ({"Q": np.triu(np.ones((4, 4)))}, ValueError, "Q: expected a symmetric"),
-    ({"R": 0.0}, ValueError, "R: expected"),
-    ({"R": np.eye(2)}, ValueError, "one variance"),
-    ({"F": np.eye(3)}, ValueError, "F: expected shape"),
-    ({"forgetting": 1.1}, ValueError, "forgetting"),
-    ({"forgetting": 0.0}, ValueError, "forgetting"),
-    ({"guard": "project"}, ValueError, "guard: expected one of"),
-    ({"gradient": "exact"}, ValueError, "gradient: expected one of"),
-    ({"filter": KalmanFilter(3, 1)}, ValueError, "dim_x=4"),
-    ({"filter": KalmanFilter(4, 2)}, ValueError, "dim_z=1"),
-    ({"filter": object()}, TypeError, "filter: expected a RobustKalmanFilter, an AdaptiveKalmanFilter, or filterpy"),
-    ({"filter": InformationFilter}, TypeError, "or the class of one, got <class .*InformationFilter"),
-    ({"filter": Moody}, TypeError, "KalmanFilter itself"),
-    ({"filter": Moody(4, 1)}, TypeError, "filter: expected a RobustKalmanFilter"),
-    ({"filter": lambda dim_x, dim_z: 3}, TypeError, "filter: expected a RobustKalmanFilter"),
-    ({"filter": KalmanFilter, "influence": Huber()}, ValueError, "influence: expected only without"),
-    ({"filter": SquareRootKalmanFilter(4, 1)}, TypeError, "got a SquareRootKalmanFilter"),
-])  # fmt: skip
-def test_bad_arguments_are_refused(options, error, words):
-    with pytest.raises(error, match=words):
-        support.told_tracker(OutputError(2, 2), **options)
+def test_bad_arguments_are_refused_by_name():
+    assert_refused(support.told_tracker, {"structure": OutputError(2, 2)}, {
+        "structure": [4],
+        "theta": [[1.0, 2.0], [np.nan, 0, 0, 0], [-2.0, 1.5, 1.0, 1.0]],
+        "P": [-1.0, np.ones(4)],
+        "Q": [np.triu(np.ones((4, 4)))],
+        "R": [0.0, np.eye(2)],
+        "F": [np.eye(3)],
+        "forgetting": [1.1, 0.0],
+        "guard": ["project"],
+        "gradient": ["exact"],
+        "filter": [KalmanFilter(3, 1), KalmanFilter(4, 2), object(), InformationFilter, SquareRootKalmanFilter(4, 1),
+                   Moody, Moody(4, 1), lambda dim_x, dim_z: 3],
+    })  # fmt: skip
+    with pytest.raises(ValueError, match="influence: expected only without"):
+        support.told_tracker(OutputError(2, 2), filter=KalmanFilter, influence=Huber())
 
 
-def test_structure_must_be_one():
-    with pytest.raises(TypeError, match="structure: expected ARX"):
-        support.told_tracker(4)
-
-
-@pytest.mark.parametrize(("call", "words"), [
-    (lambda t: t.run([1.0, 2.0], [1.0]), "u: expected 2 samples like y, got 1"),
-    (lambda t: t.run([], []), "y: expected a recording"),
-    (lambda t: t.run(np.zeros((2, 2)), [1.0, 2.0]), "y: expected a recording"),
-    (lambda t: t.run([1.0, np.inf], [1.0, 2.0]), "y: expected finite numbers"),
-    (lambda t: t.run([1.0, 2.0], [1.0, np.nan]), "u: expected finite numbers.*sample 1"),
-    (lambda t: t.run([1.0, 2.0], np.ones((2, 2))), "u: expected shape"),
-    (lambda t: t.run([1.0, 2.0]), "u: expected a recording"),
-    (lambda t: t.update(1.0, np.nan), "u: expected finite"),
-    (lambda t: t.update(1.0, 1e200), r"u: expected finite numbers up to .*the order is y, u\), got 1e\+200"),
-    (lambda t: t.update(1.0, [1.0, 2.0]), r"u: expected 1 number\(s\)"),
-    (lambda t: t.update(1.0), "u: expected the input"),
-    (lambda t: t.update(-np.inf, 1.0), "y: expected a finite number"),
-    (lambda t: t.simulate([]), "at least one sample"),
-    (lambda t: t.simulate([np.inf]), "u: expected finite"),
-])  # fmt: skip
-def test_bad_data_are_refused_and_nothing_changes(call, words):
+@pytest.mark.parametrize(("call", "good", "wrong"), [
+    ("run", {"y": [1.0, 2.0], "u": [1.0, 2.0]}, {
+        "y": [[], np.zeros((2, 2)), [1.0, np.inf]],
+        "u": [[1.0], [1.0, np.nan], np.ones((2, 2)), None],
+        "R": [np.ones(3), np.ones((2, 1)), [1.0, 0.0], [1.0, np.nan], -1.0, np.inf],
+    }),
+    ("update", {"y": 1.0, "u": 1.0}, {"y": [-np.inf], "u": [np.nan, 1e200, [1.0, 2.0], None], "R": [-1.0, np.inf]}),
+    ("simulate", {"u": [1.0]}, {"u": [[], [np.inf]]}),
+], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
+def test_bad_data_are_refused_by_name_and_nothing_changes(call, good, wrong):
     y, u = recording()
     tracker = support.told_tracker(OutputError(2, 2))
     tracker.run(y, u)
-    before = tracker.state()
+    assert_refused(getattr(tracker, call), good, wrong, of=tracker)
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda t: t.run([1.0, 2.0], [1.0, np.nan]), r"sample 1; .*u.ffill\(\)"),
+    (lambda t: t.update(1.0, 1e200), r"the order is y, u\), got 1e\+200"),
+    (lambda t: t.run([1.0, 2.0], [1.0, 1.0], [1.0, 0.0]), "R: expected variances > 0, got 0.0 in sample 1"),
+    (lambda t: support.told_tracker(FIR(2, nk=0)).predict(), "next input"),
+    (lambda t: support.told_tracker(FIR(4), P=np.ones(4)), r"P: expected shape \(4, 4\).*np.diag\(P\)"),
+])  # fmt: skip
+def test_what_helps_is_said(call, words):
     with pytest.raises(ValueError, match=words):
-        call(tracker)
-    same(before.values(), tracker.state().values())
-
-
-def test_prediction_without_the_input_it_needs_is_refused():
-    with pytest.raises(ValueError, match="next input"):
-        support.told_tracker(FIR(2, nk=0)).predict()
-
-
-def test_sample_that_the_filter_refuses_changes_nothing_and_is_named():
-    y, u = recording(missing=False)
-    tracker = support.told_tracker(ARX(2, 2), Q=1e-3, scaling="unit", influence=Linear())
-    before = tracker.state()
-    with pytest.raises(np.linalg.LinAlgError, match='sample 1: scaling="unit" would make P indefinite'):
-        tracker.run(y, u)
-    same(before.values(), tracker.state().values())
-    tracker.update(y[0], u[0])
-    before = tracker.state()
-    with pytest.raises(np.linalg.LinAlgError):
-        tracker.update(y[1], u[1])
-    same(before.values(), tracker.state().values())
+        call(support.told_tracker(OutputError(2, 2)))
 
 
 class Failing(AdaptiveKalmanFilter):
@@ -381,32 +311,7 @@ def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand(make):
             np.testing.assert_array_equal(result.theta[k], stepped.theta)
             np.testing.assert_allclose(by_hand.theta, stepped.theta, rtol=1e-12, atol=1e-14)
         assert given.filter.R.item() == 0.25
-        same(given.state().values(), stepped.state().values())
-
-
-def test_one_variance_serves_all_samples():
-    y, u = recording()
-    same(support.told_tracker(ARX(2, 2)).run(y, u, 0.5), support.told_tracker(ARX(2, 2), R=0.5).run(y, u))
-
-
-@pytest.mark.parametrize(("R", "message"), [
-    (np.ones(149), r"R: expected a variance or one for each of the 150 samples, got shape \(149,\)"),
-    (np.ones((150, 1)), "R: expected a variance"),
-    (np.r_[np.ones(7), 0.0, np.ones(142)], "R: expected variances > 0, got 0.0 in sample 7"),
-    (np.r_[np.ones(7), np.nan, np.ones(142)], "got nan in sample 7"),
-    (-1.0, "got -1.0 in sample 0"),
-    (np.inf, "got inf"),
-])  # fmt: skip
-def test_bad_variances_are_refused(R, message):
-    y, u = recording()
-    tracker = support.told_tracker(OutputError(2, 2))
-    before = tracker.state()
-    with pytest.raises(ValueError, match=message):
-        tracker.run(y, u, R)
-    if np.ndim(R) == 0:
-        with pytest.raises(ValueError, match="R: expected"):
-            tracker.update(y[0], u[0], R)
-    same(before.values(), tracker.state().values())
+        same(given.state(), stepped.state())
 
 
 # What a filter holds before, while and after
@@ -422,27 +327,6 @@ def test_nothing_but_gaps_and_a_whole_number_as_theta(length):
         tracker, plain = support.told_tracker(ARX(1, 1)), support.told_tracker(ARX(1, 1))
         tracker.filter.x = x
         np.testing.assert_allclose(tracker.run(y, u).theta, plain.run(y, u).theta, rtol=1e-9)
-
-
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs POSIX timers")
-@pytest.mark.parametrize("make", [None, KalmanFilter])
-def test_an_interrupted_run_changes_nothing(make):
-    def stop(*_):
-        raise KeyboardInterrupt
-
-    y, u = recording(1_000_000 if make is None else 20_000)
-    tracker = support.told_tracker(OutputError(2, 2), filter=make, P=1.0, R=0.25)
-    tracker.run(y[:1500], u[:1500])
-    before = tracker.state()
-    previous = signal.signal(signal.SIGALRM, stop)
-    try:
-        signal.setitimer(signal.ITIMER_REAL, 0.1)
-        with pytest.raises(KeyboardInterrupt):
-            tracker.run(y, u)
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, previous)
-    same(before.values(), tracker.state().values())
 
 
 def test_predict_knows_that_a_wound_up_tracker_stands_still():
@@ -463,10 +347,8 @@ def test_matrices_are_the_filters():
     one.F = 0.5 * np.eye(4)
     np.testing.assert_array_equal(one.filter.F, 0.5 * np.eye(4))
     for name, value in {"R": -1.0, "Q": -1.0, "F": np.eye(3), "forgetting": 1.5}.items():
-        before = one.state()
-        with pytest.raises(ValueError, match=f"{name}: expected"):
+        with unchanged(one), pytest.raises(ValueError, match=f"{name}: expected"):
             setattr(one, name, value)
-        same(before.values(), one.state().values())
 
 
 @pytest.mark.parametrize("R", [np.nan, -1.0, None, np.array([[np.nan]]), np.array([[-1.0]])])
@@ -517,3 +399,115 @@ def test_what_updates_is_a_filter_even_if_it_can_be_called():
     kf = Called(2, 1)
     kf.Q[:] = 0.0
     assert ParameterTracker(FIR(2), filter=kf).filter is kf
+
+
+# Any sequence of calls of a tracker: what must hold whatever a user does, and wherever an interrupt falls.
+
+
+ANY_STRUCTURE = [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1), FIR(2, nk=0), ARX(1, 2, nk=3), BoxJenkins(1, 1, 1, 1)]
+values = st.one_of(st.floats(-50.0, 50.0), st.sampled_from([0.0, np.nan, 1e6, -1e12, 1e150]))
+
+
+class Calls(RuleBasedStateMachine):
+    """Draw calls of a tracker, and of a twin that takes the same samples one by one."""
+
+    @initialize(
+        structure=st.sampled_from(ANY_STRUCTURE),
+        start=st.sampled_from([0, 0, 40]),
+        options=st.fixed_dictionaries(
+            {
+                "offset": st.booleans(),
+                "R": st.sampled_from([None, 0.25]),
+                "regressor": st.sampled_from(["measured", "cleaned"]),
+                "forgetting": st.sampled_from([None, 0.98]),
+                "gradient": st.sampled_from(["filtered", "pseudolinear"]),
+                "guard": st.sampled_from(["halve", "reject"]),
+                "influence": st.sampled_from([None, Hampel()]),
+                "scaling": st.sampled_from([None, "bounded"]),
+            }
+        ),
+    )
+    def begin(self, structure, start, options):
+        self.options = {"start": start, **options}
+        self.structure = structure
+        self.tracker, self.twin = (ParameterTracker(structure, **self.options) for _ in range(2))
+
+    @rule(y=values, u=st.sampled_from([-1.0, 0.3, 1.0]))
+    def update(self, y, u):
+        ahead = self.tracker.predict(u)
+        one, other = self.tracker.update(y, u), self.twin.update(y, u)
+        np.testing.assert_array_equal(one, other)
+        assert one.prediction == pytest.approx(ahead, rel=1e-12, abs=1e-12)
+
+    @rule(seed=st.integers(0, 1000), length=st.integers(1, 30))
+    def run_some(self, seed, length):
+        rng = np.random.default_rng(seed)
+        u, y = rng.choice([-1.0, 1.0], length), rng.normal(size=length)
+        self.tracker.run(y, u)
+        for k in range(length):
+            self.twin.update(y[k], u[k])
+
+    @rule(line=st.integers(1, 400), y=st.floats(-5.0, 5.0), length=st.integers(1, 4))
+    def interrupt(self, line, y, length):
+        before = self.tracker.state()
+
+        def call():
+            if length == 1:
+                self.tracker.update(y, 1.0)
+            else:
+                self.tracker.run([y] * length, [1.0] * length)
+
+        if interrupted(call, line):
+            same(before, self.tracker.state())
+        else:
+            for _ in range(length):
+                self.twin.update(y, 1.0)
+
+    @rule(call=st.sampled_from([(np.inf, 1.0), (0.0, np.nan), (0.0, [1.0, 2.0]), ("a", 1.0)]))
+    def refused(self, call):
+        before = self.tracker.state()
+        with pytest.raises((ValueError, TypeError)):
+            self.tracker.update(*call)
+        same(before, self.tracker.state())
+
+    @rule(way=st.sampled_from(["pickle", "deepcopy", "state"]))
+    def copied(self, way):
+        if way == "pickle":
+            self.tracker = pickle.loads(pickle.dumps(self.tracker))
+        elif way == "deepcopy":
+            self.tracker = copy.deepcopy(self.tracker)
+        else:
+            other = ParameterTracker(self.structure, **self.options)
+            other.restore(self.tracker.state())
+            self.tracker = other
+
+    @rule(q=st.sampled_from([0.0, 1e-4, 0.1]))
+    def let_it_drift(self, q):
+        self.tracker.Q = self.twin.Q = q
+
+    @rule()
+    def freeze_or_thaw(self):
+        self.tracker.enabled = self.twin.enabled = not self.twin.enabled
+
+    @invariant()
+    def parameters_are_finite_and_covariances_are_covariances(self):
+        if not hasattr(self, "tracker"):
+            return
+        tracker = self.tracker
+        assert np.isfinite(tracker.theta).all() and np.isfinite(tracker.R) and tracker.R > 0.0
+        P = tracker.filter.P
+        assert np.isfinite(P).all()
+        scale = np.abs(P).max()
+        assert np.abs(P - P.T).max() <= 1e-10 * scale and np.linalg.eigvalsh(P)[0] >= -1e-8 * scale
+        assert np.isfinite(tracker.predict(0.0))
+        same(tracker.state(), self.twin.state())
+
+
+@pytest.mark.filterwarnings("ignore::robust_filterpy.identification.LostTrackerWarning")
+@pytest.mark.parametrize(
+    "examples", [pytest.param(15, id="some"), pytest.param(1500, id="many", marks=pytest.mark.slow)]
+)
+def test_any_sequence_of_calls(examples):
+    machine = Calls.TestCase
+    machine.settings = settings(max_examples=examples, stateful_step_count=15, deadline=None)
+    machine().runTest()

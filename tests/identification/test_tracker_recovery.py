@@ -1,20 +1,24 @@
 """ParameterTracker estimates: exact where the data are, least squares where it must be, and the paper's equations."""
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-import scipy.signal
 import support
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import two_sided
+from support import told_tracker, two_sided
 
-from robust_filterpy import Contaminated, Huber, TukeyBiweight
+from robust_filterpy import Contaminated, Huber, StudentT, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
-from robust_filterpy.plants.linear import random_walk, stable
+from robust_filterpy.plants.linear import random_walk
+from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_tracker
+from robust_filterpy.testing.assertions.consistency import assert_interval_coverage
+from robust_filterpy.testing.scenarios.plants import Plant
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 
@@ -45,21 +49,10 @@ def test_noiseless_output_error_is_approached_from_zero(gradient, factor):
     assert error[-1] < factor * error[500] and error[-1] < 0.01, error[[100, 500, 1000, -1]]
 
 
-@pytest.mark.parametrize("gradient", ["filtered", "pseudolinear"])
-def test_noiseless_armax_is_approached_from_zero(gradient):
-    u = white(1000)
-    y = simulate_arx(PLANT, u, na=2, nb=2).y
-    tracker = support.told_tracker(ARMAX(2, 2, 2), R=1e-6, gradient=gradient)
-    path = tracker.run(y, u).theta[:, :4]
-    error = np.linalg.norm(path - PLANT, axis=1)
-    # Without noise nothing tells c; a and b are what the data hold.
-    assert error[-1] < 1e-3 and error[-1] < error[50]
-
-
 # Least squares
 
 
-@pytest.mark.parametrize("structure", [ARX(3, 2), FIR(4, nk=0), ARX(1, (2, 1), nk=(1, 0))], ids=str)
+@pytest.mark.parametrize("structure", [ARX(3, 2), ARX(1, (2, 1), nk=(1, 0)), LinearRegression(3)], ids=str)
 def test_without_drift_and_bounds_it_is_regularised_least_squares(structure):
     rng = np.random.default_rng(3)
     u, y = rng.normal(size=(120, structure.n_inputs)), rng.normal(size=120)
@@ -149,27 +142,6 @@ def test_equation_53_and_table_1_in_the_papers_own_letters():
         np.testing.assert_allclose(result.std[k], np.sqrt(np.diag(P)), rtol=1e-9)
 
 
-def test_filtered_gradient_is_the_derivative_of_the_free_run():
-    u, theta, step = white(40), np.array([-0.8, 0.3, 1.0, 0.5]), 1e-6
-    tracker = support.told_tracker(OutputError(2, 2), theta=theta, P=1e-30, Q=0.0)
-    tracker.run(np.zeros(40), u)
-
-    def last(shift):
-        return support.told_tracker(OutputError(2, 2), theta=theta + shift).simulate(u)[-1]
-
-    derivative = [(last(step * e) - last(-step * e)) / (2 * step) for e in np.eye(4)]
-    np.testing.assert_allclose(tracker.state()["prefiltered"][0], derivative, rtol=1e-5, atol=1e-8)
-    np.testing.assert_allclose(tracker.filter.H[0], derivative, rtol=1e-5, atol=1e-8)
-
-
-def test_innovation_of_the_filtered_gradient_is_the_prediction_error():
-    u = white(100)
-    y = simulate_output_error(PLANT, u, noise=Contaminated(0.1, 10.0, 0.5), rng=2, na=2, nb=2).y
-    tracker = support.told_tracker(OutputError(2, 2), R=0.25)
-    result = tracker.run(y, u)
-    np.testing.assert_allclose(tracker.filter.y, result.residual[-1], rtol=1e-9)
-
-
 # Robustness
 
 
@@ -211,49 +183,6 @@ def test_guard_watches_a_transition_matrix_too():
     assert (np.abs(result.theta[:, 0]) < 1).all() and (result.guard == -1).all()
 
 
-def test_tracker_follows_a_drifting_plant_through_outliers():
-    rng = np.random.default_rng(4)
-    path = random_walk(PLANT, 1e-5, 1500, rng, accept=stable(2))
-    noise = Contaminated(0.1, 10.0, 0.5).rvs_labelled(1500, rng)
-    data = simulate_output_error(path, white(1500), noise=noise.values, na=2, nb=2)
-    robust = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25).run(data.y, data.u)
-    kalman = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-5, R=0.25 * 10.9, influence=Linear()).run(
-        data.y, data.u
-    )
-    errors = [np.linalg.norm(r.theta - path, axis=1)[500:].mean() for r in (robust, kalman)]
-    assert errors[0] < 0.7 * errors[1]
-    # Of samples 10 times as far away as the others psi believes less.
-    assert np.median(robust.weights[noise.is_outlier]) < 0.5 < np.median(robust.weights[~noise.is_outlier])
-
-
-@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
-def test_model_of_a_contaminated_half_predicts_the_clean_half(structure):
-    half, u = 1000, white(2000, seed=8)
-    simulate = simulate_output_error if structure.nf else simulate_arx
-    fits = []
-    for contamination in (0.0, 0.1):
-        noise = Contaminated(contamination, 10.0, 0.5).rvs(size=2000, random_state=3)
-        noise[half:] = 0.0
-        data = simulate(PLANT, u, noise=noise, na=2, nb=2)
-        tracker = support.told_tracker(structure, P=1.0, R=0.25)
-        tracker.run(data.y[:half], u[:half])
-        free = tracker.simulate(u)[half:]
-        fits.append(tracker.fit(data.y_clean[half:], free))
-    assert fits[0] > 90 and fits[1] > fits[0] - 3, fits
-
-
-def test_coloured_noise_is_told_from_the_plant():
-    rng, a = np.random.default_rng(6), [1.0, -1.5, 0.7]
-    u, v = white(4000, seed=2), 0.5 * rng.normal(size=4000)
-    y = scipy.signal.lfilter([0.0, 1.0, 0.5], a, u) + scipy.signal.lfilter([1.0, -0.8], a, v)
-    true = np.array([*PLANT, -0.8])
-    armax, arx = support.told_tracker(ARMAX(2, 2, 1), P=1.0, R=0.25), support.told_tracker(ARX(2, 2), P=1.0, R=0.25)
-    armax.run(y, u)
-    arx.run(y, u)
-    assert np.linalg.norm(armax.theta - true) < 0.1
-    assert np.linalg.norm(armax.theta[:2] - true[:2]) < 0.3 * np.linalg.norm(arx.theta[:2] - true[:2])
-
-
 # Parameters that jump
 
 
@@ -274,3 +203,104 @@ def test_two_sided_filter_follows_jumping_parameters_better_than_a_random_walk()
     walks, doubts = np.transpose(errors)
     # .80 was measured, standard error .01; a random walk with the same small Q is at 1.5.
     assert doubts.mean() < 0.85 * walks.mean()
+
+
+# What a user relies on of every tracker: memory, arrays, signs, order, delay, gaps, intervals, bounds.
+
+
+TRACKERS = {
+    "Huber": told_tracker,
+    "Linear": partial(told_tracker, influence=Linear()),
+    "Student": partial(told_tracker, influence=StudentT(4.0)),
+    "Tukey": partial(told_tracker, influence=TukeyBiweight()),
+    "pseudolinear": partial(told_tracker, gradient="pseudolinear"),
+}
+EVERY = pytest.mark.parametrize("make", TRACKERS.values(), ids=TRACKERS)
+ROBUST = pytest.mark.parametrize("make", [make for name, make in TRACKERS.items() if name != "Linear"])
+
+
+def through(tracker, scenario, first=0, stop=None):
+    """Update sample by sample."""
+    for y, u in zip(scenario.y[first:stop], scenario.u[first:stop], strict=True):
+        tracker.update(float(y), u)
+    return tracker
+
+
+def made(make, scenario):
+    return scenario.load(make(scenario.structure))
+
+
+def after(make, scenario):
+    return through(made(make, scenario), scenario)
+
+
+def clean(plant, samples=200):
+    scenario = draw(plant, samples, rng=3)
+    return replace(scenario, y=scenario.y_clean)
+
+
+def runs(make, plant, count, samples, **options):
+    scenarios = [draw(plant, samples, rng=seed, **options) for seed in range(count)]
+    return [run_tracker(made(make, one), one) for one in scenarios]
+
+
+@EVERY
+@pytest.mark.parametrize(
+    "plant",
+    [
+        Plant(ARX(1, 1), np.array([-0.8, 1.0])), Plant(FIR(3), np.array([1.0, 2.0, 3.0])),
+        Plant(ARX(1, 2), np.array([-0.5, 1.0, 2.0])), Plant(FIR(1, 3), np.array([2.0])), "fir", "arx",
+    ],
+    ids=str,
+)  # fmt: skip
+def test_without_noise_parameters_have_sign_order_and_delay_of_the_plant(make, plant):
+    scenario = clean(plant)
+    np.testing.assert_allclose(after(make, scenario).theta, scenario.theta[-1], rtol=0.0, atol=0.02)
+
+
+@EVERY
+def test_a_missing_output_is_no_information_and_adds_Q_at_any_age(make):
+    scenario = draw("fir", 1201, rng=5)
+    scenario = replace(scenario, Q=1e-4 * np.eye(4))
+    tracker = made(make, scenario)
+    for first, age in ((0, 20), (20, 1200)):
+        through(tracker, scenario, first, age)
+        theta, P = tracker.theta.copy(), tracker.P.copy()
+        tracker.update(np.nan, scenario.u[age])
+        np.testing.assert_allclose(tracker.theta, theta, rtol=1e-9)
+        np.testing.assert_allclose(tracker.P - P, scenario.Q, rtol=0.0, atol=1e-10)
+    scenario = clean("arx", 120)
+    gap = replace(scenario, y=np.where(np.arange(120) // 5 == 12, np.nan, scenario.y))
+    np.testing.assert_allclose(after(make, gap).theta, scenario.theta[-1], rtol=0.0, atol=0.02)
+
+
+@ROBUST
+@pytest.mark.parametrize("size", [1e2, -1e6, 1e12])
+def test_one_output_moves_parameters_by_a_bounded_amount(make, size):
+    scenario = draw("fir", 30, rng=6)
+    tracker = through(made(make, scenario), scenario, 0, 29)
+    theta, std = tracker.theta.copy(), tracker.std.copy()
+    tracker.update(float(scenario.y_clean[29] + size * np.sqrt(scenario.R)), scenario.u[29])
+    assert np.linalg.norm((tracker.theta - theta) / std) <= 10.0
+
+
+def test_intervals_hold_the_truth_and_moving_parameters_are_followed():
+    linear = TRACKERS["Linear"]
+    assert_interval_coverage(runs(linear, "fir", 80, 30), level=0.9)
+    assert_interval_coverage(runs(told_tracker, "fir", 80, 30), level=0.9, tolerance=0.05)
+    assert_tracks(runs(told_tracker, "fir", 30, 80, drift=0.05), at_least=0.5, skip=20)
+    wild = {"mixture": {"scale_ratio": 30.0}}
+    assert_tracks(runs(told_tracker, "fir", 40, 120, contamination=wild), at_least=0.4, skip=40)
+
+
+@pytest.mark.parametrize(("plant", "limits"), [("output error", {0: 0.2}), ("armax", {0: 0.1, 4: 0.4})])
+def test_noise_with_a_colour_gives_no_bias(plant, limits):
+    found = runs(told_tracker, plant, 9, 400, sigma=1.0)
+    median, truth = np.median([run.theta[-1] for run in found], axis=0), found[0].known.theta[-1]
+    assert all(abs(median[i] - truth[i]) <= limit for i, limit in limits.items())
+
+
+@pytest.mark.parametrize("contamination", ["mixture", "bursts", "student", ("mixture", "missing")], ids=str)
+@pytest.mark.parametrize("plant", ["arx", "fir"])
+def test_parameters_are_recovered_through_every_kind_of_outlier(plant, contamination):
+    assert_recovers_parameters(runs(told_tracker, plant, 4, 300, contamination=contamination), factor=4.0)

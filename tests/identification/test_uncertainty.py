@@ -6,21 +6,23 @@ import control
 import numpy as np
 import pytest
 import support
+from numpy.testing import assert_allclose, assert_array_equal
+from recordings import assert_refused, recording
 from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
 
 from robust_filterpy.identification import AR, ARX, FIR, LinearRegression, OutputError, ParameterTracker, identify
+from robust_filterpy.identification.estimation import estimate
+from robust_filterpy.identification.estimation.profile import Place, Sections, wandering
+from robust_filterpy.influence import Linear
 
 Z = norm.ppf(0.975)
 OMEGA = np.linspace(0.0, np.pi, 30)
 
 
 def recorded(a=(1.0, -1.5, 0.7), b=(1.0, 0.5), length=500, seed=0, sigma=0.3):
-    rng = np.random.default_rng(seed)
-    u = rng.choice([-1.0, 1.0], length)
-    clean = lfilter([0.0, *b], a, u)
-    return clean + sigma * np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length), u
+    return recording(seed, length, sigma=sigma, a=a, b=[0.0, *b])
 
 
 @pytest.fixture(scope="module")
@@ -197,20 +199,13 @@ def test_sampled_bands_come_again_and_follow_the_generator(ringing):
     assert upper(np.random.default_rng(1)) == upper(1) != upper()
 
 
-@pytest.mark.parametrize(("call", "words"), [
-    (lambda m: m.frequency_response([4.0]), r"omega: .* pi/dt = 3.14"),
-    (lambda m: m.frequency_response([-0.1]), "omega"),
-    (lambda m: m.frequency_response([np.nan]), "omega"),
-    (lambda m: m.frequency_response([]), "omega"),
-    (lambda m: m.frequency_response([0.1], dt=0.0), "dt: expected"),
-    (lambda m: m.frequency_response([0.1], level=1.0), "level: expected"),
-    (lambda m: m.poles(level=0.0), "level: expected"),
-    (lambda m: m.step_response(0), "steps: expected"),
-    (lambda m: m.zeros(input=1), "input: expected 0 to 0"),
-])  # fmt: skip
-def test_bad_arguments_are_refused_by_name(call, words, model):
-    with pytest.raises(ValueError, match=words):
-        call(model)
+def test_bad_arguments_are_refused_by_name(model):
+    wrong = {"omega": [[4.0], [-0.1], [np.nan], []], "dt": [0.0], "level": [0.0, 1.0]}
+    assert_refused(model.frequency_response, {"omega": [0.1]}, wrong)
+    assert_refused(model.poles, {}, {"level": [0.0]})
+    assert_refused(model.step_response, {}, {"steps": [0]})
+    assert_refused(model.zeros, {}, {"input": [1]})
+    assert_refused(model.summary, {}, {"level": [0.0, 1.0, 95]})
 
 
 def test_what_has_no_response_says_so():
@@ -224,13 +219,181 @@ def test_what_has_no_response_says_so():
         identify(y, u, LinearRegression(1)).poles()
 
 
-def test_what_is_printed_fits_a_few_lines():
-    u = np.random.default_rng(4).choice([-1.0, 1.0], 400)
-    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + 0.1 * np.random.default_rng(5).normal(size=400)
-    model = identify(y, u, OutputError(2, 2))
-    poles, response, step = model.poles(), model.frequency_response(np.linspace(0.1, 3.0, 60)), model.step_response()
-    assert all(len(repr(found)) < 300 for found in (poles, response, step))
-    low, high = np.sort_complex(poles.values)[[0, -1]]
-    assert f"{high.real:.4g}+-" in repr(poles) and f"{low.imag:+.4g}i" in repr(poles)
-    assert f"|G| = {response.magnitude[0]:.3g} ({response.magnitude_lower[0]:.3g} .. " in repr(response)
-    assert "60 frequencies, 95 % bands" in repr(response) and f"{step.response[-1]:.3g} (" in repr(step)
+# Where the loss is not quadratic the covariance is that of the profile, and elsewhere the sandwich's.
+
+
+@pytest.fixture
+def linearized(monkeypatch):
+    """Let each covariance by linearization be seen."""
+    seen, profiled = [], estimate.profiled
+
+    def watched(model, p, noise, rows, P, *others):
+        seen.append(P)
+        return profiled(model, p, noise, rows, P, *others)
+
+    monkeypatch.setattr(estimate, "profiled", watched)
+    return seen
+
+
+def profiled_recording(seed, a, b, samples=300):
+    """Return y and u of a plant with outliers."""
+    return recording([27, seed], samples, a=a, b=[0.0, *b])
+
+
+def test_a_plant_that_the_recording_tells_keeps_its_linearization(linearized):
+    y, u = profiled_recording(0, [1.0, -1.5, 0.7], [1.0, 0.5])
+    model = identify(y, u, OutputError(2, 2), trend="constant")
+    assert not model.profiled
+    assert_array_equal(model.P, linearized[-1][:4, :4])
+    assert "Intervals" not in model.summary().to_text()
+
+
+def squares(f, y, u):
+    """Return the least sum of squares of an OutputError(1, 1) for a given pole, by numpy's least squares."""
+    impulse = np.eye(1, y.size - 1).ravel()
+    X = np.column_stack([lfilter([1.0], [1.0, f], s) for s in (u[:-1], impulse)] + [np.ones(y.size - 1)])
+    return np.square(y[1:] - X @ np.linalg.lstsq(X, y[1:], rcond=None)[0]).sum()
+
+
+def test_two_standard_deviations_away_the_loss_has_risen_by_two(linearized):
+    bent = 0
+    for seed in range(8):
+        rng = np.random.default_rng([28, seed])
+        u = rng.choice([-1.0, 1.0], 80)
+        y = lfilter([0.0, 0.3], [1.0, -0.9], u) + 0.6 * rng.normal(size=80)
+        model = identify(y, u, OutputError(1, 1), influence=Linear(), trend="constant", progress=False)
+        if not model.profiled:
+            continue
+        bent, f = bent + 1, model.theta[0]
+        least, count = squares(f, y, u), y.size - 1
+        steps = [f + sign * 2.0 * model.std[0] for sign in (-1.0, 1.0)]
+        rises = [0.5 * (count - 4) * (squares(at, y, u) / least - 1.0) for at in steps if abs(at) < 1.0]
+        # At the farther of the two places; at the nearer one it has risen by more, or is 16 deviations away.
+        assert min(rises) == pytest.approx(2.0, rel=0.1)
+        assert model.P[0, 0] > linearized[-1][0, 0]
+        assert "profile likelihood" in model.summary().to_text()
+    assert bent >= 2
+
+
+def test_units_do_not_matter_to_the_profile():
+    rng = np.random.default_rng(5)
+    u = rng.choice([-1.0, 1.0], 60)
+    y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.6 * rng.normal(size=60)
+    one = identify(y, u, OutputError(1, 1), trend="constant")
+    other = identify(1e6 * y, 1e-3 * u, OutputError(1, 1), trend="constant")
+    assert one.profiled
+    assert other.profiled
+    assert_allclose(other.std / [1.0, 1e9], one.std, rtol=1e-3)
+
+
+def test_a_linear_model_has_nothing_to_profile():
+    y, u = profiled_recording(2, [1.0, -0.8], [1.0])
+    assert not identify(y, u, ARX(1, 1)).profiled
+
+
+# Where cancelling poles may be anywhere, P is that of the likelihood at all places.
+
+
+@pytest.mark.parametrize(
+    "polynomial", [[1.0, -0.5], [1.0, 0.0, 0.0], [1.0, -1.5, 0.7, 0.1], [1.0, -1.2, 0.35, 0.02, -0.005, 0.0]]
+)
+def test_factors_multiply_to_the_polynomial(polynomial):
+    sections = Sections.of([np.array(polynomial), np.array([1.0, 0.3])])
+    assert_allclose(sections.multiplied(sections.values), [*polynomial[1:], 0.3], atol=1e-6)
+
+
+def test_a_factor_with_a_root_outside_is_not_stable():
+    assert Sections.of([np.poly([0.9, 0.5, -0.5])]).are_stable(np.array([-1.4, 0.45, 0.5]))
+    for f in (np.poly([1.1, 0.5]), np.poly([1.1j, -1.1j]), np.array([1.0, 1.01])):
+        sections = Sections.of([f])
+        assert not sections.are_stable(sections.values)
+
+
+class Factors(Sections):
+    """Pairs that are the parameters themselves."""
+
+    def multiplied(self, values):
+        return values
+
+
+class Likelihood:
+    """A sum of normal densities of the factors of one polynomial, and a number that is known to a variance of 4."""
+
+    def __init__(self, centers, widths, shares=(1.0,)):
+        self.centers, self.shares = np.atleast_2d(centers), np.array(shares)
+        count = self.centers.shape[1]
+        self.inverse = np.diag(np.broadcast_to(1.0 / np.square(widths), count))
+        self.sections = Factors(((2,) * (count // 2),), self.centers[0])
+        self.p = self.best(self.centers[0]).p
+
+    def distances(self, f):
+        return np.log(self.shares) - 0.5 * np.einsum("ki,ij,kj->k", f - self.centers, self.inverse, f - self.centers)
+
+    def best(self, f):
+        spread = np.zeros((f.size + 1, f.size + 1))
+        spread[-1, -1] = 4.0
+        return Place(-float(np.logaddexp.reduce(self.distances(f))), np.append(f, 7.0), lambda: spread)
+
+    def curvature(self, p, sections, x):
+        share = np.exp(self.distances(x) - np.logaddexp.reduce(self.distances(x)))
+        return self.inverse @ (x - share @ self.centers), self.inverse, np.eye(x.size + 1)[:, :-1]
+
+
+def test_a_pair_of_which_the_likelihood_says_nothing_may_be_anywhere():
+    loss = Likelihood([0.1, 0.2, 0.0, 0.0], [0.01, 0.01, 1e6, 1e6])
+    # Of the triangle with the corners (-2, 1), (2, 1) and (0, -1): mean squares 2/3 and 1/3.
+    expected = np.diag([1e-4, 1e-4, 2.0 / 3.0, 1.0 / 3.0, 4.0])
+    assert_allclose(wandering(loss, loss.sections), expected, atol=0.05)
+
+
+def test_of_a_normal_likelihood_p_is_its_covariance_and_that_of_what_is_linear():
+    loss = Likelihood([-1.2, 0.5, -0.6, 0.1], 0.02)
+    P = wandering(loss, loss.sections)
+    assert_allclose(P[:4, :4] / 0.02**2, np.eye(4), atol=0.35)
+    assert_allclose(P[4], [0.0, 0.0, 0.0, 0.0, 4.0])
+
+
+def test_a_place_behind_a_barrier_counts_by_its_share():
+    centers, shares = np.array([[-0.5, 0.2, 0.1, 0.1], [0.7, 0.35, 0.25, -0.05]]), (0.6, 0.4)
+    loss = Likelihood(centers, 0.1, shares)
+    apart = (wandering(loss, loss.sections).diagonal()[:4] - 0.01) / (centers[1] - centers[0]) ** 2
+    assert_allclose(apart[0], shares[1], atol=0.1)
+
+
+@pytest.fixture(scope="module")
+def too_large():
+    """Return a recording of a plant of order 2, and its model of order 4."""
+    rng = np.random.default_rng(29)
+    u = rng.choice([-1.0, 1.0], 300)
+    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u)
+    y += np.where(rng.random(300) < 0.1, 3.0, 0.3) * rng.normal(size=300)
+    return y, u, identify(y, u, OutputError(4, 4), trend="constant", progress=False)
+
+
+def test_the_pole_that_nothing_tells_has_no_narrow_interval(too_large):
+    y, u, model = too_large
+    profile = identify(y, u, OutputError(4, 4), trend="constant", sampled=False, progress=False)
+    assert model.profiled
+    assert model.sampled
+    assert "sampled likelihood" in model.summary().to_text()
+    assert profile.profiled
+    assert not profile.sampled
+    assert "profile likelihood" in profile.summary().to_text()
+    assert_array_equal(model.theta, profile.theta)
+    # A cancelling pair that may be anywhere, whose sum is known to no better than some tenths.
+    assert model.std[0] > 0.3
+    assert np.linalg.eigvalsh(model.P).min() >= -1e-9 * np.trace(model.P)
+
+
+def test_what_is_given_goes_nowhere(too_large):
+    y, u, model = too_large
+    held = identify(y, u, OutputError(4, 4), trend="constant", fixed={"a1": float(model.theta[0])}, progress=False)
+    assert not held.sampled
+    assert held.std[0] == 0.0
+
+
+@pytest.mark.nightly
+def test_the_same_recording_gives_the_same_p(too_large):
+    y, u, model = too_large
+    again = identify(y, u, OutputError(4, 4), trend="constant", progress=False)
+    assert_array_equal(again.P, model.P)

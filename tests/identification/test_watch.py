@@ -5,23 +5,30 @@ import warnings
 import numpy as np
 import pytest
 import support
+from recordings import THETA, A, B, binary, recording, same, silence, unchanged, unheard, wild
 from scipy.signal import lfilter
 
-from robust_filterpy.identification import ARX, FIR, BoxJenkins, OutputError, ParameterTracker
+from robust_filterpy.filters import StuckSensorWarning
+from robust_filterpy.identification import (
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    OutputError,
+    ParameterTracker,
+    TrackerBank,
+    identify,
+)
 from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.dependence import autocovariances, dependence
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning, _moved
 
-A, B = np.array([1.0, -1.5, 0.7]), np.array([0.0, 1.0, 0.5])
-THETA = np.array([-1.5, 0.7, 1.0, 0.5])
-
 
 def plant(seed, length=400, hold=1, gain=1.0, b=B, a=A, size=1.0):
-    rng = np.random.default_rng([27, seed])
-    u = rng.choice([-1.0, 1.0], length).repeat(hold)[:length]
-    wild = np.where(rng.random(length) < 0.1, 10.0, 1.0)
+    rng, u = binary([27, seed], length)
+    u = u.repeat(hold)[:length]
     model, true = lfilter(B, A, u), gain * lfilter(b, a, u)
-    return true + 0.3 * size * wild * rng.normal(size=length) - model, model, u
+    return true + wild(rng, length, 0.3 * size) - model, model, u
 
 
 def window(residual, model, u):
@@ -40,45 +47,15 @@ def test_the_residuals_of_a_right_model_do_not():
         assert not dependence(*window(*quiet)).significant
 
 
-def test_coloured_noise_and_a_slow_input_look_alike_only_by_chance():
-    found = []
-    for seed in range(100):
-        rng = np.random.default_rng([29, seed])
-        u = rng.choice([-1.0, 1.0], 20).repeat(20)
-        residual = lfilter([1.0], [1.0, -0.8], rng.normal(size=400))
-        found.append(dependence(*window(residual, lfilter(B, A, u), u), whitening=(-0.8,)).significant)
-    assert not any(found)
-
-
-def test_windows_are_judged_each_for_itself():
-    windows = [window(*plant(seed, gain=1.0 + seed % 2)) for seed in range(6)]
-    windows[3][0][::7] = np.nan
-    together = dependence(*(np.stack(part) for part in zip(*windows, strict=True)))
-    alone = [dependence(*each) for each in windows]
-    np.testing.assert_allclose(together.share, [one.share for one in alone])
-    np.testing.assert_array_equal(together.significant, [False, True] * 3)
-
-
-def test_nothing_known_shows_nothing():
-    residual, signals = window(*plant(1))
-    assert not dependence(np.full_like(residual, np.nan), signals).significant
-    assert not dependence(np.zeros_like(residual), signals).significant
-    assert not dependence(residual, np.ones_like(signals)).significant
-
-
-def broken(seed=1, length=1600, at=900):
-    rng = np.random.default_rng([28, seed])
-    u = rng.choice([-1.0, 1.0], length)
-    wild = np.where(rng.random(length) < 0.1, 10.0, 1.0)
-    y = lfilter(B, A, u) * np.where(np.arange(length) < at, 1.0, 2.0)
-    return y + 0.3 * wild * rng.normal(size=length), u
+def broken(seed=1, length=1600, at=900, change=2.0, stream=28):
+    rng, u = binary([stream, seed], length)
+    return lfilter(B, A, u) * np.where(np.arange(length) < at, 1.0, change) + wild(rng, length), u
 
 
 def test_a_tracker_that_has_lost_its_plant_says_so_in_time_and_starts_anew():
     y, u = broken()
     tracker = ParameterTracker(OutputError(2, 2), Q=0.0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         tracker.run(y[:900], u[:900])
     with pytest.warns(LostTrackerWarning, match="the plant is no longer the model's.*starts anew, and theta may jump"):
         tracker.run(y[900:1100], u[900:1100])
@@ -99,9 +76,8 @@ def test_an_interrupted_tracker_finds_its_loss_at_the_same_sample_bit_for_bit(cu
         expected = tracker.run(y[cut:], u[cut:])
     with pytest.warns(LostTrackerWarning):
         found = other.run(y[cut:], u[cut:])
-    for one, two in zip(expected, found, strict=True):
-        np.testing.assert_array_equal(one, two)
-    assert_same(tracker.state(), other.state())
+    same(expected, found)
+    same(tracker.state(), other.state())
 
 
 def test_what_was_watched_belongs_to_the_state_and_not_to_the_object():
@@ -110,12 +86,12 @@ def test_what_was_watched_belongs_to_the_state_and_not_to_the_object():
     with pytest.warns(LostTrackerWarning):
         tracker.run(y, u)
     tracker.reset()
-    assert_same(tracker.state(), fresh.state())
+    same(tracker.state(), fresh.state())
     assert not tracker.state()["followed"].size
     without = {name: value for name, value in tracker.state().items() if name not in ("watch", "followed")}
     tracker.run(y[:600], u[:600])
     tracker.restore(without)
-    assert_same(tracker.state(), fresh.state())
+    same(tracker.state(), fresh.state())
 
 
 @pytest.mark.parametrize("place, value", [(0, 0.5), (1, 0.0), (2, -1.0), (2, 1.5), (3, -1.0), (4, np.nan)])
@@ -126,15 +102,8 @@ def test_a_watch_that_cannot_be_is_refused_and_changes_nothing(place, value):
     damaged[place] = value
     changes = ({"watch": damaged}, {"watch": np.array(1.0)}, {"followed": np.zeros((3, 2))})
     for change in changes:
-        with pytest.raises(ValueError, match=r"watch|followed"):
+        with unchanged(tracker), pytest.raises(ValueError, match=r"watch|followed"):
             tracker.restore({**before, **change})
-    assert_same(tracker.state(), before)
-
-
-def assert_same(one, other):
-    assert one.keys() == other.keys()
-    for name, value in one.items():
-        np.testing.assert_array_equal(value, other[name], err_msg=name)
 
 
 def test_a_model_that_the_user_gave_is_not_replaced():
@@ -147,17 +116,14 @@ def test_a_model_that_the_user_gave_is_not_replaced():
 # What a model leaves from the beginning is usual.
 
 
-def arx_on_an_output_error(seed, length=1200, change=1.0):
-    rng = np.random.default_rng([30, seed])
-    u = rng.choice([-1.0, 1.0], length)
-    y = lfilter(B, A, u) * np.where(np.arange(length) < 800, 1.0, change)
-    return y + 0.3 * np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length), u
+def arx_on_an_output_error(seed, change=1.0):
+    return broken(seed, 1200, 800, change, 30)
 
 
 def restarts(structure, y, u):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        ParameterTracker(structure).run(y, u)
+        ParameterTracker(structure, start=200).run(y, u)
     return sum("starts anew" in str(w.message) for w in caught)
 
 
@@ -238,8 +204,7 @@ def test_a_gain_that_changes_faintly_is_said_and_followed(gain, constant, draws)
 
 @support.draws(2, 6)
 def test_a_gain_that_does_not_change_is_not_said_to(draws):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         for seed in range(draws):
             ParameterTracker(ARX(4, 4)).run(*faint(100 + seed, 1.0))
 
@@ -261,13 +226,6 @@ def test_scores_that_scatter_more_than_their_information_says_are_judged_by_thei
     assert gain.changed(steady + np.outer((-1.0) ** np.arange(12), [40.0, 0.0])) == 0.0
     assert gain.changed(np.vstack((steady[:5], np.zeros((7, 2))))) == 0.0
     assert gain.changed(steady * [0.1, 1.0]) == 0.0
-
-
-def test_an_input_that_moves_once_tells_a_gain_only_once():
-    """Noise of a colour has one value in such a block, which scatters more than white noise would."""
-    scores = np.column_stack((np.full(12, 1e-3), np.full(12, 1e-3)))
-    scores[4] = 60.0, 90.0
-    assert gain.changed(scores) == 0.0
 
 
 @pytest.mark.nightly
@@ -301,10 +259,9 @@ def test_what_the_inputs_make_in_the_residuals_is_what_another_gain_leaves():
 
 def quiet(seed, length=1600, size=1.0):
     """Return a recording in which nothing changes but, halfway, the size of the noise."""
-    rng = np.random.default_rng([33, seed])
-    u = rng.choice([-1.0, 1.0], length).repeat((1, 5, 20)[seed % 3])[:length]
-    noise = np.where(rng.random(length) < 0.1, 10.0, 1.0) * rng.normal(size=length)
-    return lfilter(B, A, u), 0.3 * np.where(np.arange(length) < length // 2, 1.0, size) * noise, u
+    rng, u = binary([33, seed], length)
+    u = u.repeat((1, 5, 20)[seed % 3])[:length]
+    return lfilter(B, A, u), wild(rng, length) * np.where(np.arange(length) < length // 2, 1.0, size), u
 
 
 @pytest.mark.parametrize("structure, change", [(OutputError(2, 2), "step"), (ARX(2, 2), "ramp")], ids=str)
@@ -324,8 +281,7 @@ def test_a_level_that_moves_is_said_and_the_model_is_found_again(structure, chan
 def test_a_level_that_stays_is_not_said(structure, draws):
     for seed in range(draws):
         y, noise, u = quiet(seed, size=3.0)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", LostTrackerWarning)
+        with silence(LostTrackerWarning):
             ParameterTracker(structure).run(y + (noise if structure.nf else lfilter([1.0], A, noise)), u)
 
 
@@ -348,3 +304,154 @@ def test_what_a_model_without_a_constant_leaves_off_zero_is_no_moved_level():
         warnings.simplefilter("always")
         ParameterTracker(OutputError(2, 2), offset=False).run(y + noise + 0.3, u)
     assert not [each for each in caught if "the level of y" in str(each.message)]
+
+
+# What a stuck sensor says while a tracker runs counts as missing; sensors that repeat themselves are believed.
+
+
+LENGTH = 900
+STRUCTURES = [ARX(2, 2), OutputError(2, 2), ARMAX(2, 2, 1), BoxJenkins(2, 1, 1, 2)]
+
+
+def recorded(structure, seed=1, length=LENGTH, size=0.3):
+    return recording([41, seed], length, sigma=size, inside=structure.na > 0)
+
+
+def begun(structure, y, u, at=600):
+    """A tracker as it is after so many samples, quickly."""
+    with unheard():
+        tracker = ParameterTracker(structure, start=200)
+        tracker.run(y[:at], u[:at])
+    return tracker
+
+
+@pytest.mark.pairwise(1)
+@pytest.mark.parametrize("structure", support.by_night(STRUCTURES, ARX(2, 2), OutputError(2, 2)), ids=str)
+@pytest.mark.parametrize("value", ["last", 0.0, 25.0])
+def test_a_sensor_that_is_stuck_is_said_once_and_teaches_nothing(structure, value):
+    y, u = recorded(structure)
+    y[600:800] = y[599] if value == "last" else value
+    tracker = begun(structure, y, u)
+    theta, noise = tracker.theta, tracker.R
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        result = tracker.run(y[600:], u[600:])
+    assert [each.category for each in said] == [StuckSensorWarning]
+    assert np.isnan(result.residual[10:200]).all() and np.isnan(result.weights[10:200]).all()
+    assert not np.isnan(result.residual[200:]).any()
+    # The first readings may be near the prediction, and count as any others.
+    assert np.abs(result.theta[199] - theta).max() < 0.02 and 0.5 < tracker.R / noise < 2.0
+
+
+def test_one_by_one_by_the_definition_and_in_a_bank_it_is_the_same(monkeypatch):
+    structure = ARX(2, 2)
+    y, u = recorded(structure)
+    y[600:700], y[750] = y[600], np.nan
+    y[753:757] = y[753] + 30.0
+    one = begun(structure, y, u)
+    others = [begun(structure, y, u) for _ in range(2)]
+    bank = TrackerBank(2, structure, start=200)
+    with pytest.warns(StuckSensorWarning, match=r"actuators? 1.*stuck"):
+        bank.run(np.column_stack((np.where(np.arange(LENGTH) < 600, y, np.nan), y)), u)
+    with pytest.warns(StuckSensorWarning) as said:
+        expected = one.run(y[600:], u[600:])
+    assert len(said) == 1
+    with pytest.warns(StuckSensorWarning) as said:
+        residuals = [others[0].update(*sample).residual for sample in zip(y[600:], u[600:], strict=True)]
+    assert len(said) == 1
+    support.without_kernel(monkeypatch)
+    with pytest.warns(StuckSensorWarning):
+        others[1].run(y[600:], u[600:])
+    np.testing.assert_allclose(residuals, expected.residual, rtol=1e-9, atol=1e-12)
+    for theta in (others[0].theta, others[1].theta, bank.theta[1]):
+        np.testing.assert_allclose(theta, one.theta, rtol=1e-9)
+    assert np.isnan(residuals[1:100]).sum() > 90 and np.isnan(residuals[154:157]).all()
+
+
+def test_interrupted_while_stuck_it_goes_on_to_the_last_bit():
+    y, u = recorded(OutputError(2, 2))
+    y[600:700] = y[600]
+    one, other = begun(OutputError(2, 2), y, u, 650), ParameterTracker(OutputError(2, 2), start=200)
+    other.restore(one.state())
+    # What has been said is not in a state, and is said again.
+    with pytest.warns(StuckSensorWarning):
+        found = other.run(y[650:], u[650:])
+    same(one.run(y[650:], u[650:]), found)
+    assert np.isnan(found.residual[:50]).all()
+    damaged = {**one.state(), "readings": np.full(7, -1.0)}
+    with pytest.raises(ValueError, match="readings"):
+        other.restore(damaged)
+
+
+def believed():
+    """Recordings of sensors that repeat themselves and are right."""
+    y, u = recorded(OutputError(2, 2), 2)
+    rng, places = np.random.default_rng(3), np.arange(LENGTH)
+    rests = u * (places // 150 % 2)
+    at_rest = lfilter(B, A, rests)
+    moving = np.abs(at_rest) > 1e-3
+    return {
+        "coarse": (np.round(y), u),
+        "a tenth of its noise": (0.03 * np.round(y / 0.03), u),
+        "counts": (rng.poisson(np.maximum(400.0 + 40.0 * y, 0.0)).astype(float), u),
+        "each value three times": (y[places // 3 * 3], u),
+        "without noise": (lfilter(B, A, u), u),
+        "without noise, held": (at_rest, rests),
+        "at rest": (np.where(moving, at_rest + 0.3 * rng.normal(size=LENGTH), 0.0), rests),
+    }
+
+
+@pytest.mark.parametrize("name", support.by_night(believed(), "coarse", "counts", "at rest"))
+def test_sensors_that_repeat_themselves_are_believed(name):
+    y, u = believed()[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LostTrackerWarning)
+        warnings.simplefilter("error", StuckSensorWarning)
+        result = ParameterTracker(OutputError(2, 2), start=200).run(y, u)
+    assert np.isnan(result.residual).sum() <= 2
+
+
+def test_a_sensor_stuck_in_the_first_samples_is_said_too():
+    y, u = recorded(OutputError(2, 2))
+    y[:100] = 3.0
+    with pytest.warns(StuckSensorWarning, match="of its first samples: y is 3"):
+        ParameterTracker(OutputError(2, 2), start=200).run(y[:400], u[:400])
+
+
+def test_as_in_the_paper_every_output_is_taken_as_it_is():
+    y, u = recorded(OutputError(2, 2))
+    y[600:700] = y[600]
+    tracker = ParameterTracker(OutputError(2, 2), start=0, theta=[-1.5, 0.7, 1.0, 0.5], P=0.01, R=0.09)
+    assert not np.isnan(tracker.run(y, u).residual).any()
+
+
+def test_after_a_long_gap_nothing_is_lost():
+    y, u = recorded(OutputError(2, 2), 4, length=2600)
+    y[600:2400] = np.nan
+    with silence():
+        tracker = ParameterTracker(OutputError(2, 2), start=200)
+        tracker.run(y, u)
+    usual = tracker.state()["watch"][3]
+    assert usual > 0.3
+
+
+def test_wild_outputs_explain_no_other_wild_one():
+    y, u = recorded(ARX(2, 2), 5)
+    model = identify(y[:400], u[:400], ARX(2, 2))
+    wild = y.copy()
+    # The first predicts 1.5e6 for the second: nearer than what the model predicts from outputs that are ordinary.
+    size = 1e6 * np.random.default_rng(7).uniform(1.0, 2.0, 12)
+    wild[420::40], wild[421::40] = size, 0.9 * size
+    clean, spoilt = ParameterTracker(model), ParameterTracker(model)
+    clean.run(y[400:], u[400:])
+    spoilt.run(wild[400:], u[400:])
+    assert np.abs(spoilt.theta - clean.theta).max() < 0.02
+
+
+def test_a_sensor_that_gets_stuck_as_soon_as_there_is_a_model_is_seen():
+    # That moves by a hundred times its noise, so that neighbours tell little of how fine its steps are.
+    y, u = recorded(OutputError(2, 2), 6, size=0.03)
+    y[210:300] = y[210]
+    with pytest.warns(StuckSensorWarning):
+        result = ParameterTracker(OutputError(2, 2), start=200).run(y[:400], u[:400])
+    assert np.isnan(result.residual[215:300]).all()

@@ -86,6 +86,8 @@ def watched():
 OBJECTS = {
     "intervals": (lambda: identify(Y, U, ARX(2, 2)).confidence_intervals(), "upper"),
     "response": (lambda: identify(Y, U, ARX(2, 2)).frequency_response(np.linspace(0.1, 3.0, 40)), "95 % bands"),
+    "poles": (lambda: identify(Y, U, ARX(2, 2)).poles(), "+-"),
+    "step": (lambda: identify(Y, U, ARX(2, 2)).step_response(), " ("),
     "spectrum": (lambda: identify(Y, U, ARX(2, 2)).noise_spectrum(np.linspace(0.1, 3.0, 40)), "density"),
     "where the parameters end": (lambda: ParameterTracker(ARX(1, 1), start=0).run(Y, U), "a1 -0.9"),
     "sample": (lambda: ParameterTracker(ARX(1, 1), start=0).update(1 / 3, 1.0), "0.333333"),

@@ -19,10 +19,6 @@ def test_snippet_runs(source, tmp_path, monkeypatch):
     exec(compile(source, "README.md", "exec"), {"__name__": "readme"})
 
 
-def test_there_are_snippets():
-    assert SNIPPETS
-
-
 def test_first_snippet_differs_from_filterpy_by_one_word():
     """Put filterpy's module back: it must still run, and the outlier must then hurt."""
     original = SNIPPETS[0].replace("from robust_filterpy.kalman import", "from filterpy.kalman import")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import integrate, signal
+from scipy import integrate
 from statsmodels.tsa.stattools import acovf
 
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, prbs, receding_horizon_binary
@@ -72,14 +72,6 @@ def test_equation_56_is_one_over_f():
     assert bandlimited_pink_spectrum(1.0, *BAND) == pytest.approx(2 * bandlimited_pink_spectrum(2.0, *BAND))
 
 
-@pytest.mark.parametrize("band", [(0, 1), (-1, 1), (2.5, 0.5), (1, 1), (0.5, 3.2), (np.nan, 1), (0.5, np.inf)])
-def test_an_impossible_band_is_refused(band):
-    with pytest.raises(ValueError, match="w_low < w_high"):
-        bandlimited_pink_autocovariance(*band, 3)
-    with pytest.raises(ValueError, match="w_low < w_high"):
-        bandlimited_pink_spectrum(1.0, *band)
-
-
 # --- sample autocovariance ---
 
 
@@ -100,34 +92,19 @@ def test_equation_54_is_the_non_central_sample_autocovariance():
     np.testing.assert_allclose(sample_autocovariance(s, 8, mean=0), lag_sums(s, 8) / 30, atol=1e-15)
 
 
-@pytest.mark.parametrize(("arguments", "error", "words"), [
-    (([], 0), ValueError, "at least 1 number"), (([[1.0, 2.0]], 0), ValueError, "one-dimensional"),
-    (([1.0, np.nan], 0), ValueError, "index 1"), (([1.0, 2.0], 2), ValueError, "at most 1"),
-    (([1.0, 2.0], -1), ValueError, "n_lags"), (([1.0, 2.0], 1.0), TypeError, "n_lags"),
-    ((["a"], 0), TypeError, "real numbers"),
-])  # fmt: skip
-def test_sample_autocovariance_refuses(arguments, error, words):
-    with pytest.raises(error, match=words):
-        sample_autocovariance(*arguments)
-
-
 # --- receding horizon, eqs (54)-(55) ---
 
 
-@pytest.mark.parametrize("m", [1, 3])
-def test_identical_to_the_steps_as_printed(m):
-    r = bandlimited_pink_autocovariance(*BAND, 40)
-    np.testing.assert_array_equal(receding_horizon_binary(r, 300, m), steps_as_printed(r, 300, m))
-
-
-@pytest.mark.pairwise
-@pytest.mark.parametrize("m", [1, 2, 4, 7])
-@pytest.mark.parametrize(("r", "levels"), [
-    ([0.6, 0.2, -0.1], (-1, 1)), ([1.0], (-1, 1)), ([2.0, 0.7, 0.3, 0.1], (-2, 3)),
-    ([0.25, 0.1, 0.0, -0.1, 0.01], (0, 1)), ([1.0, 0.0, 0.0, 0.0], (-1, 1)),
+@pytest.mark.parametrize(("r", "levels", "m", "length"), [
+    (bandlimited_pink_autocovariance(*BAND, 40), (-1, 1), 1, 300), ([1.0], (-1, 1), 3, 40),
+    (bandlimited_pink_autocovariance(*BAND, 40), (-1, 1), 3, 150), ([2.0, 0.7, 0.3, 0.1], (-2, 3), 4, 40),
+    ([0.25, 0.1, 0.0, -0.1, 0.01], (0, 1), 2, 40), ([1.0, 0.0, 0.0, 0.0], (-1, 1), 7, 40),
+    # 2^13 tuples take two blocks.
+    ([0.6, 0.5, 0.4], (-1, 1), 13, 3),
 ])  # fmt: skip
-def test_identical_to_the_steps_as_printed_at_other_levels_and_powers(r, levels, m):
-    np.testing.assert_array_equal(receding_horizon_binary(r, 40, m, levels), steps_as_printed(r, 40, m, *levels))
+def test_identical_to_the_steps_as_printed(r, levels, m, length):
+    found = receding_horizon_binary(r, length, m, levels)
+    np.testing.assert_array_equal(found, steps_as_printed(r, length, m, *levels))
 
 
 @pytest.mark.parametrize("size", range(1, 13))
@@ -145,21 +122,6 @@ def test_the_first_sample_begins_the_best_signal_of_an_exhaustive_search(size):
         assert drawn == starts == {-1, 1}
 
 
-def test_many_tuples_are_weighed_in_blocks_with_the_result_of_one():
-    # 2^13 tuples take two blocks; the second holds those that begin with a one.
-    r = [0.6, 0.5, 0.4]
-    found = receding_horizon_binary(r, 4, 13)
-    target = zero_one_target(r, -1, 1)
-    s = []
-    for t in range(4):
-        tuples = np.array(list(product((0, 1), repeat=13)))
-        whole = np.hstack((np.tile(np.array(s, dtype=int).reshape(1, -1), (len(tuples), 1)), tuples))
-        sums = np.stack([(whole[:, k:] * whole[:, : whole.shape[1] - k]).sum(1) for k in range(3)], axis=1)
-        distance = np.linalg.norm(sums / (t + 13) - target, axis=1)
-        s.append(int(tuples[np.flatnonzero(distance <= distance.min() + 1e-12)[0], 0]))
-    np.testing.assert_array_equal(found, 2 * np.array(s) - 1)
-
-
 @pytest.mark.parametrize(("m", "expected"), [(1, 0.0078), (3, 0.0090)])
 def test_the_autocovariance_comes_within_a_hundredth(m, expected):
     r = bandlimited_pink_autocovariance(*BAND, 40)
@@ -169,17 +131,6 @@ def test_the_autocovariance_comes_within_a_hundredth(m, expected):
     # A fair coin misses r by its own size.
     coin = np.random.default_rng(0).choice((-1.0, 1.0), 10_000)
     assert np.sqrt(np.mean((sample_autocovariance(coin, 40) - r) ** 2)) > 10 * expected
-
-
-def test_the_spectrum_is_concentrated_in_the_band():
-    s = receding_horizon_binary(bandlimited_pink_autocovariance(*BAND, 40), 10_000)
-    f, power = signal.welch(s, fs=2 * np.pi, nperseg=1024, detrend=False)
-    inside = (f >= BAND[0]) & (f <= BAND[1])
-    # Of white noise the band would hold 64 %.
-    assert power[inside].sum() / power.sum() > 0.9
-    low = power[(f > 0.55) & (f < 0.8)].mean()
-    high = power[(f > 2.0) & (f < 2.4)].mean()
-    assert low / high == pytest.approx(2.2 / 0.675, rel=0.35)
 
 
 def test_less_variance_than_the_greatest_moves_the_mean_up():
@@ -211,37 +162,6 @@ def test_drawing_among_ties_costs_no_accuracy():
     for m in (1, 3):
         error = sample_autocovariance(receding_horizon_binary(r, 10_000, m, rng=5), 40) - r
         assert np.sqrt(np.mean(error**2)) < 0.011
-
-
-@pytest.mark.parametrize(("arguments", "error", "words"), [
-    (([1.0, 0.1], 0), ValueError, "length"),
-    (([1.0, 0.1], 5.0), TypeError, "length"),
-    (([1.0, 0.1], 5, 0), ValueError, "horizon"),
-    (([1.0, 0.1], 5, 21), ValueError, r"horizon.*at most 20"),
-    (([1.0, 0.1], 5, True), TypeError, "horizon"),
-    (([1.0, 0.1], 5, 1, (1, -1)), ValueError, "levels.*a < b"),
-    (([1.0, 0.1], 5, 1, (1, 1)), ValueError, "levels"),
-    (([1.0, 0.1], 5, 1, (0, 1, 2)), ValueError, "levels"),
-    (([1.0, 0.1], 5, 1, (0, np.inf)), ValueError, "levels"),
-    (([1.01, 0.1], 5), ValueError, r"\(b - a\)\^2/4 = 1, got r_0 = 1.01"),
-    (([1.0, 0.1], 5, 1, (0, 1)), ValueError, r"\(b - a\)\^2/4 = 0.25"),
-    (([0.0, 0.0], 5), ValueError, "r_0 > 0"),
-    (([-1.0, 0.0], 5), ValueError, "r_0 > 0"),
-    (([1.0, 1.1], 5), ValueError, "positive semidefinite"),
-    (([1.0, 0.9, 0.1], 5), ValueError, "positive semidefinite.*Toeplitz"),
-    (([], 5), ValueError, "autocovariance"),
-    (([[1.0, 0.1]], 5), ValueError, "ravel"),
-    (([1.0, np.nan], 5), ValueError, "finite"),
-    ((["r"], 5), TypeError, "autocovariance"),
-    (([1.0, 0.1j], 5), TypeError, "autocovariance"),
-])  # fmt: skip
-def test_what_no_binary_signal_can_have_is_refused(arguments, error, words):
-    with pytest.raises(error, match=words):
-        receding_horizon_binary(*arguments)
-
-
-def test_the_greatest_horizon_is_allowed():
-    assert receding_horizon_binary([1.0, 0.0], 1, 20).shape == (1,)
 
 
 def test_the_extreme_autocovariances_are_allowed():
@@ -283,13 +203,3 @@ def test_prbs_from_another_state_is_the_same_cycle_shifted():
     assert any((np.roll(s, k) == t).all() for k in range(31))
     assert (s != t).any()
     np.testing.assert_array_equal(t, prbs(31, rng=2))
-
-
-@pytest.mark.parametrize(("arguments", "options", "error", "words"), [
-    ((0,), {}, ValueError, "length"), ((2.0,), {}, TypeError, "length"), ((5, (1, 0)), {}, ValueError, "levels"),
-    ((5,), {"n_bits": 1}, ValueError, "n_bits"), ((5,), {"n_bits": 33}, ValueError, "n_bits"),
-    ((5,), {"hold": 0}, ValueError, "hold"),
-])  # fmt: skip
-def test_prbs_refuses(arguments, options, error, words):
-    with pytest.raises(error, match=words):
-        prbs(*arguments, **options)

@@ -6,6 +6,7 @@ import matplotlib
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from recordings import assert_refused
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify, plotting
 from robust_filterpy.identification import ARMAX, FIR, BoxJenkins, LinearRegression
@@ -142,17 +143,15 @@ def test_a_model_that_has_no_response_is_refused(model):
             call(identify(y, u, LinearRegression(1)))
         with pytest.raises(ValueError, match="at its start"):
             call(ParameterTracker(OutputError(2, 2)))
-        with pytest.raises(ValueError, match="level"):
-            call(model, level=95)
-        with pytest.raises(ValueError, match="at least one model"):
-            call({})
-        with pytest.raises(TypeError, match="models: expected a Model"):
-            call("model")
-        with pytest.raises(TypeError, match=r"models\['a'\]: expected a Model"):
-            call({"a": 3})
-    with pytest.raises(ValueError, match="omega: expected frequencies of shape"):
-        plotting.plot_bode(model, [0.1, 4.0])
     assert not plt.get_fignums()
+
+
+def test_bad_arguments_are_refused_by_name_and_nothing_is_drawn(model):
+    wrong = {"models": [{}, "model", {"a": 3}], "level": [95]}
+    assert_refused(plotting.plot_poles, {"models": model}, wrong)
+    assert_refused(plotting.plot_bode, {"models": model}, wrong | {"omega": [[0.1, 4.0]]})
+    # What the right arguments have drawn.
+    assert len(plt.get_fignums()) == 2
 
 
 def test_models_with_and_without_a_period_do_not_mix(model):
