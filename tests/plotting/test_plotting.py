@@ -102,8 +102,8 @@ def test_weights_lie_between_zero_and_one(ax, batch, run, kind):
 
 def test_parameters_have_paths_bands_and_one_truth_in_the_legend(ax, run):
     result, _ = run
-    assert plotting.figures.plot_parameters(result, truth=[-0.8, 1.0], names=["a1", "b1"], ax=ax) is ax
-    assert labels(ax) == ["±2 sigma", "a1", "b1", "true"]
+    assert plotting.figures.plot_parameters(result, truth=[-0.8, 1.0], names=["pole", "gain"], ax=ax) is ax
+    assert labels(ax) == ["±2 sigma", "pole", "gain", "true"]
     assert len(ax.lines) == 4 and len(ax.collections) == 2
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), result.theta[:, 1])
     assert set(ax.lines[2].get_ydata()) == {-0.8}
@@ -116,6 +116,12 @@ def test_the_first_band_does_not_flatten_the_paths(ax, run):
     assert len({line.get_linestyle() for line in ax.lines}) == len(ax.lines) == 2
     low, high = ax.get_ylim()
     assert low < -0.8 and 1.0 < high and high - low < 5.0
+
+
+def test_after_six_lines_their_looks_come_again(ax):
+    plotting.plot_states(np.zeros((5, 7)), np.tile(np.eye(7), (5, 1, 1)), ax=ax)
+    looks = [(line.get_color(), line.get_linestyle()) for line in ax.lines]
+    assert looks[6] == looks[0] and len(set(looks)) == 6
 
 
 def test_fit_says_the_percentage(ax):
