@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import recordings
 import support
-from recordings import RIGHT, A, B, silence, unheard
+from recordings import RIGHT, A, B, binary, silence, unheard
 from scipy.signal import lfilter
 from support import by_night
 
@@ -326,6 +326,15 @@ def test_an_open_loop_is_none(hold, structure, draws):
         u = np.repeat(rng.choice([-1.0, 1.0], 800 // hold + 1), hold)[:800]
         v = lfilter([1.0], [1.0, -0.9], rng.normal(size=800)) + np.where(rng.random(800) < 0.1, 5.0, 0.0)
         assert "closed loop" not in dict(kinds(lfilter([0.0, 0.5], [1.0, -0.8], u) + 0.3 * v, u, structure))
+
+
+def test_a_model_whose_pole_keeps_what_was_in_motion_begins_at_rest():
+    rng, u = binary(1, 300)
+    clean = lfilter([0.0, 0.3], [1.0, -1.0], u)
+    with pytest.warns(UserWarning, match="would keep what was in motion when y began .*: the model begins at rest"):
+        model = identify(clean + 0.3 * rng.normal(size=300), u, OutputError(1, 1), trend="constant")
+    assert [finding.kind for finding in model.findings] == ["slow start"]
+    assert np.abs(model.simulate(u) - clean).max() < 0.2
 
 
 # What is left of a model has a colour of its own: trends, standard deviations and inputs are judged beside it.
