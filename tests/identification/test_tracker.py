@@ -262,6 +262,7 @@ def test_bad_data_are_refused_by_name_and_nothing_changes(call, good, wrong):
     (lambda t: t.run([1.0, 2.0], [1.0, np.nan]), r"sample 1; .*u.ffill\(\)"),
     (lambda t: t.update(1.0, 1e200), r"the order is y, u\), got 1e\+200"),
     (lambda t: t.run([1.0, 2.0], [1.0, 1.0], [1.0, 0.0]), "R: expected variances > 0, got 0.0 in sample 1"),
+    (lambda t: t.run([1.0, 2.0], [1.0, 1.0], [1.0, np.inf]), "R: expected variances > 0, got inf in sample 1"),
     (lambda t: support.told_tracker(FIR(2, nk=0)).predict(), "next input"),
     (lambda t: support.told_tracker(FIR(4), P=np.ones(4)), r"P: expected shape \(4, 4\).*np.diag\(P\)"),
 ])  # fmt: skip
