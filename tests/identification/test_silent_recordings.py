@@ -160,7 +160,7 @@ def test_a_copy_of_another_signal_is_said(name):
         assert "copy" in {one.kind for one in modelled(name, y, u).findings}
 
 
-@pytest.mark.parametrize("name", support.by_night(STRUCTURES, "output error"))
+@pytest.mark.parametrize("name", support.by_night(STRUCTURES, "physics"))
 def test_a_short_recording_of_another_plant_in_a_list_is_said(name):
     parts = [recording(name, 5 + i, 120)[1:3] for i in range(3)]
     same = [y for y, _ in parts]
