@@ -18,7 +18,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy._version import __version__
 from robust_filterpy.edge.models import Described, described_filter, described_tracker, is_extended, mixes
-from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+from robust_filterpy.filters.conversion import AdaptiveKalmanFilter
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import Model, ParameterTracker

@@ -2,14 +2,13 @@
 
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
-* `adaptive`: `AdaptiveKalmanFilter`, the linear one with noises that are learned.
 * `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise given or learned, in several
   models of the state.
 * `series`: `filter_series`, many recordings, the noise of each learned on request.
 * `driver`: many steps, by the kernel where it serves, else by the definition.
 * `ensemble`: the ensemble Kalman filter.
 * `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
-* `conversion`: a robust filter made of an existing one.
+* `conversion`: code of filterpy's made robust: `robust`, and `AdaptiveKalmanFilter`, which learns the noises.
 * `shell`, `nonlinear_mixin`: what these classes share: options, steps by the kernel, what a correction shows.
 * `states`: what a filter holds and has learned, put away and taken up again.
 * `problem`: a recording of a linear filter, read once, and `batch_filter`.

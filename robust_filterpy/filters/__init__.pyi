@@ -1,4 +1,4 @@
-from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter as AdaptiveKalmanFilter
+from robust_filterpy.filters.conversion import AdaptiveKalmanFilter as AdaptiveKalmanFilter
 from robust_filterpy.filters.conversion import robust as robust
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter as RobustEnsembleKalmanFilter
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter as RobustExtendedKalmanFilter

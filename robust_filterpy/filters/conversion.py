@@ -1,4 +1,4 @@
-"""`robust`: make a robust filter of one of filterpy's that is already set up, or already running."""
+"""Code of filterpy's made robust: a filter that is set up, by `robust`; an import line, by a filter that learns noises."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 
+from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.policies import Options, with_options
@@ -18,7 +20,7 @@ from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, Robu
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["robust"]
+__all__ = ["AdaptiveKalmanFilter", "robust"]
 
 _OURS: dict[type, Any] = {
     KalmanFilter: RobustKalmanFilter,
@@ -106,3 +108,53 @@ def _empty(theirs: Any, ours: Any) -> Any:
     """Return a filter without attributes, for pickle."""
     cls = _subclass(theirs, ours)
     return cls.__new__(cls)
+
+
+class AdaptiveKalmanFilter(RobustKalmanFilter):
+    """Filter like `filterpy.kalman.KalmanFilter`, and learn the noises while filtering.
+
+    `RobustKalmanFilter` with ``noise=Learnt()`` and ``process=Scales()``, which stand there, and nothing else.
+
+    Parameters
+    ----------
+    dim_x, dim_z, dim_u : int
+        Lengths of the state, the measurement and the control input.
+    noise : Learnt or Contaminated, default Learnt()
+        How measurements fail.
+    process : Scales, Contaminated or None, default Scales()
+        What the process noise may be. None trusts Q: the state's own motion then looks like noise where Q is far too
+        small, R grows, and the filter stops following.
+    grouping : {"component", "joint"} or tuple of tuple of int
+        Whether each sensor has a noise of its own and fails on its own, or all together, as one sensor that reports a
+        vector; or which fail together, each with a noise of its own, such as ``((0, 1), (2,))``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a dimension or an option is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> kf = AdaptiveKalmanFilter(1, 1)
+    >>> kf.H, kf.R, kf.Q = np.eye(1), 100.0 * np.eye(1), 0.01 * np.eye(1)
+    >>> for bad in rng.random(500) < 0.1:
+    ...     kf.predict()
+    ...     kf.update(rng.normal() * (10.0 if bad else 1.0))
+    >>> bool(0.6 < kf.R_learnt[0, 0] < 1.6), bool(abs(kf.noise_learnt.contamination[0] - 0.1) < 0.06)
+    (True, True)
+    """
+
+    def __init__(
+        self,
+        dim_x: int,
+        dim_z: int,
+        dim_u: int = 0,
+        *,
+        noise: Contaminated | Learnt | str = Learnt(),
+        process: Contaminated | Scales | str | None = Scales(),
+        grouping: Grouping = "component",
+    ) -> None:
+        """Set up filterpy's attributes, the models and the noise."""
+        super().__init__(dim_x, dim_z, dim_u, grouping=grouping, noise=noise, process=process)

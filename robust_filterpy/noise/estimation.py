@@ -17,8 +17,18 @@ from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.policies import Contaminated
-from robust_filterpy.noise._likelihood import log_likelihoods, of_filter, of_tracker, scaled
-from robust_filterpy.noise._problem import LOGIT_LIMITS, SCALE_LIMIT, Ends, NoiseFit, bounds, rises
+from robust_filterpy.noise._problem import (
+    LOGIT_LIMITS,
+    SCALE_LIMIT,
+    Ends,
+    NoiseFit,
+    bounds,
+    log_likelihoods,
+    of_filter,
+    of_tracker,
+    rises,
+    scaled,
+)  # fmt: skip
 
 __all__ = ["NoiseEstimate", "NoiseIntervals", "estimate_noise"]
 

@@ -3,8 +3,8 @@
 * `smoother`: `smooth` for a filter and its recording, `smooth_series` for many series.
 * `linear_pass`: from filters and lists to whitened arrays, checked; one weighted pass of a linear smoother.
 * `rules`: what is made of the residuals: weights of a psi, or contamination and size of outliers, learned on the way.
-* `sweeps`: pass after pass until the estimate stays; for a psi that never falls the optimum, by Newton's method.
-* `readings`: what else of a recording may be left out, which reading of it is the most probable; whether Q and R fit.
+* `sweeps`: pass after pass until the estimate stays; what else of a recording may be left out, which reading of it is
+  the most probable; whether Q and R fit.
 * `nonlinear`: extended, unscented and cubature filters, made linear about the smoothed trajectory.
 * `fixed_lag`: the live form.
 

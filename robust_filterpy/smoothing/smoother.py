@@ -20,9 +20,8 @@ from robust_filterpy.filters.series import series_arguments
 from robust_filterpy.influence.functions import Influence, Linear
 from robust_filterpy.smoothing.linear_pass import Recording, linear_recording, problem
 from robust_filterpy.smoothing.nonlinear import is_nonlinear, nonlinear_trajectory
-from robust_filterpy.smoothing.readings import doubted_stretches, log_probability, misfits
 from robust_filterpy.smoothing.rules import Learnt, Psi, Rule, rule_of
-from robust_filterpy.smoothing.sweeps import reweighted
+from robust_filterpy.smoothing.sweeps import doubted_stretches, log_probability, misfits, reweighted
 
 __all__ = ["Smoothed", "smooth", "smooth_series"]
 

@@ -3,16 +3,42 @@
 The first sweeps are graduated: residuals are divided by their own typical size, so that neither an outlier that bent
 the first estimate nor what it bent is mistaken for the other, and a redescending psi does not lock out. For a psi that
 never falls the sweeps end at the optimum of sum of rho(residuals) + squares of the process noise, wherever they began.
+
+Where a recording can be read in two ways: what else may be left out, and which reading is the more probable.
+
+A burst that lasts as long as what is before it can be followed, and the good samples around it left out: the search
+that doubts single samples comes to rest there as well. What the search left out in a row, and where readings jump, cuts
+the recording into stretches; one after the other is taken for missing, and what is left is searched. Of what is found
+the most probable is kept: density of the measurements together with which of them are outliers. Samples that are left
+out in a row may share one offset, which a burst has and good samples taken for bad ones do not; but not what lasts for
+long, or from or to an end of the recording, which the state itself may have done.
+
+Whether Q and R fit a recording: what a smoother leaves, in units of what they say should be left. Each measurement is
+compared with what all the others say of it (auxiliary residuals; A. C. Harvey and S. J. Koopman, Journal of Business &
+Economic Statistics 10, 1992)::
+
+    e = z - H x_s,   V = H P_s H',   e_others = (e + V o)/(1 - d V),   variance 1 + V/(1 - d V)   in units of R,
+    w = G's,   variance G'L G                                                                    in units of Q,
+
+the process noise by its mean square, the measurements by the median of those that are believed. A mean square of what
+is a projection of independent noise has a standard deviation of at most sqrt(2/d), d the sum of its variances; its cube
+root is nearly normal (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931). An R that is far too small hides from that
+median: learned noise takes the larger half of ordinary noise for outliers. But then there are many of them, and so many
+are said.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.smoothing.linear_pass import Model, Smooth, Weighting, smoothing_pass
+from robust_filterpy.filters.series import filter_series
+from robust_filterpy.influence.functions import Linear
+from robust_filterpy.smoothing.linear_pass import Model, Recording, Smooth, Weighting, smoothing_pass
 from robust_filterpy.smoothing.rules import Ordinary, Rule
 
 # By how much linearizations may still move the estimate, in its standard deviations; where several optima may be, no
@@ -133,7 +159,6 @@ def _temperature(model: Model, smooth: Smooth, weighting: Weighting, observed: A
     return np.where(factor > _COOL, factor, 1.0)[:, None, None]
 
 
-
 def by_others(
     z: Array, smooth: Smooth, weighting: Weighting, some: slice = slice(None)
 ) -> tuple[Array, Array, np.ndarray]:
@@ -146,3 +171,184 @@ def by_others(
     inverse = 1.0 / (1.0 + V / apart)
     e = z[:, some] - smooth.fitted[:, some] + V * weighting.offset[:, some]
     return (e / apart) ** 2 * inverse, inverse, informed
+
+
+# What is said: variances wrong by more than this, and by so many standard deviations.
+_WRONG, _SURE = 2.5, 4.0
+# By how much a median of squares varies more than their mean.
+_OF_MEDIAN = 1.65
+_BELIEVED = 0.5
+# More outliers than this, by so many standard deviations of their number, are ordinary noise that R does not know.
+_MANY, _MORE = 1.0 / 3.0, 2.0
+_TINY = 1e-30
+
+
+def misfits(model: Model, fit: Fit, weights: Array) -> list[str]:
+    """Return what is said of Q and R for each series, nothing where they fit."""
+    # weights (series, steps, m): how much each measurement was believed, NaN where it is missing.
+    smooth = fit.smooth
+    believed, measured = np.asarray(weights > _BELIEVED), ~np.isnan(weights)
+    count = np.maximum(measured.sum(axis=1), 1)
+    share = 1.0 - believed.sum(axis=1) / count
+    many = share > _MANY + _MORE * np.sqrt(_MANY * (1.0 - _MANY) / count)
+    left, of_left = _left(model.z, smooth, fit.weighting, believed)
+    degrees = np.einsum("snii->s", smooth.information)
+    driven = np.einsum("snr,snr->s", smooth.score, smooth.score) / np.maximum(degrees, _TINY)
+    odd = []
+    for s in range(len(weights)):
+        parts = []
+        for j in np.flatnonzero(measured[s].any(axis=0)):
+            if many[s, j]:
+                parts.append(f"{share[s, j]:.0%} of the measurements of sensor {j} look like outliers to R")
+            elif _differs(left[s, j], of_left[s, j]):
+                parts.append(f"what is left of sensor {j} is {left[s, j]:.2g} times as large (in variance) as R says")
+        if _differs(driven[s], degrees[s]):
+            parts.append(f"the process noise is {driven[s]:.2g} times as large (in variance) as Q says")
+        odd.append(", ".join(parts))
+    return odd
+
+
+def _left(z: Array, smooth: Smooth, weighting: Weighting, believed: np.ndarray) -> tuple[Array, Array]:
+    """Return how large what is left of each sensor is, and of how many degrees of freedom, both (series, m)."""
+    squares, variance, informed = by_others(z, smooth, weighting)
+    informative = believed & informed
+    ordered = np.sort(np.where(informative, squares, np.inf), axis=1)
+    middle = np.maximum(informative.sum(axis=1) - 1, 0)[:, None] // 2
+    median = np.take_along_axis(ordered, middle, axis=1)[:, 0]
+    return median / MEDIAN_SQUARE, np.where(informative, variance, 0.0).sum(axis=1) / _OF_MEDIAN**2
+
+
+def _differs(size: float, degrees: float) -> bool:
+    """Return whether a mean square is neither 1 nor nearly 1, for sure."""
+    if degrees <= _TINY:
+        return False
+    apart = 2.0 / (9.0 * degrees)
+    low, high = ((1.0 - apart + side * _SURE * np.sqrt(apart)) for side in (-1.0, 1.0))
+    return bool(size > max(_WRONG, high**3) or size < min(1.0 / _WRONG, max(low, 0.0) ** 3))
+
+
+# Outliers in a row, at least, and how many such rows chance may have made; how many stretches are doubted at most, the
+# longest first.
+_ROW, _CHANCE, _STRETCHES = 5, 0.01, 6
+# Times the typical change from reading to reading that is a jump; times an outlier's size that an offset may have, and
+# the share of a recording for which it may last.
+_JUMP, _OFFSET, _LASTS = 8.0, 10.0, 0.25
+_TYPICAL = 0.6745
+
+
+def doubted_stretches(recording: Recording, outliers: np.ndarray) -> list[np.ndarray]:
+    """Return what else may be left out of one series, each (steps,) of bool; nothing where outliers come one by one."""
+    # outliers (steps,): which samples a search from the usual start has left out.
+    if not len(_rows(outliers)):
+        return []
+    rows, steps = _rows(outliers, by_chance=True), len(outliers)
+    jumps = _jumps(recording)
+    inside = np.concatenate([jumps[(begin <= jumps) & (jumps <= end)] for begin, end in rows])
+    stretches = set()
+    for cuts in (inside, rows.ravel(), np.concatenate([inside, rows.ravel()])):
+        cuts = np.unique(np.concatenate([[0, steps], cuts])).tolist()
+        stretches |= {(a, b) for a, b in itertools.pairwise(cuts) if _ROW <= b - a <= steps // 2}
+    longest = sorted(stretches, key=lambda pair: pair[0] - pair[1])[:_STRETCHES]
+    places = np.arange(steps)
+    return [(begin <= places) & (places < end) for begin, end in longest]
+
+
+def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: Array, process: Array) -> float:
+    """Return log p(z, which are outliers) of one series, a constant apart."""
+    # outliers (steps, m), jumps (steps,): which measurements, and which steps of the process, are large; noise (2, m)
+    # and process (2,): share of the large ones and their standard deviation over that of the others.
+    # Outliers in a row either have nothing to do with each other, or one offset and ordinary noise: whatever is more
+    # probable, row by row.
+    F, G, c, H, z, x0, P0 = recording.model
+    if c.any():
+        z = z - _moved_by(c, F, H, z.shape[1])
+    there = recording.observed.astype(bool)
+    scale = np.where(jumps, process[1] ** 2, 1.0)[None, :, None, None]
+    z, Q = np.where(there, z, np.nan), scale * (G @ G.swapaxes(-1, -2))
+    rows = [(i, begin, end) for i, large in enumerate(outliers.T) for begin, end in _bursts(large)]
+    bursts: list[tuple[int, int, int]] = []
+    best = -math.inf
+    for more in ([], *([row] for row in rows)):
+        tried = [*bursts, *more]
+        alone = outliers & ~_inside(tried, outliers.shape)
+        density = _density(z, F, H, Q, alone, noise, x0, P0, tried)
+        # A burst is as likely as one outlier.
+        density += _labels(alone, there[0] & ~_inside(tried, alone.shape), noise[0])
+        density += sum(float(np.log(noise[0, i])) for i, *_ in tried)
+        if density > best:
+            best, bursts = density, tried
+    return best + _labels(jumps, np.ones(len(jumps), dtype=bool), process[0])
+
+
+def _bursts(large: np.ndarray) -> list[list[int]]:
+    """Return the rows of outliers that may have one offset: where they begin and end."""
+    steps, rows = len(large), _rows(large).tolist()
+    return [[begin, end] for begin, end in rows if 0 < begin and end < steps and end - begin <= _LASTS * steps]
+
+
+def _inside(rows: list[tuple[int, int, int]], shape: tuple[int, ...]) -> np.ndarray:
+    """Return which samples of which components are in one of the rows."""
+    mask = np.zeros(shape, dtype=bool)
+    for i, begin, end in rows:
+        mask[begin:end, i] = True
+    return mask
+
+
+def _density(
+    z: Array, F: Array, H: Array, Q: Array, outliers: Array, noise: Array, x0: Array, P0: Array,
+    offsets: list[tuple[int, int, int]],
+) -> float:  # fmt: skip
+    """Return log p(z | which are outliers); offsets: component, begin and end of rows that have one each."""
+    (steps, m), n, more = outliers.shape, F.shape[-1], len(offsets)
+    H = np.concatenate([np.broadcast_to(H, (1, steps, m, n)), np.zeros((1, steps, m, more))], axis=-1)
+    for k, (i, begin, end) in enumerate(offsets):
+        H[0, begin:end, i, n + k] = _OFFSET * noise[1, i]
+    F, Q, P0 = (np.pad(a, [(0, 0)] * (a.ndim - 2) + [(0, more)] * 2) for a in (F, Q, P0))
+    for matrix in (F, P0):
+        matrix[..., range(n, n + more), range(n, n + more)] = 1.0
+    R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
+    filtered = filter_series(
+        z, F, H, Q, R[None], np.pad(x0, [(0, 0)] * (x0.ndim - 1) + [(0, more)]), P0,
+        influence=Linear(), keep="last", covariance="none",
+    )  # fmt: skip
+    return float(filtered.log_likelihood[0])
+
+
+def _labels(large: Array, there: Array, share: Array) -> float:
+    """Return the log probability of these being large and the others not; 0 for a share that was not learned."""
+    each = np.where(large, np.log(share), np.log1p(-share))
+    return float(np.where(there & np.isfinite(each), each, 0.0).sum())
+
+
+def _rows(outliers: np.ndarray, by_chance: bool = False) -> np.ndarray:
+    """Return where rows of outliers begin and end, (rows, 2); one good sample does not end a row."""
+    closed = np.pad(outliers.astype(int), 1)
+    closed[1:-1] |= closed[:-2] & closed[2:]
+    edges = np.flatnonzero(np.diff(closed)).reshape(-1, 2)
+    # Of independent outliers, steps share^length rows begin anywhere; a row may have gaps of one.
+    steps, share = len(outliers), 0.0 if by_chance else min(float(outliers.mean()), 0.5)
+    share *= 2.0 - share
+    length = max(_ROW, math.log(_CHANCE / steps) / math.log(share)) if share > 0.0 else _ROW
+    return edges[edges[:, 1] - edges[:, 0] >= length]
+
+
+def _jumps(recording: Recording) -> np.ndarray:
+    """Return the samples whose readings are far from those before, in units of how far that is as a rule."""
+    z = np.where(recording.observed[0], recording.model.z[0], np.nan)
+    far = np.zeros(len(z), dtype=bool)
+    for reading in z.T:
+        there = np.flatnonzero(~np.isnan(reading))
+        change = np.abs(np.diff(reading[there]))
+        if len(change):
+            far[there[1:][change > _JUMP * max(float(np.median(change)) / _TYPICAL, np.finfo(float).tiny)]] = True
+    return np.flatnonzero(far)
+
+
+def _moved_by(c: Array, F: Array, H: Array, steps: int) -> Array:
+    """Return what inputs alone add to the measurements, (1, steps, m)."""
+    x, added = np.zeros(F.shape[-1]), []
+    F, c, H = (np.broadcast_to(a[0], (steps, *a.shape[2:])) for a in (F, c, H))
+    for F_k, c_k, H_k in zip(F, c, H, strict=True):
+        x = F_k @ x + c_k
+        added.append(H_k @ x)
+    return np.array([added])

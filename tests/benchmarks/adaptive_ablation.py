@@ -37,7 +37,7 @@ from filterpy.kalman import KalmanFilter
 from kernel_mutations import HEADERS, ROOT, build
 
 from robust_filterpy import kernel
-from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+from robust_filterpy.filters.conversion import AdaptiveKalmanFilter
 
 BEGIN, END = "% ablation: made by tests/benchmarks/adaptive_ablation.py", "% ablation: end"
 #: What counts as a difference: of the log of an error, of a share of states, in steps; and in standard errors.

@@ -23,7 +23,7 @@ from statsmodels.robust.norms import TrimmedMean
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.correction import Scales
-from robust_filterpy.filters.adaptive import AdaptiveKalmanFilter
+from robust_filterpy.filters.conversion import AdaptiveKalmanFilter
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "learnt_noise.md"
 BEGIN, END = "% traps: made by tests/benchmarks/adaptive_traps.py", "% traps: end"

@@ -23,8 +23,7 @@ from scipy.stats import ortho_group
 
 from robust_filterpy import estimate_noise
 from robust_filterpy.filters.problem import Problem
-from robust_filterpy.noise._likelihood import of_filter
-from robust_filterpy.noise._problem import NoiseFit, descend, valleys
+from robust_filterpy.noise._problem import NoiseFit, descend, of_filter, valleys
 from robust_filterpy.noise.estimation import NoiseEstimate
 
 SHARES = (0.0, 0.1, 0.3)

@@ -8,8 +8,7 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from support import by_night, draws, told
 
 from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
-from robust_filterpy.noise._likelihood import log_likelihoods, of_filter
-from robust_filterpy.noise._problem import NoiseFit, descend, valleys
+from robust_filterpy.noise._problem import NoiseFit, descend, log_likelihoods, of_filter, valleys
 from robust_filterpy.noise.estimation import estimate_noise
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])
