@@ -8,6 +8,7 @@ have to believe in, P H' (H P H')^-1 y: what the sensors cannot see stays as cer
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
@@ -57,7 +58,7 @@ def watched(
     observed = np.flatnonzero(y == y)
     if not observed.size:
         return before, False
-    S, bound = S[np.ix_(observed, observed)], _bound(observed.size)
+    S, bound = S if observed.size == y.size else S[np.ix_(observed, observed)], _bound(observed.size)
     if _length(S, y[observed]) <= bound:
         return before.nearer(), False
     agrees = False
@@ -98,16 +99,16 @@ def jump_of(y: Array, C: Array, N: Array) -> Array | None:
     return np.asarray(gained * np.outer(jump, jump))
 
 
-@np.errstate(over="ignore", under="ignore")
 def _length(S: Array, y: Array) -> float:
     """Return the length of an innovation in standard deviations, without directions that carry no information."""
-    unit = np.sqrt(np.where(S.diagonal() > 0.0, S.diagonal(), 1.0))
+    variances = S.diagonal()
+    unit = np.sqrt(variances if min(variances.tolist()) > 0.0 else np.where(variances > 0.0, variances, 1.0))
     Z = S / unit / unit[:, None]
     # Of numbers that can be divided by a small unit.
-    peak = float(np.abs(y).max()) or 1.0
+    peak = max(map(abs, y.tolist())) or 1.0
     length, direction = length_and_direction(y / peak / unit)
     try:
         solved = np.linalg.solve(Z, direction)
-    except (np.linalg.LinAlgError, FloatingPointError):
+    except np.linalg.LinAlgError:
         solved = np.linalg.pinv(Z, hermitian=True) @ direction
-    return peak * float(length) * float(np.sqrt(max(float(direction @ solved), 0.0)))
+    return float(peak * length * math.sqrt(max(float(direction @ solved), 0.0)))

@@ -1,4 +1,4 @@
-"""Code of filterpy's made robust: a filter that is set up, by `robust`; an import line, by a filter that learns noises."""
+"""Code of filterpy's made robust: a filter that is set up, by `robust`; an import line, by `AdaptiveKalmanFilter`."""
 
 from __future__ import annotations
 

@@ -112,9 +112,8 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         **options: Unpack[Options],
     ) -> None:
         """Draw the ensemble and set up filterpy's attributes and the choices."""
-        _checks.count("dim_z", dim_z, 1)
         _checks.count("N", N, 2)
-        self._set_policy(dim_z, options)
+        self._set_policy(options, dim_z=dim_z)
         self.rng = np.random.default_rng() if rng is None else rng
         self.dim_z, self.inv = dim_z, np.linalg.inv
         x = _checks.finite_vector("x", x)

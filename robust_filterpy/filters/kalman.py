@@ -178,9 +178,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     @with_options
     def __init__(self, dim_x: int, dim_z: int, dim_u: int = 0, **options: Unpack[Options]) -> None:
         """Set up filterpy's attributes and the choices."""
-        for name, value, least in (("dim_x", dim_x, 1), ("dim_z", dim_z, 1), ("dim_u", dim_u, 0)):
-            _checks.count(name, value, least)
-        self._set_policy(dim_z, options)
+        self._set_policy(options, dim_x=dim_x, dim_z=dim_z, dim_u=dim_u)
         super().__init__(dim_x, dim_z, dim_u)
         # filterpy 1.4.5 has it as (dim_z, dim_z), with which update_correlated cannot work.
         self.M = np.zeros((dim_x, dim_z))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from filterpy.common import pretty_str
 
-from robust_filterpy import kernel
-from robust_filterpy._arrays import noise_covariance, state_of
+from robust_filterpy import _checks, kernel
+from robust_filterpy._arrays import noise_covariance, regardless, state_of
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
@@ -67,20 +67,6 @@ def _made(name: str, words: str) -> Any:
     return property(read, lambda kf, value: setattr(kf, place, value), doc=words)
 
 
-class _Emptied(NamedTuple):
-    """A correction with nothing observed, made when somebody looks."""
-
-    last: Any
-    #: Of the innovation.
-    log_density: float = 0.0
-
-    def as_arrays(self) -> Correction:
-        """Return what led to it."""
-        last = self.last if type(self.last) is Correction else self.last.as_arrays()
-        zero, none = np.zeros_like(last.y), np.full(last.y.shape, np.nan)
-        return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
-
-
 class Shell(StateMixin):
     """Add to a filter of filterpy's the choices of a robust correction and the attributes that show what it did.
 
@@ -115,8 +101,10 @@ class Shell(StateMixin):
     def influence(self, value: Any) -> None:
         self._choose(influence=value)
 
-    def _set_policy(self, dim_z: int, options: Any) -> None:
-        """Check and keep what was chosen, as `policy_of` takes it; called before filterpy's constructor."""
+    def _set_policy(self, options: Any, **dims: int) -> None:
+        """Check dimensions, and keep what was chosen as `policy_of` takes it; called before filterpy's constructor."""
+        for name, value in dims.items():
+            _checks.count(name, value, 0 if name == "dim_u" else 1)
         unknown = sorted(options.keys() - Options.__annotations__.keys())
         if unknown:
             names = ", ".join(Options.__annotations__)
@@ -127,7 +115,7 @@ class Shell(StateMixin):
         self._share, self._signs, self._updates, self._process_scales = Share(), None, 0, None
         self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
-        self._keep_sensors(Memories(self._policy.begin(dim_z), {}))
+        self._keep_sensors(Memories(self._policy.begin(dims["dim_z"]), {}))
         self._named_sensors = {}
 
     def _start(self) -> None:
@@ -286,7 +274,7 @@ class Shell(StateMixin):
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
         """Count a correction that the kernel took, and widen P where enough refused ones agreed."""
         y, S = moments_of(self._last)
-        carried, full = watched(self._kept, self._policy.patience, y, S, difference)
+        carried, full = regardless(watched, self._kept, self._policy.patience, y, S, difference)
         jump = None
         if full:
             kf: Any = self
@@ -359,12 +347,13 @@ class Shell(StateMixin):
         self.x_post, self.P_post = np.copy(self.x), np.copy(self.P)
         self._log_likelihood = self._likelihood = self._mahalanobis = None
 
-    def _emptied(self) -> _Emptied | None:
+    def _emptied(self) -> Correction | None:
         """Return the last correction with nothing observed: the scaling stays, the innovation is forgotten."""
-        last = self._record()
-        if type(last) is Parts:
-            last = self._arrays()
-        return last if last is None or type(last) is _Emptied else _Emptied(last)
+        last = self._arrays()
+        if last is None:
+            return None
+        zero, none = np.zeros_like(last.y), np.full(last.y.shape, np.nan)
+        return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
 
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""

@@ -157,9 +157,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         **options: Unpack[Options],
     ) -> None:
         """Set up filterpy's attributes and the choices."""
-        for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
-            _checks.count(name, value, 1)
-        self._set_policy(dim_z, options)
+        self._set_policy(options, dim_x=dim_x, dim_z=dim_z)
         # Robust's attributes ask for dim_z before filterpy's constructor has run.
         self._dim_x, self._dim_z = dim_x, dim_z
         super().__init__(dim_x, dim_z, dt, hx, fx, points, sqrt_fn, x_mean_fn, z_mean_fn, residual_x, residual_z)
@@ -390,9 +388,7 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         **options: Unpack[Options],
     ) -> None:
         """Set up filterpy's attributes and the choices."""
-        for name, value in (("dim_x", dim_x), ("dim_z", dim_z)):
-            _checks.count(name, value, 1)
-        self._set_policy(dim_z, options)
+        self._set_policy(options, dim_x=dim_x, dim_z=dim_z)
         super().__init__(dim_x, dim_z, dt, hx, fx, x_mean_fn, z_mean_fn, residual_x, residual_z)
         self.inv = np.linalg.inv
         # filterpy starts with y = 0 and K = 0, scalars that change their shape at the first update.
