@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import SMALL, STOPPED, RobustFilterWarning, pointer, warn, was_said
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import FILLED, HELD
 from robust_filterpy.filters.policies import lags
 
@@ -37,28 +37,32 @@ class Share:
 
     def __init__(self) -> None:
         """Start an empty window."""
-        self.window: list[tuple[Array, Array]] = []
-        # How many numbers there are, and of how many it is judged next.
-        self.numbers, self.due = 0, _NUMBERS // 2
+        self.window = np.empty((_NUMBERS, 2, 0))
+        # How many updates and numbers there are, and of how many it is judged next.
+        self.updates, self.numbers, self.due = 0, 0, _NUMBERS // 2
 
     def fills(self, m: int) -> bool:
         """Return whether the window may be judged after one more correction, by m sensors at most."""
-        return len(self.window) + 1 >= _UPDATES and self.numbers + m >= self.due
+        return self.updates + 1 >= _UPDATES and self.numbers + m >= self.due
 
     def look(self, kf: Any, weights: Array, y: Array) -> None:
         """Count one correction, and judge the window when it is full, or half full and nearly all of it clipped."""
-        if self.window and len(self.window[0][0]) != len(weights):
-            self.__init__()  # type: ignore[misc]
-        self.window.append((weights, y))
-        self.numbers += int(np.count_nonzero(weights == weights))
-        if len(self.window) < _UPDATES or self.numbers < self.due:
+        numbers = int(np.count_nonzero(weights == weights))
+        if not numbers:
             return
-        rows, least = self.window, _NEARLY_ALL
+        if self.window.shape[2] != len(weights):
+            self.__init__()  # type: ignore[misc]
+            self.window = np.empty((_NUMBERS, 2, len(weights)))
+        self.window[self.updates] = weights, y
+        self.updates, self.numbers = self.updates + 1, self.numbers + numbers
+        if self.updates < _UPDATES or self.numbers < self.due:
+            return
+        window, least = self.window[: self.updates], _NEARLY_ALL
         self.due = _NUMBERS
         if self.numbers >= _NUMBERS:
             least = _HALF
             self.__init__()  # type: ignore[misc]
-        _judge_share(kf, np.array([row for row, _ in rows]), np.array([row for _, row in rows]), least)
+        _judge_share(kf, window[:, 0], window[:, 1], least)
 
 
 def look_at_weights(kf: Any, weights: Array, y: Array) -> None:
@@ -77,7 +81,7 @@ def _judge_share(kf: Any, weights: Array, y: Array, least: float) -> None:
     """Warn, once for each class, if too much of what psi expects unclipped is: more than one jump or run clips."""
     name, m = type(kf).__name__, weights.shape[1]
     here = ~np.isnan(weights)
-    share = float((weights[here] < _weight_at_clip(kf.influence)).mean())
+    share = float((weights[here] < _weight_at_clip(kf.choices)).mean())
     if not share > least or was_said(OutlierShareWarning, name):
         return
     expected = _expected(kf.influence, kf.grouping, m)
@@ -99,13 +103,14 @@ def _judge_share(kf: Any, weights: Array, y: Array, least: float) -> None:
         )
 
 
-@lru_cache(maxsize=64)
-def _weight_at_clip(influence: Any) -> float:
+def _weight_at_clip(choices: Choices) -> float:
     """Return psi(e)/e of the largest e up to which psi' > 0; what is clipped has less."""
-    grid = np.linspace(0.0, 50.0, 50_001)
-    inside = np.asarray(influence.psi_deriv(grid)) > 0.0
-    last = len(grid) - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
-    return float(np.asarray(influence.weights(grid[[last]]))[0])
+    if "weight at clip" not in choices.derived:
+        grid, influence = np.linspace(0.0, 50.0, 50_001), choices.influence
+        inside = np.asarray(influence.psi_deriv(grid)) > 0.0
+        last = len(grid) - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
+        choices.derived["weight at clip"] = float(np.asarray(influence.weights(grid[[last]]))[0])
+    return float(choices.derived["weight at clip"])
 
 
 def _expected(influence: Any, grouping: str, m: int) -> float:

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robust_filterpy import Contaminated, RobustKalmanFilter, filter_series
+from robust_filterpy.correction import SingularInnovationError
 from robust_filterpy.filters import functions
 
 
@@ -28,3 +29,16 @@ def test_update_with_a_noise_is_that_of_a_filter_with_it():
 def test_many_series_have_no_patience():
     with pytest.raises(ValueError, match="patience: expected None for filter_series"):
         filter_series(np.zeros((1, 3, 1)), np.eye(1), np.eye(1), np.eye(1), np.eye(1), [0.0], np.eye(1), patience=3)
+
+
+def test_under_noise_a_user_s_inverse_changes_nothing_and_a_singular_S_is_an_error():
+    kf, other = (RobustKalmanFilter(1, 1, noise=Contaminated(0.1, 8.0)) for _ in range(2))
+    for one in (kf, other):
+        one.x, one.P, one.H, one.R = np.zeros(1), np.eye(1), np.eye(1), np.eye(1)
+    kf.inv = np.linalg.pinv
+    kf.update(7.0)
+    other.update(7.0)
+    assert_allclose(kf.x, other.x, rtol=1e-12)
+    kf.P, kf.R = np.zeros((1, 1)), np.zeros((1, 1))
+    with pytest.raises(SingularInnovationError, match="without noise="):
+        kf.update(7.0)
