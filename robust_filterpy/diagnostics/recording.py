@@ -15,7 +15,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.influence.functions import Huber
+from robust_filterpy.influence.information import clipping_point
 
 
 @dataclass(frozen=True)
@@ -148,17 +148,6 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
     )  # fmt: skip
 
 
-def threshold(influence: Any) -> float:
-    """Return where psi' ceases to be positive, infinite if nowhere below 100."""
-    if influence is None:
-        return math.inf
-    if isinstance(influence, Huber):
-        return influence.threshold
-    grid = np.linspace(0.0, 100.0, 100001)
-    flat = np.asarray(influence.psi_deriv(grid)) <= 0
-    return float(grid[flat.argmax()]) if flat.any() else math.inf
-
-
 def _stacked(name: str, values: list[Any], n: int) -> Array:
     """Return one row for each epoch."""
     sizes = {np.size(value) for value in values}
@@ -236,7 +225,7 @@ def bulk(e: Array) -> tuple[float, float]:
 
 def expected_clipped(recording: FilterRecord) -> tuple[Array, Array]:
     """Return the share of clipped samples of each sensor without outliers, and with all outliers clipped; or NaN."""
-    k, m, contamination = threshold(recording.influence), recording.y.shape[1], recording.contamination
+    k, m, contamination = clipping_point(recording.influence), recording.y.shape[1], recording.contamination
     if recording.influence is None and recording.clipped.any():
         # Weights of noise that is learned have no threshold.
         return np.full(m, np.nan), np.full(m, np.nan)
@@ -289,7 +278,7 @@ def whiteness(e: Array) -> tuple[float, float]:
 def unclipped_nis(recording: FilterRecord) -> Band:
     """Return the mean of y' S^-1 y over the samples of which nothing is clipped, and what it should be."""
     # What is left after clipping has the moments of a truncated normal (joint: chi-square) distribution.
-    k, m = threshold(recording.influence), recording.y.shape[1]
+    k, m = clipping_point(recording.influence), recording.y.shape[1]
     if not math.isfinite(k) or recording.scaling != "innovation":
         k = 3.0
     whole, is_joint = ~np.isnan(recording.y).any(axis=1), recording.grouping == "joint"

@@ -212,7 +212,10 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     @whole
     def _predict(self, u: Any, B: Any, F: Any, Q: Any) -> None:
         """Predict by the definition."""
-        x, P, carried = regardless(self._predicted, u, B, F, Q)
+        x, P = state_of(self)
+        F, noise, Bu = self._transition(x.shape, u, B, F, Q)
+        x, P, carried = regardless(self._policy.predicted, self._kept, x, P, F, noise, Bu, self._alpha_sq)
+        regardless(require_finite_prediction, x, P)
         self.x, self.P, self._kept = x, P, carried
         self.x_prior, self.P_prior = x.copy(), P.copy()
 
@@ -233,16 +236,10 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        predicted: tuple[Array, Array, Any] = regardless(self._predicted, u, B, F, self._noise_of_number(Q))
-        return predicted[:2]
-
-    def _predicted(self, u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
-        """Return the predicted mean, in the shape of x, the covariance and what else the policy keeps."""
-        x, P = state_of(self)
-        F, noise, Bu = self._transition(x.shape, u, B, F, Q)
-        x, P, carried = self._policy.predicted(self._kept, x, P, F, noise, Bu, self._alpha_sq)
-        require_finite_prediction(x, P)
-        return x, P, carried
+        twin, Q = copy.deepcopy(self), self._noise_of_number(Q)
+        if not twin._predict_by_kernel(u, B, F, Q):
+            twin._predict(u, B, F, Q)
+        return state_of(twin)
 
     def _transition(self, shape: tuple[int, ...], u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
         """Return checked F, Q, and B u in the shape of x, None if there is none."""

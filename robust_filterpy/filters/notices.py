@@ -12,6 +12,7 @@ from robust_filterpy._warning import SMALL, STOPPED, RobustFilterWarning, pointe
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.spread import FILLED, HELD
 from robust_filterpy.filters.policies import lags
+from robust_filterpy.influence.information import clipping_point
 
 __all__ = ["CorrelatedInnovationsWarning", "OutlierShareWarning", "StuckSensorWarning"]
 
@@ -106,10 +107,8 @@ def _judge_share(kf: Any, weights: Array, y: Array, least: float) -> None:
 def _weight_at_clip(choices: Choices) -> float:
     """Return psi(e)/e of the largest e up to which psi' > 0; what is clipped has less."""
     if "weight at clip" not in choices.derived:
-        grid, influence = np.linspace(0.0, 50.0, 50_001), choices.influence
-        inside = np.asarray(influence.psi_deriv(grid)) > 0.0
-        last = len(grid) - 1 if inside.all() else max(int(np.argmin(inside)) - 1, 0)
-        choices.derived["weight at clip"] = float(np.asarray(influence.weights(grid[[last]]))[0])
+        inside = max(min(clipping_point(choices.influence), 50.0) - 1e-3, 0.0)
+        choices.derived["weight at clip"] = float(np.asarray(choices.influence.weights(np.array([inside])))[0])
     return float(choices.derived["weight at clip"])
 
 

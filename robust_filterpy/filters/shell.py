@@ -29,7 +29,7 @@ _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
 _extension = kernel.extension()
 # What a subclass may do in its own way; then the kernel's is not that filter's.
-_METHODS = ("_predicted", "_transition", "_correct", "_measurement", "_corrected", "_inverse")
+_METHODS = ("_predict", "_transition", "_correct", "_measurement", "_corrected", "_inverse")
 
 
 def is_own(cls: type, base: type) -> bool:

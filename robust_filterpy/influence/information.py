@@ -66,6 +66,15 @@ def huber_log_normalizer(k: float, dim: int) -> float:
     return float(sphere + np.logaddexp(core, tail))
 
 
+def clipping_point(influence: Any) -> float:
+    """Return where psi' ceases to be positive, infinite if nowhere below 100, or if there is no psi."""
+    if influence is None or hasattr(influence, "from_contamination"):
+        return math.inf if influence is None else float(influence.threshold)
+    grid = np.linspace(0.0, 100.0, 100_001)
+    flat = np.asarray(influence.psi_deriv(grid)) <= 0.0
+    return float(grid[flat.argmax()]) if flat.any() else math.inf
+
+
 @np.errstate(under="ignore")
 def expected_information(influence: Any, noise: Any = None) -> float:
     """Return E[psi'(e)], the expected information of one standardized innovation (paper 40, 45).
