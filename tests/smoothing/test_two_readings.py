@@ -10,7 +10,7 @@ from support import mover, without_kernel
 
 from robust_filterpy import Huber, smooth
 from robust_filterpy.influence import Linear
-from robust_filterpy.smoothing.readings import _rows
+from robust_filterpy.smoothing.sweeps import _rows
 
 G = np.array([0.5, 1.0])
 PLANE = np.kron(np.eye(2), [[1.0, 1.0], [0.0, 1.0]])
