@@ -61,14 +61,6 @@ typedef struct {
     double *means, *covariances, *means_p, *covariances_p, *weights, *outlying, *scale, *log_likelihood;
 } learnt_job;
 
-static void keep(const learnt_job *job, npy_intp row, double *means, double *covariances) {
-    const int n = job->n;
-    if (means) real_copy(n, job->x, means + row * n);
-    if (!covariances) return;
-    for (npy_intp i = 0; i < job->width; i++)
-        covariances[row * job->width + i] = job->width == n ? job->P[i * n + i] : job->P[i];
-}
-
 /* Take steps until one is out of the ordinary; return the first that was not taken. */
 INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
     const learnt_rule rule = job->rule;
@@ -101,8 +93,8 @@ INLINE npy_intp run(const int n, const int m, learnt_job *job, double *work) {
                                spare);
             fine = fine && learnt_merge(n, &rule, s, job->x, job->P, spare);
             if (fine && kept_step) {
-                if (corrects) keep(job, row, job->means, job->covariances);
-                else keep(job, row, job->means_p, job->covariances_p);
+                if (corrects) series_keep(n, (int)job->width, row, job->x, job->P, job->means, job->covariances);
+                else series_keep(n, (int)job->width, row, job->x, job->P, job->means_p, job->covariances_p);
             }
         }
         if (!fine) {

@@ -545,32 +545,28 @@ static int in_one_piece(PyArrayObject *array) {
     return PyArray_TYPE(array) == NPY_DOUBLE && (PyArray_FLAGS(array) & one) != 0;
 }
 
-/* Keep what arrays of numbers hold, one after another and each after its size, in one piece: a copy of each as an array
-   of its own takes as long as a step. */
+/* What arrays in one piece hold, one after another: a copy of each as an array of its own takes as long as a step. */
 static PyObject *contents_of(PyObject *arrays) {
     const Py_ssize_t count = PyList_Size(arrays);
     Py_ssize_t total = 0;
     PyObject *contents;
     char *to;
     for (Py_ssize_t i = 0; i < count; i++) {
-        PyObject *const one = PyList_GetItem(arrays, i);
-        if (PyArray_CheckExact(one)) total += (Py_ssize_t)sizeof(npy_intp) + PyArray_NBYTES((PyArrayObject *)one);
+        PyObject *const array = PyList_GetItem(arrays, i);
+        if (PyArray_CheckExact(array)) total += PyArray_NBYTES((PyArrayObject *)array);
     }
     contents = PyBytes_FromStringAndSize(NULL, total);
     to = contents ? PyBytes_AsString(contents) : NULL;
     for (Py_ssize_t i = 0; to && i < count; i++) {
-        PyObject *const one = PyList_GetItem(arrays, i);
-        npy_intp size;
-        if (!PyArray_CheckExact(one)) continue;
-        size = PyArray_NBYTES((PyArrayObject *)one);
-        memcpy(to, &size, sizeof size);
-        memcpy(to + sizeof size, PyArray_DATA((PyArrayObject *)one), (size_t)size);
-        to += sizeof size + (size_t)size;
+        PyArrayObject *const array = (PyArrayObject *)PyList_GetItem(arrays, i);
+        if (!PyArray_CheckExact(array)) continue;
+        memcpy(to, PyArray_DATA(array), (size_t)PyArray_NBYTES(array));
+        to += PyArray_NBYTES(array);
     }
     return contents;
 }
 
-/* The writable arrays of a dictionary that nobody else has, and what they hold: for `put_back_arrays`. */
+/* The writable arrays of a dictionary that nobody else has, and what they hold: see robust_filterpy.filters.snapshot. */
 static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
     PyObject *arrays, *contents, *found, *key, *value;
     Py_ssize_t place = 0;
@@ -602,33 +598,6 @@ static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
     return found;
 }
 
-/* Let arrays hold again what `copied_arrays` found in them. */
-static PyObject *put_back_arrays(PyObject *self, PyObject *copied) {
-    PyObject *const arrays = PyTuple_GetItem(copied, 0), *const contents = arrays ? PyTuple_GetItem(copied, 1) : NULL;
-    const char *from = contents ? PyBytes_AsString(contents) : NULL;
-    const Py_ssize_t count = from ? PyList_Size(arrays) : -1;
-    (void)self;
-    if (count < 0) return NULL;
-    for (Py_ssize_t i = 0; i < count; i++) {
-        PyObject *const one = PyList_GetItem(arrays, i);
-        npy_intp size;
-        if (!PyArray_CheckExact(one)) {
-            PyObject *const array = PyTuple_GetItem(one, 0), *const copy = array ? PyTuple_GetItem(one, 1) : NULL;
-            if (!copy || PyArray_CopyInto((PyArrayObject *)array, (PyArrayObject *)copy) < 0) return NULL;
-            continue;
-        }
-        memcpy(&size, from, sizeof size);
-        /* The user's function may have given the array another size in place. */
-        if (!in_one_piece((PyArrayObject *)one) || PyArray_NBYTES((PyArrayObject *)one) != size) {
-            PyErr_SetString(PyExc_ValueError, "a filter's array was given another shape during a call");
-            return NULL;
-        }
-        memcpy(PyArray_DATA((PyArrayObject *)one), from + sizeof size, (size_t)size);
-        from += sizeof size + (size_t)size;
-    }
-    Py_RETURN_NONE;
-}
-
 PyMethodDef online_functions[] = {
     {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u, B, F, Q), None for its own."},
     {"predict_covariance", covariance_step, METH_O, "Predict a filter's P, and leave x where it is."},
@@ -642,5 +611,4 @@ PyMethodDef online_functions[] = {
     {"correct_moments", (PyCFunction)(void (*)(void))correct_moments, METH_FASTCALL,
      "Correct a state at 0 by an innovation of known moments; see robust_filterpy.kernel.moments."},
     {"copied_arrays", copied_arrays, METH_O, "Return the writable arrays of a dictionary, and what they hold."},
-    {"put_back_arrays", put_back_arrays, METH_O, "Let arrays hold again what copied_arrays found in them."},
     {NULL, NULL, 0, NULL}};
