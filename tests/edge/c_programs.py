@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import ctypes
+import re
 import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -370,3 +372,52 @@ def bounded(case):
 def distance(found, case):
     """Largest difference of a recording."""
     return float(distances(found, case)[-1])
+
+
+UNDEFINED = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
+
+
+class InC:
+    """A filter as C, compiled with functions of C's, and its state."""
+
+    def __init__(self, kf, folder, watched=(), functions=""):
+        export_c(kf, folder / "one.c")
+        (folder / "functions.c").write_text(functions)
+        for command in (
+            ["cc", *PLAIN, *watched, "-fPIC", "-c", "one.c"],
+            ["cc", "-ffp-contract=off", *watched, "-fPIC", "-shared", "functions.c", "one.o", "-lm", "-o", "one.so"],
+        ):
+            built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+            assert built.returncode == 0, built.stderr[:3000]
+        self.library, self.n, m = ctypes.CDLL(str(folder / "one.so")), kf.dim_x, kf.dim_z
+        self.model = ctypes.c_char.in_dll(self.library, "one_default")
+        header = (folder / "one.h").read_text()
+        fields = re.search(r"/\* What moves.*?\*/\ntypedef struct \{(.*?)\}", header, re.DOTALL).group(1)
+        sizes = (map(int, size.split("*")) for size in re.findall(r"\[([\d* ]+)\];", fields))
+        numbers = ctypes.c_double * sum(int(np.prod([*size])) for size in sizes)
+        self.state, self.shown = numbers(*numbers.in_dll(self.library, "one_start")), (ctypes.c_double * (3 * m))()
+
+    def of(self, name):
+        """The address of one of the functions' structures, None for none."""
+        return None if name is None else ctypes.byref(ctypes.c_char.in_dll(self.library, name))
+
+    def predict(self, *motion, u=()):
+        given = [(ctypes.c_double * len(u))(*u)] if len(u) else []
+        return self.library.one_predict(ctypes.byref(self.model), self.state, *map(self.of, motion), *given)
+
+    def update(self, z, *sensor):
+        z = np.atleast_1d(z)
+        given = (ctypes.c_double * len(z))(*z)
+        return self.library.one_update(ctypes.byref(self.model), self.state, *map(self.of, sensor), given, self.shown)
+
+    @property
+    def x(self):
+        return np.array(self.state[: self.n])
+
+    @property
+    def P(self):
+        return np.array(self.state[self.n : self.n + self.n**2]).reshape(self.n, self.n)
+
+    @property
+    def rest(self):
+        return np.array(self.state[self.n + self.n**2 :])

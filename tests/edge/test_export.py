@@ -26,7 +26,14 @@ from c_programs import (
 from support import draws, needs_kernel, without_kernel
 
 import robust_filterpy
-from robust_filterpy import AdaptiveKalmanFilter, Huber, RobustKalmanFilter, StudentT
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    Contaminated,
+    Huber,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    StudentT,
+)
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
@@ -358,7 +365,34 @@ REFUSED = {
     "indefinite": (lambda: changed(Q=np.array([[1.0, 2.0], [2.0, 1.0]])), ValueError, "Q: expected a positive"),
     "tracker's filter": (lambda: tracker(filter=AdaptiveKalmanFilter), TypeError, "got AdaptiveKalmanFilter"),
     "start": (lambda: tracker(), ValueError, r"run\(y, u\) .* start=0"),
+    "noise, joint": (lambda: changed(noise="learnt", grouping="joint"), ValueError, "sensor by sensor"),
+    "noise, process": (
+        lambda: changed(noise="learnt", process=Contaminated(0.1, 100.0)), ValueError, "process=None or Scales"
+    ),
+    "noise, inverse": (lambda: changed(noise="learnt", inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
+    "noise, wrapped": (lambda: changed(noise="learnt", update=print), ValueError, "filter's own update"),
+    "noise, negative": (lambda: changed(noise="learnt", P=-np.eye(2)), ValueError, "P: expected"),
+    "filterpy's extended": (
+        lambda: filterpy.kalman.ExtendedKalmanFilter(2, 1), TypeError, "a RobustExtendedKalmanFilter with the same"
+    ),
+    "extended of its own": (lambda: OwnUpdate(2, 1), TypeError, "predict_x alone"),
+    "extended, joint": (lambda: extended(noise="learnt", grouping="joint"), ValueError, "set noise=None"),
+    "extended, patience": (lambda: extended(scaling="innovation", patience=5), ValueError, "set patience=None"),
+    "extended, wrapped": (lambda: extended(update=print), ValueError, "update"),
+    "extended, inverse": (lambda: extended(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
+    "extended, shape": (lambda: extended(F=np.eye(3)), ValueError, "F: expected"),
+    "extended, negative": (lambda: extended(Q=-np.eye(2)), ValueError, "Q: expected"),
+    "extended, B": (lambda: extended(B=np.ones((3, 1))), ValueError, "B: expected"),
 }
+
+
+class OwnUpdate(RobustExtendedKalmanFilter):
+    def update(self, *args, **kwargs):
+        """May do anything."""
+
+
+def extended(**attributes):
+    return changed(RobustExtendedKalmanFilter(2, 1), **attributes)
 
 
 def joint(R):
@@ -367,8 +401,8 @@ def joint(R):
     return kf
 
 
-def changed(**attributes):
-    kf = plain()
+def changed(kf=None, **attributes):
+    kf = kf or plain()
     for name, value in attributes.items():
         setattr(kf, name, value)
     return kf
@@ -398,6 +432,8 @@ def test_numbers_that_single_precision_cannot_hold_are_refused(tmp_path):
         export_c(kf, tmp_path / "cart.c", precision="single")
     with pytest.raises(ValueError, match="precision"):
         export_c(kf, tmp_path / "cart.c", precision="half")
+    with pytest.raises(ValueError, match='expected "double" for noise that is given or learned'):
+        export_c(changed(noise="learnt"), tmp_path / "cart.c", precision="single")
     assert not list(tmp_path.iterdir())
 
 

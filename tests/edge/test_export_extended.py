@@ -1,6 +1,5 @@
 """The C of an extended filter, with the user's functions in C, is the package's kernel to the last bit."""
 
-import ctypes
 import math
 import re
 import shutil
@@ -8,13 +7,12 @@ import subprocess
 from pathlib import Path
 
 import c_programs
-import filterpy.kalman
 import numpy as np
 import pytest
+from c_programs import UNDEFINED, InC
 from support import needs_kernel
 
 from robust_filterpy import Contaminated, Huber, Learnt, RobustExtendedKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.edge import export_c
 from robust_filterpy.influence import Hampel, Linear
 
 pytestmark = [
@@ -126,40 +124,8 @@ def recording(seed, steps=200):
     return z, 0.1 * rng.normal(size=steps)
 
 
-UNDEFINED = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
-
-
-class InC:
-    """An extended filter as C, compiled with the functions above, and its state."""
-
-    def __init__(self, kf, folder, watched=()):
-        export_c(kf, folder / "one.c")
-        (folder / "functions.c").write_text(FUNCTIONS)
-        for command in (
-            ["cc", *c_programs.PLAIN, *watched, "-fPIC", "-c", "one.c"],
-            ["cc", "-ffp-contract=off", *watched, "-fPIC", "-shared", "functions.c", "one.o", "-lm", "-o", "one.so"],
-        ):
-            built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-            assert built.returncode == 0, built.stderr[:3000]
-        self.library = ctypes.CDLL(str(folder / "one.so"))
-        self.model, self.start = (ctypes.c_char.in_dll(self.library, f"one_{name}") for name in ("default", "start"))
-        field = re.search(r"memory\[2 \* (\d+)\]", (folder / "one.h").read_text())
-        self.memory = 2 * int(field.group(1)) if field else 0
-        self.state = (ctypes.c_double * (4 + 16 + self.memory)).in_dll(self.library, "one_start")
-        self.state = type(self.state)(*self.state)
-        self.shown = (ctypes.c_double * 6)()
-
-    def of(self, name):
-        """The address of one of the functions' structures, None for none."""
-        return None if name is None else ctypes.byref(ctypes.c_char.in_dll(self.library, name))
-
-    def predict(self, motion, *u):
-        inputs = [(ctypes.c_double * 1)(*u)] if u else []
-        return self.library.one_predict(ctypes.byref(self.model), self.state, self.of(motion), *inputs)
-
-    def update(self, z, sensor="radar"):
-        z = (ctypes.c_double * 2)(*z)
-        return self.library.one_update(ctypes.byref(self.model), self.state, self.of(sensor), z, self.shown)
+def in_c_of(kf, folder, watched=()):
+    return InC(kf, folder, watched, FUNCTIONS)
 
 
 def step(kf, in_c, z, u):
@@ -170,9 +136,9 @@ def step(kf, in_c, z, u):
         assert in_c.predict("drag") == c_programs.OK
     else:
         kf.predict([u])
-        assert in_c.predict(None, u) == c_programs.OK
+        assert in_c.predict(None, u=[u]) == c_programs.OK
     kf.update(z, jacobian, h, residual=residual)
-    assert in_c.update(z) == c_programs.OK
+    assert in_c.update(z, "radar") == c_programs.OK
 
 
 CHOICES = [
@@ -193,7 +159,7 @@ CHOICES = [
 def test_c_equals_the_kernel_to_the_last_bit(cls, choices, tmp_path):
     needs_kernel()
     kf = made(cls, **choices)
-    in_c = InC(kf, tmp_path)
+    in_c = in_c_of(kf, tmp_path)
     for seed in range(3):
         for k, (z, u) in enumerate(zip(*recording(seed), strict=True)):
             step(kf, in_c, z, u)
@@ -201,9 +167,8 @@ def test_c_equals_the_kernel_to_the_last_bit(cls, choices, tmp_path):
                 # The definition would differ in the last bits.
                 expected = np.concatenate([np.where(np.isnan(z), 0.0, kf.y), np.nan_to_num(kf.e), kf.weights])
                 assert np.array_equal(in_c.shown, expected, equal_nan=True), (seed, k)
-            found = np.array(in_c.state)
-            assert np.array_equal(found[:4], kf.x) and np.array_equal(found[4:20], kf.P.ravel()), (seed, k)
-            assert np.array_equal(found[20:], kf._memory.ravel()[: in_c.memory]), (seed, k)
+            assert np.array_equal(in_c.x, kf.x) and np.array_equal(in_c.P, kf.P), (seed, k)
+            assert np.array_equal(in_c.rest, kf._memory.ravel()[: in_c.rest.size]), (seed, k)
 
 
 MIXED = {"learnt": Learnt(), "learnt, two classes": Learnt((1.0, 50.0), 100.0, 20.0), "told": Contaminated(0.1, 100.0)}
@@ -215,30 +180,29 @@ MIXED = {"learnt": Learnt(), "learnt, two classes": Learnt((1.0, 50.0), 100.0, 2
 def test_noise_that_is_learnt_or_told_is_weighed_as_python_does(cls, noise, tmp_path):
     needs_kernel()
     kf = made(cls, noise=noise)
-    in_c, hit = InC(kf, tmp_path), 0
+    in_c, hit = in_c_of(kf, tmp_path), 0
     # Noise that is told is the definition's, which differs in the last bits.
     close = {"rtol": 1e-9, "atol": 1e-12} if isinstance(noise, Contaminated) else {"rtol": 0.0, "atol": 0.0}
     for k, (z, u) in enumerate(zip(*recording(4), strict=True)):
         step(kf, in_c, z, u)
-        found = np.array(in_c.state)
-        np.testing.assert_allclose(found[:4], kf.x, **close, err_msg=str(k))
-        np.testing.assert_allclose(found[4:20].reshape(4, 4), kf.P, **close, err_msg=str(k))
+        np.testing.assert_allclose(in_c.x, kf.x, **close, err_msg=str(k))
+        np.testing.assert_allclose(in_c.P, kf.P, **close, err_msg=str(k))
         if not np.isnan(z).all():
             _, outlying, weights = np.reshape(in_c.shown, (3, 2))
             np.testing.assert_allclose(weights, kf.weights, **close)
             np.testing.assert_allclose(1.0 - np.prod(1.0 - outlying), kf.outlier_probability, atol=1e-9)
             hit += kf.outlier_probability > 0.5
             if isinstance(noise, Learnt):
-                assert np.array_equal(found[20:], kf._memory.ravel()), k
+                assert np.array_equal(in_c.rest, kf._memory.ravel()), k
     # Whose state nobody told that it jumps: most of what comes after is an outlier to told noise.
     assert 10 < hit < 150
 
 
 def test_a_sensor_that_sees_nothing_of_the_state_changes_nothing(tmp_path):
     kf = made(noise=Learnt())
-    in_c = InC(kf, tmp_path, UNDEFINED)
+    in_c = in_c_of(kf, tmp_path, UNDEFINED)
     before = list(in_c.state)
-    assert in_c.update([np.nan, np.nan]) == in_c.update([3.0, 4.0], "blind") == c_programs.OK
+    assert in_c.update([np.nan, np.nan], "radar") == in_c.update([3.0, 4.0], "blind") == c_programs.OK
     assert list(in_c.state) == before and np.isnan(list(in_c.shown)[4:]).all()
 
 
@@ -253,50 +217,21 @@ def test_a_jump_that_makes_p_grow_is_among_the_recordings():
 
 
 def test_refusals_change_nothing(tmp_path):
-    in_c = InC(made(), tmp_path, UNDEFINED)
+    in_c = in_c_of(made(), tmp_path, UNDEFINED)
     before = list(in_c.state)
     assert in_c.update([1.0, 1.0], None) == in_c.update([1.0, 1.0], "half") == c_programs.BAD_ARGUMENT
-    assert in_c.update([np.inf, 1.0]) == in_c.update([1.0, 1e200]) == c_programs.BAD_ARGUMENT
+    assert in_c.update([np.inf, 1.0], "radar") == in_c.update([1.0, 1e200], "radar") == c_programs.BAD_ARGUMENT
     assert in_c.update([1.0, 1.0], "broken") == c_programs.NOT_FINITE
     # An input has no place in a motion of one's own but its context.
-    assert in_c.predict("drag", 1.0) == in_c.predict(None, np.nan) == c_programs.BAD_ARGUMENT
+    assert in_c.predict("drag", u=[1.0]) == in_c.predict(None, u=[np.nan]) == c_programs.BAD_ARGUMENT
     assert list(in_c.state) == before
 
 
 def test_a_motion_of_its_own_is_asked_for(tmp_path):
-    in_c = InC(made(Dragged), tmp_path)
+    in_c = in_c_of(made(Dragged), tmp_path)
     before = list(in_c.state)
     assert in_c.predict(None) == c_programs.BAD_ARGUMENT and list(in_c.state) == before
     assert in_c.predict("drag") == c_programs.OK and list(in_c.state) != before
-
-
-def changed(**attributes):
-    kf = made()
-    for name, value in attributes.items():
-        setattr(kf, name, value)
-    return kf
-
-
-class OwnUpdate(RobustExtendedKalmanFilter):
-    def update(self, *args, **kwargs):
-        """May do anything."""
-
-
-@pytest.mark.parametrize(("make", "error", "mend"), [
-    (lambda: filterpy.kalman.ExtendedKalmanFilter(2, 1), TypeError, "a RobustExtendedKalmanFilter with the same"),
-    (lambda: OwnUpdate(2, 1), TypeError, "predict_x alone"),
-    (lambda: made(noise=Learnt(), grouping="joint"), ValueError, "set noise=None"),
-    (lambda: made(patience=5, scaling="innovation"), ValueError, "set patience=None"),
-    (lambda: changed(update=print), ValueError, "update"),
-    (lambda: changed(inv=np.linalg.pinv), ValueError, "numpy.linalg.inv"),
-    (lambda: changed(F=np.eye(3)), ValueError, "F: expected"),
-    (lambda: changed(Q=-np.eye(4)), ValueError, "Q: expected"),
-    (lambda: changed(B=np.ones((3, 1))), ValueError, "B: expected"),
-])  # fmt: skip
-def test_what_has_no_c_is_refused_with_a_mend(make, error, mend, tmp_path):
-    with pytest.raises(error, match=mend):
-        export_c(make(), tmp_path / "one.c")
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_page_of_the_microcontroller_runs(tmp_path, monkeypatch, capfd):

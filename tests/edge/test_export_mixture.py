@@ -1,18 +1,17 @@
-"""The C of a filter whose noise is told or learnt is the package's kernel, to the last bit, or says it declines."""
+"""The C of a filter whose noise is given or learned is the package's kernel, to the last bit, or says it declines."""
 
 import copy
 import ctypes
 import shutil
-import subprocess
 
 import c_programs
 import numpy as np
 import pytest
+from c_programs import UNDEFINED, InC
 from support import needs_kernel, random_problem
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales
-from robust_filterpy.edge import export_c
 
 pytestmark = [
     pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
@@ -46,39 +45,6 @@ def made(seed, n=2, m=1, inputs=0, **policy):
     return kf, z, rng.normal(size=(80, inputs))
 
 
-class InC:
-    """A filter as C, compiled, and its state."""
-
-    def __init__(self, kf, folder, watched=()):
-        export_c(kf, folder / "one.c")
-        command = ["cc", *c_programs.PLAIN, *watched, "-shared", "-fPIC", "one.c", "-lm", "-o", "one.so"]
-        built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-        assert built.returncode == 0, built.stderr[:3000]
-        self.library = ctypes.CDLL(str(folder / "one.so"))
-        self.model = ctypes.c_char.in_dll(self.library, "one_default")
-        n, m, kept = kf.dim_x, kf.dim_z, kf._policy.current(kf._kept, np.ravel(kf.x), kf.P)
-        size = n + n * n + sum(part.size for part in kept[:3]) + kf._policy.begin(m).size
-        self.state = (ctypes.c_double * size)(*(ctypes.c_double * size).in_dll(self.library, "one_start"))
-        self.n, self.shown = n, (ctypes.c_double * (3 * m))()
-
-    def predict(self, u=()):
-        given = [(ctypes.c_double * len(u))(*u)] if len(u) else []
-        return self.library.one_predict(ctypes.byref(self.model), self.state, *given)
-
-    def update(self, z):
-        z = np.atleast_1d(z)
-        given = (ctypes.c_double * len(z))(*z)
-        return self.library.one_update(ctypes.byref(self.model), self.state, given, self.shown)
-
-    @property
-    def x(self):
-        return np.array(self.state[: self.n])
-
-    @property
-    def P(self):
-        return np.array(self.state[self.n : self.n + self.n**2]).reshape(self.n, self.n)
-
-
 @pytest.mark.pairwise(1)
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("sizes", [(1, 1, 0), (2, 1, 1), (4, 2, 0), (3, 3, 2)])
@@ -90,7 +56,7 @@ def test_c_equals_the_kernel_to_the_last_bit(policy, sizes, tmp_path):
     # Of noise that is given the last sample that is measured is the definition's, which shows more of it.
     last = int(np.flatnonzero(~np.isnan(z).all(axis=1))[-1]) if "told" in policy else len(z)
     for k in range(len(z)):
-        assert in_c.predict(u[k]) == in_c.update(z[k]) == c_programs.OK
+        assert in_c.predict(u=u[k]) == in_c.update(z[k]) == c_programs.OK
         if k < last:
             assert np.array_equal(in_c.x, means[k].ravel()) and np.array_equal(in_c.P, covariances[k]), k
     assert last > 70
@@ -122,7 +88,7 @@ def test_each_sample_shows_what_python_shows_and_an_export_goes_on_from_where_th
 
 def test_what_the_kernel_declines_is_refused_and_changes_nothing(tmp_path):
     kf, _, _ = made(1, noise=Learnt(), process=Scales())
-    in_c = InC(kf, tmp_path, ["-fsanitize=undefined", "-fno-sanitize-recover=all"])
+    in_c = InC(kf, tmp_path, UNDEFINED)
     before = list(in_c.state)
     for z in (np.inf, -np.inf, 1e150):
         assert in_c.update(z) == c_programs.BAD_ARGUMENT and list(in_c.state) == before
@@ -142,22 +108,3 @@ def test_odd_numbers_anywhere_do_no_harm(tmp_path):
         kf, _, _ = made(k, 2, 2, **policy)
         some.append(c_programs.Case(f"odd{k}", kf, np.zeros((1, 2)), np.zeros((1, 1)), 2, 0))
     assert c_programs.program(some, tmp_path, part="fuzzed").size == 0
-
-
-@pytest.mark.parametrize(("change", "precision", "message"), [
-    ({"noise": Learnt(), "grouping": "joint"}, "double", "sensor by sensor"),
-    ({"noise": Learnt(), "process": Contaminated(0.1, 100.0)}, "double", "process=None or Scales"),
-    ({"patience": 5}, "double", "patience=5"),
-    ({"noise": Learnt()}, "single", 'expected "double" for noise that is given or learned'),
-    ({"noise": Learnt(), "inv": np.linalg.pinv}, "double", "numpy.linalg.inv"),
-    ({"noise": Learnt(), "update": print}, "double", "filter's own update"),
-    ({"noise": Learnt(), "P": -np.eye(2)}, "double", "P: expected"),
-], ids=lambda value: str(value)[:30])  # fmt: skip
-def test_what_has_no_c_is_refused_in_words(change, precision, message, tmp_path):
-    attributes = {name: change[name] for name in ("inv", "update", "P") if name in change}
-    kf = RobustKalmanFilter(2, 2, **{name: value for name, value in change.items() if name not in attributes})
-    for name, value in attributes.items():
-        setattr(kf, name, value)
-    with pytest.raises(ValueError, match=message):
-        export_c(kf, tmp_path / "one.c", precision=precision)
-    assert not list(tmp_path.iterdir())
