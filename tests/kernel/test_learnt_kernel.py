@@ -75,7 +75,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
             # P is a difference: what is rounding in it is a part of its largest number.
             size = min(1.0, np.abs(np.nan_to_num(theirs)).max(initial=0.0))
             rounding = rounding_of_P if i == 1 else 1e-10
-            np.testing.assert_allclose(mine, theirs, rtol=1e-8, atol=rounding * size)
+            np.testing.assert_allclose(mine, theirs, rtol=min(rounding_of_P, 1e-8), atol=rounding * size)
     if states is not None:
         states.append(models.given)
     return rows.weights, memory

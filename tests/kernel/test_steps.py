@@ -72,9 +72,9 @@ def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, inf
             two.predict()
             two.update(z)
             # After a jump that was believed P is a million times what is left of it.
-            assert_same(one, two, 1e-8 if scaling == "learnt" else 1e-10)
+            assert_same(one, two, 1e-10 if scaling == "learnt" else 1e-11)
             # What is known of the sensors, of which the next steps are made.
-            np.testing.assert_allclose(one._memory, two._memory, rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(one._memory, two._memory, rtol=1e-9, atol=1e-9)
             told, right = one._arrays().information, two._arrays().information
             assert np.abs(told - right).max() <= 1e-6 * (1e-9 + np.abs(right).max())
     assert taken > 60
