@@ -11,7 +11,6 @@ from typing import Any, Final, TypeVar, cast
 import numpy as np
 
 from robust_filterpy import kernel
-from robust_filterpy._checks import Array
 
 #: What a robust filter keeps outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
 SLOTS: Final = (

@@ -66,12 +66,13 @@ CALLED void update_after(const int m, const correction_rule *const rule, const r
     }
 }
 
-/* Correct x and P in place by readings z (m), NaN where missing, of which y is compared with H x: z itself, or the innovation
-   of a nonlinear sensor, H then being its Jacobian and x a state at 0; or NULL, and then c holds C and S of the innovation, and
-   a jump that makes P grow is for the definition. memory (m) is what the sensors' spreads are learned from, under
-   SCALING_LEARNT; M (n, m) or NULL. Return whether all was ordinary: if not, what x and P now hold is of no use, and
-   memory is as it was. shown: NULL, or room for S (m, m) and C (m, n) as the filter shows them, those of a P that may
-   have grown, without what is added to R; not NULL without H. work: update_work, of which c took the beginning. */
+/* Correct x and P in place by readings z (m), NaN where missing, of which y is compared with H x: z itself, or the
+   innovation of a nonlinear sensor, H then being its Jacobian and x a state at 0; or H is NULL, and then c holds C and
+   S of the innovation, and a jump that makes P grow is for the definition. memory (m) is what the sensors' spreads are
+   learned from, under SCALING_LEARNT; M (n, m) or NULL. Return whether all was ordinary: if not, what x and P now hold
+   is of no use, and memory is as it was. shown: NULL, or room for S (m, m) and C (m, n) as the filter shows them, those
+   of a P that may have grown, without what is added to R; not NULL without H. work: update_work, of which c took the
+   beginning. */
 SIZED int update(const int n, const int m, const correction_rule *const rule, const real *RESTRICT z, const real *y,
                   const real *RESTRICT H, const real *RESTRICT R, const real *M, spread_memory *const memory,
                   real *RESTRICT x, real *RESTRICT P, correction *const c, real *shown, real *work) {
