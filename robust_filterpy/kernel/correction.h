@@ -193,7 +193,7 @@ SIZED int correct(const int n, const int m, const correction_rule *const rule, c
         d = c->d[i] = real_min(real_max(d, 0), 1);
         {
             const real whitened = rule->scaling <= SCALING_INNOVATION ? e : y[i] / real_sqrt(variance);
-            /* As told, so that filters with different models can be compared by it. */
+            /* As given, so that filters with different models can be compared by it. */
             correction_gather(c, psi_rho(&rule->psi, whitened), variance);
         }
         for (int k = 0; k < n; k++) {

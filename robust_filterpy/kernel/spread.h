@@ -13,7 +13,7 @@
 
 /* What is known of one sensor, all 0 at first. */
 typedef struct {
-    real weight;  /* information that the spread rests on, sum of the roots of R_ii / S_ii; 0: no custom yet */
+    real weight;  /* information that the spread rests on, sum of the roots of R_ii / S_ii; 0: none yet */
     real spread;  /* median of |e| over .6745, without the far ones */
     real share;   /* share of far innovations */
     real strange; /* far ones in a row */
@@ -46,7 +46,7 @@ typedef struct {
 #define SPREAD_MOST REAL(0.4)                    /* the largest share of outliers, */
 #define SPREAD_YIELD REAL(1.5)                   /* and the threshold times 1 - 1.5 share */
 #define SPREAD_PRIOR REAL(10.0)                  /* the share starts from so many without an outlier */
-#define SPREAD_LOST 10                           /* so many far ones in a row, and the custom is another one */
+#define SPREAD_LOST 10                           /* so many far ones in a row are the typical ones */
 #define SPREAD_RUN 4                             /* a jump: so many clipped in a row, until some have lasted, */
 #define SPREAD_AGREE REAL(2.5)                   /* each within so many spreads of where the last one left x */
 #define SPREAD_RARE REAL(0.05)                   /* a share of outliers with which one innovation is a return, */
@@ -72,15 +72,15 @@ typedef struct {
     real *charge; /* (m) variance that is added to R */
     real *growth; /* (n) what each state's deviation grows by */
     real *opened; /* (m) variance that a jump adds to what each sensor sees */
-    real *told;   /* (m) root of S_ii as told */
+    real *nominal;   /* (m) root of S_ii as given */
     int charges, grows;
 } spread_change;
 
 #define spread_work(n, m) ((size_t)((n) + 12 * (m)))
 
-/* What one smallest step of a sensor whose readings repeat asks of its spread, in units of told; none: not above 0. */
-INLINE real spread_coarse(const spread_memory *const own, const real told) {
-    return own->repeats > 0 ? own->step / SPREAD_BEND / told : 0;
+/* What one smallest step of a sensor whose readings repeat asks of its spread, in units of S; none: not above 0. */
+INLINE real spread_coarse(const spread_memory *const own, const real nominal) {
+    return own->repeats > 0 ? own->step / SPREAD_BEND / nominal : 0;
 }
 
 /* A step of a median by recursion towards aim, up or down by a pace, but never beyond it. */
@@ -169,7 +169,7 @@ CALLED int spread_agreed(const int m, const int i, const correction *const c, co
 }
 
 /* What a sensor tells of the state that it tells most of, of its covariances c (n) with its prediction. */
-INLINE real spread_told(const int n, const real *RESTRICT P, const real *RESTRICT c) {
+INLINE real spread_informs(const int n, const real *RESTRICT P, const real *RESTRICT c) {
     real most = 0;
     for (int k = 0; k < n; k++)
         if (P[k * n + k] > 0) most = real_max(most, c[k] * c[k] / P[k * n + k]);
@@ -309,13 +309,13 @@ INLINE real spread_ratio(const real known, const real R, const real variance) {
    say nothing new are then left out of c, and have no width. */
 CALLED void spread_before(const int n, const int m, const real *z, const real *P, const real *R, correction *const c,
                           spread_memory *const memory, spread_change *const change, real *work) {
-    real *s, *told, *units, *size, *out, *ratio, *excess, *seen, coarse, e;
+    real *s, *nominal, *units, *size, *out, *ratio, *excess, *seen, coarse, e;
     change->growth = work;
     change->width = work + n;
     change->charge = work + n + m;
     change->opened = work + n + 2 * m;
-    change->told = told = work + n + 3 * m;
-    units = told + m, s = units + m, size = s + m, out = size + m, ratio = out + m, excess = ratio + m;
+    change->nominal = nominal = work + n + 3 * m;
+    units = nominal + m, s = units + m, size = s + m, out = size + m, ratio = out + m, excess = ratio + m;
     seen = excess + m; /* and m more */
     change->charges = change->grows = 0;
     for (int k = 0; k < n; k++) change->growth[k] = 1;
@@ -323,13 +323,13 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         const real variance = c->S[i * m + i];
         spread_memory *const own = &memory[i];
         change->charge[i] = change->opened[i] = 0;
-        told[i] = real_sqrt(variance);
+        nominal[i] = real_sqrt(variance);
         ratio[i] = spread_ratio(variance - R[i * m + i], R[i * m + i], variance);
-        coarse = spread_coarse(own, told[i]);
+        coarse = spread_coarse(own, nominal[i]);
         excess[i] = spread_excess(own, ratio[i]);
         out[i] = spread_wider(own, excess[i], coarse); /* until it is known who is clipped */
         /* Below a number whose square is a number. */
-        e = real_min(real_abs(c->y[i]) / told[i], REAL_PRODUCT);
+        e = real_min(real_abs(c->y[i]) / nominal[i], REAL_PRODUCT);
         size[i] = e / out[i];
         change->width[i] = 0;
         if (c->left[i] != 0 && spread_holds(own, z[i], size[i], coarse)) {
@@ -338,11 +338,11 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
             change->width[i] = -1;
         }
         if (c->left[i] != 0 && excess[i] > 1 + SPREAD_WHOLE) spread_widen(own, e, excess[i]);
-        /* A custom does not begin with rounding: of a state that was set from the reading itself, say. */
+        /* A typical innovation is no rounding: of a state that was set from the reading itself, say. */
         if (c->left[i] != 0 && size[i] > 0 &&
-            (own->weight > 0 || real_abs(c->y[i]) > SPREAD_ROUNDED * (real_abs(z[i]) + told[i])))
+            (own->weight > 0 || real_abs(c->y[i]) > SPREAD_ROUNDED * (real_abs(z[i]) + nominal[i])))
             spread_learn(own, size[i], coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
-        /* Who has no custom yet has shown zeros alone: any width will do. */
+        /* Who has no typical innovation yet has shown zeros alone: any width will do. */
         s[i] = own->weight > 0 ? real_max(own->spread, coarse) : 1;
     }
     if (c->observed > 1)
@@ -353,10 +353,10 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         }
     for (int i = 0; i < m; i++) {
         spread_memory *const own = &memory[i];
-        const real y = c->y[i], rest = own->rest, wider = told[i] * out[i], unit = s[i] * wider;
+        const real y = c->y[i], rest = own->rest, wider = nominal[i] * out[i], unit = s[i] * wider;
         const real near = SPREAD_AGREE * unit;
         units[i] = unit;
-        s[i] = real_max(s[i] * (1 - SPREAD_YIELD * own->share), spread_coarse(own, told[i]));
+        s[i] = real_max(s[i] * (1 - SPREAD_YIELD * own->share), spread_coarse(own, nominal[i]));
         out[i] = 0;
         if (c->left[i] == 0) continue;
         change->width[i] = s[i] * wider;
@@ -388,7 +388,7 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         /* What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees. */
         if (size[i] < SPREAD_SUDDEN * s[i])
             for (int k = 0; k < n; k++) {
-                if (spread_moved(n, k, P, c->C + i * n, spread_told(n, P, c->C + i * n)))
+                if (spread_moved(n, k, P, c->C + i * n, spread_informs(n, P, c->C + i * n)))
                     change->growth[k] = real_max(change->growth[k], real_sqrt(1 + wanted / b));
             }
         else
@@ -417,7 +417,7 @@ CALLED void spread_open(const int n, const int m, const real *H, const spread_ch
         real most, seen = 0;
         if (!(change->opened[i] > 0)) continue;
         for (int k = 0; k < n; k++) c[k] = real_dot(n, P + k * n, h);
-        most = spread_told(n, P, c);
+        most = spread_informs(n, P, c);
         for (int k = 0; k < n; k++) {
             if (!spread_moved(n, k, P, c, most)) c[k] = 0;
             if (c[k] != 0) seen += h[k] * h[k] * P[k * n + k];
@@ -450,7 +450,8 @@ INLINE void spread_after(const int n, const int m, const real *z, const real *H,
     for (int i = 0; i < m; i++) {
         if (c->weights[i] != c->weights[i]) continue;
         memory[i].rest = z[i] - real_dot(n, H + i * n, x);
-        memory[i].left = spread_ratio(real_square(n, H + i * n, P), R[i * m + i], change->told[i] * change->told[i]);
+        memory[i].left = spread_ratio(real_square(n, H + i * n, P), R[i * m + i],
+                                      change->nominal[i] * change->nominal[i]);
     }
 }
 

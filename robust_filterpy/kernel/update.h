@@ -62,7 +62,7 @@ CALLED void update_after(const int m, const correction_rule *const rule, const r
             seen -= c->d[k] * taken * taken * (rule->joint ? 1 : c->t[k] * c->t[k]);
         }
         memory[i].rest = rest;
-        memory[i].left = spread_ratio(seen, R[i * m + i], change->told[i] * change->told[i]);
+        memory[i].left = spread_ratio(seen, R[i * m + i], change->nominal[i] * change->nominal[i]);
     }
 }
 
