@@ -168,7 +168,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         given = problem.limits
         limits = None if given is None else given.times(1.0 / units.factor(structure))
         R, least = None if variance is None else variance / unit**2, least_variance(y, unit)
-        at = units.forth(model, begin) if begin is not None and begin.size else begin
+        at = None if begin is None else units.forth(model, begin)
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
     best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))

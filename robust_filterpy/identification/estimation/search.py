@@ -124,13 +124,8 @@ def ends(
     """Search from every start."""
     if begin is not None:
         noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
-        if begin.size:
-            shown = model.residuals(begin)[_counting(model, True, missing)]
-            noise = noise if noise.given else replace(noise, R=max(mad_scale(shown) ** 2, least))
-        else:
-            begin = _best_of(model, missing, noise, _starts(model, missing, noise), searched=False)
-            first = _searched(model, begin, noise, missing, ("the best start",), _ROUGH, limits)
-            begin, noise = first.p, first.noise
+        shown = model.residuals(begin)[_counting(model, True, missing)]
+        noise = noise if noise.given else replace(noise, R=max(mad_scale(shown) ** 2, least))
         noise = replace(noise, influence=START if influence is None else influence)
         return _best_first(
             model, missing, [_searched(model, begin, noise, missing, ("one start",), _FULL, limits)], limits

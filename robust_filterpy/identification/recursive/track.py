@@ -373,18 +373,18 @@ def _identified(form: Form, now: State, i: int, start: ColdStart, begin: Array |
 
 def _near(form: Form, now: State, i: int, start: ColdStart) -> Model | None:
     """Return the model near the recursion's, None if what it leaves follows the inputs: another one may be better."""
-    structure, begin = form.structure, np.zeros(0)
-    if not start.is_first_look(structure.n_theta):
-        theta, places = now.theta[i][form.own], structure.polynomials
-        a, f = (1.0 + float(theta[part].sum()) for part in (places.a, places.f))
-        if not (are_stable(theta, structure.stable_parts) and abs(f) > _INTEGRATES):
-            return None
-        begin = np.zeros(structure.n_theta + form.has_offset + structure.nf)
-        begin[: structure.n_theta] = theta
-        if form.has_offset:
-            rest = np.zeros(structure.n_inputs) if structure.takes_phi else operating_point(start.u)
-            constant = now.theta[i, structure.constant_place] + rest @ np.array([theta[b].sum() for b in places.b])
-            begin[structure.n_theta] = now.centre[i] * a + constant / f
+    structure, theta, places = form.structure, now.theta[i][form.own], form.structure.polynomials
+    a, f = (1.0 + float(theta[part].sum()) for part in (places.a, places.f))
+    stable = are_stable(theta, structure.stable_parts) and abs(f) > _INTEGRATES
+    # The first model, and that of another plant, are searched for from every start.
+    if start.is_first_look(structure.n_theta) or not (now.begun[i] and stable):
+        return None
+    begin = np.zeros(structure.n_theta + form.has_offset + structure.nf)
+    begin[: structure.n_theta] = theta
+    if form.has_offset:
+        rest = np.zeros(structure.n_inputs) if structure.takes_phi else operating_point(start.u)
+        constant = now.theta[i, structure.constant_place] + rest @ np.array([theta[b].sum() for b in places.b])
+        begin[structure.n_theta] = now.centre[i] * a + constant / f
     try:
         model = _identified(form, now, i, start, begin)
     except ValueError:
