@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 import support
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -9,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.correction.hypotheses import corrected
 from robust_filterpy.correction.spread import _charges, _ratio, _seen_by
 from robust_filterpy.influence import Hampel
 
@@ -229,3 +231,23 @@ def test_how_much_a_prediction_is_worth_to_a_sensor_does_not_depend_on_units():
     plain, other = (_ratio(seen * u**2, R * np.outer(u, u), S * np.outer(u, u)) for u in (np.ones(3), unit))
     np.testing.assert_allclose(plain, [0.5e12, 1e12, 3.0])
     np.testing.assert_allclose(other, plain)
+
+
+def test_many_models_are_corrected_by_the_posterior_over_the_scales_of_a_sensors_noise():
+    """Mean, covariance and density of each, written out."""
+    rng = np.random.default_rng(4)
+    n, scales, shares = 3, np.array([1.0, 25.0]), np.array([0.9, 0.1])
+    x, P = rng.normal(size=(n, 2)), np.array([support.spd(rng, 2) for _ in range(n)])
+    h, r, z, kept = rng.normal(size=(n, 2)), np.array([0.5, 1.0, 2.0]), 3.0, (x.copy(), P.copy())
+    found = corrected(x, P, z, h, r, scales, shares)
+    for k, (mean, cov) in enumerate(zip(*kept, strict=True)):
+        S = h[k] @ cov @ h[k] + scales * r[k]
+        density = shares * scipy.stats.norm(h[k] @ mean, np.sqrt(S)).pdf(z)
+        gains, weights = np.outer(1.0 / S, cov @ h[k]), density / density.sum()
+        means = mean + gains * (z - h[k] @ mean)
+        covs = cov - np.einsum("s,si,sj->sij", S, gains, gains)
+        apart = means - weights @ means
+        assert found[k] == pytest.approx(np.log(density.sum()), rel=1e-9)
+        np.testing.assert_allclose(x[k], weights @ means, rtol=1e-9)
+        expected = np.einsum("s,sij->ij", weights, covs + np.einsum("si,sj->sij", apart, apart))
+        np.testing.assert_allclose(P[k], expected, rtol=1e-8, atol=1e-12)
