@@ -228,9 +228,9 @@ class Shell(StateMixin):
 
     def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
         """Correct by a linear sensor."""
-        step = self._linear_step()
-        if step is None or (self._policy.patience is not None and M is not None):
+        if _extension is None or not self._by_kernel or (self._policy.patience is not None and M is not None):
             return False
+        step = _extension.correct if self._policy.noise is None else _extension.correct_mixture
         return self._taken(step, z, R, H, M, R=R)
 
     def _stepped(
