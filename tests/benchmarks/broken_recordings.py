@@ -1,11 +1,14 @@
 """Recordings that break assumptions at random: how often is the answer right, warned of, or wrong in silence?
 
-    python tests/benchmarks/broken_recordings.py [--draws 1000] [--first 0] [--only identify] [--minutes 3] [--coloured]
+    python tests/benchmarks/broken_recordings.py [--draws 1000] [--first 0] [--only identify] [--minutes 3]
+        [--coloured | --plants]
 
 Each draw takes a random plant, outliers or none, and one break or two at once: which, when and how large is random.
 Right is a simulation of fresh inputs that fits the noise-free plant, as it is at the end, by at least 90,
 or by 5 less than the same call makes of the recording without the break; warned is a warning, a
-finding or a refusal. What is neither is silent and wrong: the target is 1 % of the draws at most.
+finding or a refusal. What is neither is silent and wrong: the target is 1 % of the draws at most. With ``--plants``
+the plants are what few structures say: a trend beside a slow input, an integrator behind a coarse sensor, a motor with
+friction, of which right is also what comes within 5 of least squares.
 """
 
 from __future__ import annotations
@@ -39,6 +42,7 @@ class Draw(NamedTuple):
     times: float
     structure: Any
     breaks: tuple[str, ...]
+    motor: tuple[float, float] | None = None
 
 
 def plant(rng: Any) -> tuple[Any, Any]:
@@ -133,16 +137,73 @@ def drawn(seed: int, breaks: tuple[Callable[..., Any], ...] = BREAKS) -> Draw:
     return Draw(broken, signal, y, u, a, b, times, structure, names)
 
 
+def with_slow_input(rng: Any) -> Draw:
+    """Return a recording with a trend, of an input that wanders."""
+    a, b = plant(rng)
+    u = rng.choice([-1.0, 1.0], LENGTH).repeat(5)[:LENGTH] + rng.uniform(0.02, 0.2) * rng.normal(size=LENGTH).cumsum()
+    clean = lfilter(b, a, u)
+    y = clean + 0.05 * np.std(clean) * rng.normal(size=LENGTH)
+    structure = OutputError(a.size - 1, a.size - 1)
+    return Draw(ramp(rng, y, u, clean)[0], u, y, u, a, b, 1.0, structure, ("trend with a slow input",))
+
+
+def of_integrator(rng: Any) -> Draw:
+    """Return a recording of an integrator whose sensor has coarse steps."""
+    a, b = np.convolve([1.0, -1.0], [1.0, -rng.uniform(0.2, 0.8)]), np.array([0.0, 1.0, rng.uniform(-0.5, 1.0)])
+    u = rng.choice([-1.0, 0.0, 1.0], LENGTH).repeat(10)[:LENGTH]
+    clean = lfilter(b, a, u) + rng.normal()
+    size = rng.uniform(0.05, 0.5) * np.std(clean)
+    y, fine = (size * np.round(clean / size), clean + 0.01 * size * rng.normal(size=LENGTH))
+    return Draw(y, u, fine, u, a, b, 1.0, OutputError(2, 2), ("quantized integrator",))
+
+
+def of_motor(rng: Any) -> Draw:
+    """Return a recording of a motor with friction that depends on its speed."""
+    kind = float(rng.uniform(0.05, 0.2)), float(rng.uniform(0.0, 0.2))
+    u = np.repeat(rng.uniform(-3.0, 3.0, 60), rng.integers(20, 60, 60))[:LENGTH]
+    y = motor(u, *kind) + 0.02 * rng.normal(size=u.size)
+    return Draw(y, u, y, u, np.ones(1), np.ones(1), 1.0, OutputError(2, 2), ("friction",), kind)
+
+
+def motor(u: Any, coulomb: float, stiction: float) -> Any:
+    """Return the speed of a motor with Coulomb and Stribeck friction."""
+    v, current, speed = 0.0, 0.0, np.zeros(u.size)
+    for k, volts in enumerate(u):
+        for _ in range(10):
+            current += 0.1 * (volts - current - 0.5 * v)
+            friction, drive = coulomb + stiction * np.exp(-((v / 0.3) ** 2)), current - 0.05 * v
+            held = abs(v) < 1e-3 and abs(drive) < friction
+            v = 0.0 if held else v + 0.02 * (drive - friction * np.sign(v or drive))
+        speed[k] = v
+    return speed
+
+
+PLANTS: tuple[Callable[[Any], Draw], ...] = (with_slow_input, of_integrator, of_motor)
+
+
 def fit_of(found: Any, draw: Draw, seed: int, times: float = 1.0) -> float:
     """Return how well what was found simulates fresh inputs of the plant, with its gain so many times, in percent."""
-    u = np.random.default_rng([2701, seed]).choice([-1.0, 1.0], 500)
-    clean = lfilter(times * draw.b, draw.a, u)
     n = found.structure.na + found.structure.nf
     theta, delay = found.theta, found.structure.inputs[0][1]
+    return fit_of_polynomials(np.append(1.0, theta[:n]), np.append(np.zeros(delay), theta[n:]), draw, seed, times)
+
+
+def fit_of_polynomials(a: Any, b: Any, draw: Draw, seed: int, times: float = 1.0) -> float:
+    """Return the same for B/A."""
+    rng = np.random.default_rng([2701, seed])
+    u = rng.choice([-1.0, 1.0], 500) if draw.motor is None else rng.uniform(-3.0, 3.0, 20).repeat(25)
+    clean = lfilter(times * draw.b, draw.a, u) if draw.motor is None else motor(u, *draw.motor)
     with np.errstate(all="ignore"):
-        output = lfilter(np.concatenate((np.zeros(delay), theta[n:])), np.concatenate(([1.0], theta[:n])), u)
-        missed = np.linalg.norm(output - clean) / np.linalg.norm(clean - clean.mean())
+        missed = np.linalg.norm(lfilter(b, a, u) - clean) / np.linalg.norm(clean - clean.mean())
     return 100.0 * (1.0 - missed) if np.isfinite(missed) else -np.inf
+
+
+def least_squares(draw: Draw, seed: int) -> float:
+    """Return the fit of ARX(2, 2) with a constant by least squares."""
+    y, u, k = draw.y, draw.u, np.arange(2, draw.y.size)
+    X = np.column_stack((-y[k - 1], -y[k - 2], u[k - 1], u[k - 2], np.ones(k.size)))
+    theta = np.linalg.lstsq(X, y[k], rcond=None)[0]
+    return fit_of_polynomials(np.append(1.0, theta[:2]), np.append(0.0, theta[2:4]), draw, seed)
 
 
 def identified(draw: Draw, y: Any, u: Any) -> Any:
@@ -188,7 +249,8 @@ def judged(call: Callable[..., Any], draw: Draw, seed: int) -> str:
         return "warned"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        reached = fit_of(call(draw, draw.whole_y, draw.whole_u), draw, seed)
+        alone = draw.motor is not None
+        reached = least_squares(draw, seed) if alone else fit_of(call(draw, draw.whole_y, draw.whole_u), draw, seed)
     return "right" if fit >= reached - NEAR else "silent and wrong"
 
 
@@ -199,6 +261,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", choices=CALLS)
     parser.add_argument("--coloured", action="store_true", help="slow noise, bursts, coarse steps of the sensor")
+    parser.add_argument("--plants", action="store_true", help="trend with a slow input, integrator, friction")
     parser.add_argument("--minutes", type=float, default=np.inf, help="of processor time for each call")
     options = parser.parse_args()
     for name, call in CALLS.items():
@@ -209,7 +272,9 @@ def main() -> None:
         for seed in range(options.first, options.first + options.draws):
             if time.process_time() > end:
                 break
+            of_plant = PLANTS[seed % len(PLANTS)] if options.plants else None
             draw = drawn(seed, COLOURED if options.coloured else BREAKS)
+            draw = draw if of_plant is None else of_plant(np.random.default_rng([2702, seed]))
             verdict = judged(call, draw, seed)
             counts[verdict] += 1
             if verdict == "silent and wrong":

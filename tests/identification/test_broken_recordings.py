@@ -415,6 +415,13 @@ def test_an_arx_that_coloured_noise_biases_is_said(noise):
     white = np.where(rng.random(samples) < 0.05, 10.0, 1.0) * 0.2 * rng.normal(size=samples)
     slow = 0.9 * lfilter([0.3], [1.0, -0.95], rng.normal(size=samples))
     added = {"of the equation": lfilter([1.0], a, white), "of the output": 2.0 * white, "slow": slow + white}[noise]
-    model = identify(lfilter(b, a, u) + added, u, ARX(2, 2), trend="constant")
+    y = lfilter(b, a, u) + added
+    model = identify(y, u, ARX(2, 2), trend="constant")
     kinds = [one.kind for one in model.findings]
     assert kinds == [] if noise == "of the equation" else "noise that follows itself" in kinds
+    if noise == "of the output":
+        assert np.abs(model.theta[:2] - a[1:]).max() > 5.0 * model.std[:2].min()
+        # What the finding names is the cure.
+        assert "there is OutputError(2, 2, 1)" in model.findings[0].text
+        cured = quiet(y, u, OutputError(2, 2))
+        assert np.all(np.abs(cured.theta - [*a[1:], *b[1:]]) < 3.0 * cured.std) and not cured.findings

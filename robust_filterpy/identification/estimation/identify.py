@@ -116,20 +116,21 @@ def _left(search: Search, problem: Problem, best: Explanation, model: Model) -> 
     )
     acting = driven(structure, model.theta, output, problem.u)[:, None]
     direct = min(nk for _, nk in structure.inputs) == 0
-    more = _slow_noise(model, clear)
     left = search.left(best, output[:, None], residual[:, None], problem.rest, direct, meaning, acting, clear[:, None])
-    return (*left, *more)
+    # What biases the model first: another plant may be no more than what that leaves.
+    return (*_slow_noise(model, clear), *left)
 
 
 def _slow_noise(model: Model, residual: Array) -> tuple[Finding, ...]:
     """Find out whether what a model with measured outputs in its regressor leaves follows itself."""
-    e = np.nan_to_num(residual)
+    e, structure = np.nan_to_num(residual), model.structure
     gain = 2.0 * colour_of(model.noise.psi(e)).gain
-    if not model.structure.na or model.noise.is_rounding or gain < PRICE * np.log(e.size):
+    if not structure.na or model.noise.is_rounding or gain < PRICE * np.log(e.size):
         return ()
     text = (
-        f"what {model.structure} leaves follows itself, and so does its regressor, which holds y: its parameters are "
-        "biased by that, further than their standard deviations say; OutputError and BoxJenkins are not, or more a's"
+        f"what {structure} leaves follows itself, and so does its regressor, which holds y: its parameters are "
+        "biased by that, further than their standard deviations say; noise of the sensor does it, for which there is "
+        f"OutputError({structure.na + structure.nf}, {structure.nb}, {structure.nk}); else BoxJenkins, or more a's"
     )
     return (Finding("noise that follows itself", text, gain, (0, e.size)),)
 

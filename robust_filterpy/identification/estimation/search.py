@@ -122,24 +122,31 @@ def ends(
     least: float = ROUNDING**2, begin: Array | None = None,
 ) -> list[Ranked]:  # fmt: skip
     """Search from every start."""
+    loss = START if influence is None else influence
+    noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
+
+    def followed(end: End, effort: _Effort) -> End:
+        return _searched(model, end.p, replace(end.noise, influence=loss), missing, end.starts, effort, limits)
+
     if begin is not None:
-        noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
         shown = model.residuals(begin)[_counting(model, True, missing)]
         noise = noise if noise.given else replace(noise, R=max(mad_scale(shown) ** 2, least))
-        noise = replace(noise, influence=START if influence is None else influence)
+        noise = replace(noise, influence=loss)
         return _best_first(
             model, missing, [_searched(model, begin, noise, missing, ("one start",), _FULL, limits)], limits
         )
-    if model.na and not model.nf and model.y.size > 2 * _MOST_SEARCHED and len(model.pieces) == 1:
-        return _ends_of_long(model, missing, influence, R, limits, least)
-    noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
+    inner, part = _middle(model, missing)
+    if inner is not None:
+        # From every start in the middle of a long recording, and from what is found there in all of it.
+        chosen: list[End] = []
+        for end, excess in ends(inner, missing[part], influence, R, limits, least):
+            apart = [mad_scale(end.residual - other.residual) > _UNMOVED * other.noise.R**0.5 for other in chosen]
+            if excess < _HOPELESS and all(apart):
+                chosen.append(end)
+        rows = np.ones(model.y.size - model.first, dtype=bool)
+        again = [end._replace(outliers=Outliers(missing, rows, end.outliers.threshold)) for end in chosen]
+        return _best_first(model, missing, [searched_again(model, end, missing, limits) for end in again], limits)
     results = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing, noise)]
-    loss = START if influence is None else influence
-
-    def followed(end: End, effort: _Effort) -> End:
-        noise = replace(end.noise, influence=loss)
-        return _searched(model, end.p, noise, missing, end.starts, effort, limits)
-
     if model.na or model.structure.nc or model.structure.nd:
         rough = [end for end, _ in _best_first(model, missing, results, limits)]
         return _best_first(model, missing, [followed(end, _FULL) for end in rough], limits)
@@ -150,35 +157,19 @@ def ends(
     return [best._replace(end=followed(best.end, _FULL)), *others]
 
 
-def _ends_of_long(
-    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None,
-    least: float,
-) -> list[Ranked]:  # fmt: skip
-    """Search from every start in the middle of a long recording, and from what is found there in all of it."""
+def _middle(model: PolynomialModel, missing: Any) -> tuple[PolynomialModel | None, slice]:
+    """Return a model of the middle of a long recording, if it tells all of it, and which samples that is."""
     begin = (model.y.size - _MOST_SEARCHED) // 2
     part = slice(begin, begin + _MOST_SEARCHED)
+    if not model.na or model.nf or begin <= _MOST_SEARCHED // 2 or len(model.pieces) > 1:
+        return None, part
     inner = PolynomialModel(model.structure, model.y[part], model.u[part], model.offset, model.moving)
     try:
         require_informative(inner, missing[part])
-        ranked = ends(inner, missing[part], influence, R, limits, least)
     except ValueError:
-        # The middle tells nothing: an input that stood still there, or a gap.
-        inner = PolynomialModel(model.structure, model.y, model.u, model.offset, model.moving)
-        noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
-        starts = list(_starts(model, missing, noise))
-        ranked = [Ranked(_searched(model, s.p, noise, missing, (s.name,), _ONCE, limits), 0.0) for s in starts]
-        if influence is None:
-            mixed = START
-            ranked = [Ranked(end._replace(noise=replace(end.noise, influence=mixed)), e) for end, e in ranked]
-    chosen: list[End] = []
-    for end in (end for end, excess in ranked if excess < _HOPELESS):
-        if all(mad_scale(end.residual - other.residual) > _UNMOVED * other.noise.R**0.5 for other in chosen):
-            chosen.append(end)
-    results = []
-    for end in chosen:
-        outliers = Outliers(missing, np.ones(model.y.size - model.first, dtype=bool), end.outliers.threshold)
-        results.append(_searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, outliers))
-    return _best_first(model, missing, results, limits)
+        # An input that stood still there, or a gap.
+        return None, part
+    return inner, part
 
 
 def searched_again(model: Any, end: End, missing: Any, limits: Limits | None) -> End:
