@@ -3,7 +3,7 @@
 * `identify`: the way from y and u to a model, and the model of one output; those of states and of physics:
 * `state_space`, `grey_box`; each found by
 * `disturbances`, the one driver of a model with levels that break and outliers of u: p outputs, k recordings; with
-  `trend`: how the levels are found; and `left`: what a model leaves that it should not, such as a closed loop.
+  `trend`: how the levels are found.
 * `estimate`: one model of one output, in the units of the recording, by
 * `search`: from several `starts` down to the least loss (`prediction_error`, with parameters that are fixed, or between
   bounds), and which end to believe;

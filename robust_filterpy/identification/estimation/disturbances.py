@@ -14,8 +14,8 @@ from scipy.stats import norm
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.identification.estimation.left import another_gain, feedback, unlike, wraps
 from robust_filterpy.identification.estimation.trend import PRICE, Break, Trend, impulse_output, piecewise_level
+from robust_filterpy.identification.models.dependence import another_gain, feedback, unlike, wraps
 from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.identification.models.signals import held
 from robust_filterpy.influence.regression import mad_scale

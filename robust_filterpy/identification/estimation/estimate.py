@@ -91,10 +91,6 @@ class Problem(NamedTuple):
             return self
         return self._replace(u=u, rest=operating_point(u) if self.offset else self.rest)
 
-    def alone(self, i: int) -> Problem:
-        """Return the problem of one of several recordings."""
-        return self._replace(u=self.u[self.spans[i]], begins=(0,))
-
     def residuals_of(self, y: Array, u: Array) -> PolynomialModel:
         """Return what gives the residuals of these signals."""
         if len(self.begins) == 1:

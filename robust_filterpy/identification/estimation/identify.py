@@ -24,12 +24,11 @@ from robust_filterpy.identification.estimation.disturbances import (
 )
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
-from robust_filterpy.identification.estimation.left import parts_of, wraps
 from robust_filterpy.identification.estimation.missing import cleaned
 from robust_filterpy.identification.estimation.prediction_error import Limits, colour_of
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.estimation.trend import LAGS_OF_IMPULSES, PRICE
-from robust_filterpy.identification.models.dependence import driven
+from robust_filterpy.identification.models.dependence import driven, parts_of, wraps
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import recorded, require_motion
@@ -127,10 +126,12 @@ def _slow_noise(model: Model, residual: Array) -> tuple[Finding, ...]:
     gain = 2.0 * colour_of(model.noise.psi(e)).gain
     if not structure.na or model.noise.is_rounding or gain < PRICE * np.log(e.size):
         return ()
+    summed = ", integrated=True" * structure.integrated
     text = (
         f"what {structure} leaves follows itself, and so does its regressor, which holds y: its parameters are "
         "biased by that, further than their standard deviations say; noise of the sensor does it, for which there is "
-        f"OutputError({structure.na + structure.nf}, {structure.nb}, {structure.nk}); else BoxJenkins, or more a's"
+        f"OutputError({structure.na + structure.nf}, {structure.nb}, {structure.nk}{summed}); else BoxJenkins, or more "
+        "a's"
     )
     return (Finding("noise that follows itself", text, gain, (0, e.size)),)
 

@@ -21,9 +21,9 @@ from robust_filterpy.identification.estimation.prediction_error import (
 )
 from robust_filterpy.identification.estimation.starts import impulse_start, predictor_start
 from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
-from robust_filterpy.identification.models.recording import Recording, recorded, require_motion
+from robust_filterpy.identification.models.recording import ANY_COLUMNS, Recording, recorded, require_motion
 from robust_filterpy.identification.models.responses import balancing
-from robust_filterpy.identification.models.signals import Signals, fingerprint, operating_point
+from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import Matrices, StateSpace, StateSpaceModel, StateSpaceResiduals
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -66,7 +66,9 @@ def identified_state_space(
     y: Any, u: Any, structure: StateSpace, influence: Influence | None = None, groups: Any = None, trend: str = "breaks"
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs."""
-    recording = recorded(Signals.of(y, u), y, u, groups)
+    if u is None:
+        raise ValueError("u: expected a recording of the inputs for a state-space model, got None")
+    recording = recorded(ANY_COLUMNS, y, u, groups)
     require_motion(recording.y, recording.u)
     spans = recording.spans
 

@@ -186,6 +186,8 @@ def _copied(name: str, y: Array, original: str, other: Array) -> list[Finding]:
 
 # Of samples that may come at any time.
 ANY_TIMES: Final = Signals(0, 0, takes_phi=True)
+# As many outputs and inputs as were recorded.
+ANY_COLUMNS: Final = Signals(0, 0)
 # Gaps of more samples make two recordings of one.
 LONG_GAP: Final = 10
 _LEAST: Final = 2
@@ -219,7 +221,7 @@ class Recording(NamedTuple):
 
 
 def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None, t: Any = None) -> Recording:
-    """Return what was recorded, checked; `ANY_TIMES` in the place of a structure for equations of physics."""
+    """Return what was recorded, checked; `ANY_COLUMNS` is the structure of states, `ANY_TIMES` that of physics."""
     recordings = _grouped(y, u, groups) if groups is not None else _listed(y, u, t)
     if len(recordings) == 1 and not are_several(y, u):
         recordings = _split_in_time(structure, *recordings[0])
@@ -310,12 +312,14 @@ def _split_in_time(structure: Structure | Signals, y: Any, u: Any, t: Any) -> li
 
 def _as_columns(structure: Structure | Signals, y: Any, u: Any, i: int) -> tuple[Array, Array]:
     """Return outputs and inputs, both of which may have gaps, as columns, or raise."""
-    if structure is ANY_TIMES:
+    if isinstance(structure, Signals):
         output = columns_of("y", y)
-        structure = Signals(0 if u is None else columns_of("u", u).shape[1], output.shape[1])
         for j in np.flatnonzero(np.isnan(output).all(axis=0)):
             raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
-    output = measured_outputs(y, structure.n_outputs) if isinstance(structure, Signals) else measured_output(y)[:, None]
+        output = measured_outputs(output, output.shape[1])
+        structure = Signals(0 if u is None else columns_of("u", u).shape[1], output.shape[1])
+    else:
+        output = measured_output(y)[:, None]
     require_squares(output)
     if u is None or not structure.n_inputs:
         return output, recorded_input(structure, u, len(output))

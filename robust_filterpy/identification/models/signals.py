@@ -221,23 +221,6 @@ class Signals(NamedTuple):
         """Return what they are."""
         return f"a model of {self.n_inputs} input(s) and {self.n_outputs} output(s)"
 
-    @classmethod
-    def of(cls, y: Any, u: Any) -> Signals:
-        """Return those of recordings, or raise."""
-        if u is None:
-            raise ValueError("u: expected a recording of the inputs for a state-space model, got None")
-        several = are_several(y, u)
-        if several and not (isinstance(u, (list, tuple)) and len(u) == len(y)):
-            got = len(u) if isinstance(u, (list, tuple)) else type(u).__name__
-            raise ValueError(f"u: expected a list of {len(y)} recordings like y, got {got}")
-        first, second = (y[0], u[0]) if several else (y, u)
-        shapes = np.shape(first), np.shape(second)
-        for name, shape in zip("yu", shapes, strict=True):
-            if len(shape) not in (1, 2):
-                raise ValueError(f"{name}: expected shape (N,) or (N, n), got {shape}")
-        n_outputs, n_inputs = (int(shape[1]) if len(shape) == 2 else 1 for shape in shapes)
-        return cls(n_inputs, n_outputs)
-
 
 # A step is regular within this share of the usual one; the clocks of loggers are no better.
 _JITTER: Final = 0.05

@@ -152,8 +152,9 @@ class StateSpaceResiduals:
         J = np.zeros((len(y), p, self.n))
         for start in range(0, len(y), _CHUNK):
             part = slice(start, min(start + _CHUNK, len(y)))
-            direct = self._direct(states[:-1][part], u[part])
-            forced = self._forced(states[:-1][part], u[part], weighted[part])
+            x = states[:-1][part]
+            direct, forced = self._by_entries(p, C=x, D=u[part]), self._by_entries(n, A=x, B=u[part], K=weighted[part])
+            direct[:, range(p), self.shared + np.arange(p)] = 1.0
             moved = np.empty((len(direct), n, columns.size))
             for k in range(len(direct)):
                 moved[k] = S
@@ -169,27 +170,14 @@ class StateSpaceResiduals:
         own = self.shared + i * (self.outputs + self.order)
         return np.concatenate((np.arange(self.shared), np.arange(own, own + self.outputs + self.order)))
 
-    def _direct(self, x: Array, u: Array) -> Array:
-        """Return what the parameters do to yhat at once, shape (N, p, columns)."""
-        p, n, m = self.outputs, self.order, self.inputs
-        direct = np.zeros((len(x), p, self.shared + p + n))
-        for j in range(p):
-            direct[:, j, self.places["C"].start + n * j + np.arange(n)] = x
-            if self.shapes["D"][1]:
-                direct[:, j, self.places["D"].start + m * j + np.arange(m)] = u
-            direct[:, j, self.shared + j] = 1.0
-        return direct
-
-    def _forced(self, x: Array, u: Array, e: Array) -> Array:
-        """Return what they do to the next state, shape (N, n, columns)."""
-        n, m, p = self.order, self.inputs, self.outputs
-        forced = np.zeros((len(x), n, self.shared + p + n))
-        for j in range(n):
-            forced[:, j, self.places["A"].start + n * j + np.arange(n)] = x
-            forced[:, j, self.places["B"].start + m * j + np.arange(m)] = u
-            if self.shapes["K"][1]:
-                forced[:, j, self.places["K"].start + p * j + np.arange(p)] = e
-        return forced
+    def _by_entries(self, rows: int, **signals: Array) -> Array:
+        """Return the derivatives of M v by the entries of each matrix M, for signals v, shape (N, rows, columns)."""
+        columns = np.zeros((len(next(iter(signals.values()))), rows, self.shared + self.outputs + self.order))
+        for name, signal in signals.items():
+            width = self.shapes[name][1]
+            for j in range(rows if width else 0):
+                columns[:, j, self.places[name].start + width * j + np.arange(width)] = signal
+        return columns
 
 
 _AUTO = range(1, 9)
