@@ -39,7 +39,7 @@ _COVARIANCES: Final[dict[str, dict[str, float]]] = {
 _FORMER: Final = (10, 15, 17)
 # What is learned of a sensor's noise had nothing of jumps once, nor of typical innovations: so many numbers, which
 # stand before so many.
-_OF_NOISE: Final = ((5, 10), (22, 17))
+_OF_NOISE: Final = ((4, 10), (22, 16))
 
 
 # Arrays of as many sensors, or numbers, as there are.
@@ -136,6 +136,9 @@ def checked(
 def widened(name: str, value: Array, width: int | None) -> Array:
     """Return what a state holds of sensors, with 0 in the columns that there were not yet when it was stored."""
     missing = (width or 0) - (value.shape[-1] if value.ndim else 0)
+    if value.ndim > 1 and missing in (-1, 21) and name.endswith(("learnt", "memory")):
+        # When the last jump was believed, of which nothing depends any more.
+        value, missing = np.delete(value, -13, axis=-1), missing + 1
     if value.ndim < 2 or missing <= 0:
         return value
     if name.endswith("spread") and value.shape[-1] in _FORMER:

@@ -16,16 +16,16 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.definition import Innovation, correct_by_typical, innovation_moments
+from robust_filterpy.correction.learning import LOG_DECIDES, LOG_EVIDENCE
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.influence.functions import Huber
 
 __all__ = ["Given", "judged"]
 
-# Readings of a part from which on a factor may be taken, and after which it is 1 if it is near 1; how much
-# likelier they must have been, a thousand to one, where each counts for a hundred to one at most.
-_DECIDES, DECIDED, _LOG_BETTER, _LOG_EVIDENCE = 50, 100, math.log(1e3), math.log(100.0)
-# Half a decade beyond what the scales of Q reach; a factor beyond a million million is rounding.
-_LOG_BEYOND = math.log(300.0)
+# Readings of a part from which on a factor may be taken, and after which it is 1 if it is near 1.
+_DECIDES, DECIDED = 50, 100
+# Less is left to the scales of Q and to r; a factor beyond a million million is rounding.
+_LOG_BEYOND = math.log(30.0)
 _LOG_FARTHEST, _LOG_ROOT = math.log(1e12), 0.5 * math.log(2.0 * math.pi)
 _CHOICES = Choices(Huber(), "learnt")
 
@@ -52,7 +52,7 @@ class Given(NamedTuple):
     @property
     def shown(self) -> np.ndarray:
         """States that are shown as this recursion has them."""
-        return np.asarray(self.looks & (self.evidence >= _LOG_BETTER))
+        return np.asarray(self.looks & (self.evidence >= LOG_DECIDES))
 
     def moved(self, F: Array, Q: Array, Bu: Array | None, alpha_sq: float) -> Given:
         """Return it after a prediction."""
@@ -96,11 +96,10 @@ def judged(
         for i in own[beyond & (z[own] != spreads[own, spread.LAST])]:
             log_unit = 0.5 * (math.log(S[i, i]) + log_c)
             by_it = -float(_CHOICES.influence.rho(y[i] / math.exp(log_unit))) - log_unit - _LOG_ROOT
-            gain += min(max(by_it - logs[i], -_LOG_EVIDENCE), _LOG_EVIDENCE)
-        gain = min(max(evidence[head] + gain, 0.0), 2.0 * _LOG_BETTER) if beyond else 0.0
+            gain += min(max(by_it - logs[i], -LOG_EVIDENCE), LOG_EVIDENCE)
+        gain = min(max(evidence[head] + gain, 0.0), 2.0 * LOG_DECIDES) if beyond else 0.0
         readings[states] = min(count[head] + 1.0, DECIDED - float(beyond))
-        # Evidence from before the models have had their time to learn counts for one half.
-        evidence[states] = min(gain, _LOG_BETTER) if readings[head] == _DECIDES else gain
-        if readings[head] > _DECIDES and gain == 2.0 * _LOG_BETTER:
+        evidence[states] = gain
+        if readings[head] > _DECIDES and gain == 2.0 * LOG_DECIDES:
             factor[states], readings[states] = math.exp(log_c), DECIDED
     return Given(after.x, after.P, evidence, readings, factor), np.asarray(after.memory)

@@ -27,9 +27,9 @@ How often a reading has begun a jump that was believed, and how far the last one
 reading that is as far is believed at once where that is more likely than an outlier (`began`).
 
 All that is learned of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, less,
-jumps (5), parity (4), change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late;
+jumps (4), parity (4), change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late;
 the probabilities of the last sample's class; how often class i was followed by class j; the probability that it fails
-with the others; how much likelier a tenth of r is; five numbers of jumps; the last parity, its lag-one covariance, its
+with the others; how much likelier a tenth of r is; four numbers of jumps; the last parity, its lag-one covariance, its
 variance, how many there were; what the last correction left of the reading, the last change and the scale of their
 differences, in standard deviations that R gives, and how many readings there were; the last reading in the same unit,
 and one over the share of readings that repeat, with a minus sign if the last reading repeated the one before.
@@ -62,37 +62,36 @@ SCALES = (1.0, 10.0, 100.0, 1e3)
 # The prior: ten samples of a chain with 15 % outliers whose class stays with probability 3/4, else is drawn anew; R is
 # worth 20 samples. On 20 kinds of noise a half or the double of each changes most errors by 1 %.
 _PRIOR_SAMPLES, _PRIOR_OUTLIERS, _PRIOR_STAY, _PRIOR_R = 10.0, 0.15, 0.75, 20.0
-# Noise of a tenth of the variance, and how much likelier it must have been, 1e4 to 1, to be taken over.
-_LESS_SCALE, _LOG_LESS = 0.1, math.log(1e3)
-# Chance that sensors fail together, and what a sample is worth as evidence of it at most, 100 to 1.
-_PRIOR_TOGETHER, _LOG_EVIDENCE = 0.01, math.log(100.0)
-# Samples for which parity is remembered; the standard error of its correlation is then .07. From a correlation of two
-# standard errors on it counts, from .45 on fully. Before the twentieth sample it tells nothing.
-_PARITY_MEMORY, _PARITY_FROM, _PARITY_OVER, _PARITY_SAMPLES = 200.0, 0.15, 0.30, 20.0
+#: What one sample is worth as evidence at most, a hundred to one, and what decides, a thousand to one.
+LOG_EVIDENCE, LOG_DECIDES = math.log(100.0), math.log(1e3)
+# Noise of a tenth of the variance is taken over where it has been likelier by that.
+_LESS_SCALE = 0.1
+# Chance that sensors fail together.
+_PRIOR_TOGETHER = 0.01
 # Noise that never changes is an offset, of which no reading rids a filter.
 _MOST_COLOUR = 0.99
-# Changes tell something from the twentieth on.
-_FIRST_CHANGES = 20.0
-# The most that r may be over the variance of their differences, of which white noise makes 6 r.
+# Parity and changes tell something from the twentieth on.
+_FIRST = 20.0
+# The most that r may be over the variance of the differences of changes, of which white noise makes 6 r.
 _MOST = 8.0 / 6.0
 # Standard deviations beyond which a reading is as far as any other.
 _WILDEST = 1e6
 #: Numbers of a row: r, and on how many samples it stands.
 R_FACTOR, SAMPLES = 0, 1
 # Those that tell of failing together, of parity, of changes and readings.
-_TOGETHER, _LESS, _JUMPS, _PARITY, _TAIL = -17, -16, slice(-15, -10), slice(-10, -6), 17 + spread.NUMBERS
+_TOGETHER, _LESS, _JUMPS, _PARITY, _TAIL = -16, -15, slice(-14, -10), slice(-10, -6), 16 + spread.NUMBERS
 _PARITY_VARIANCE, _PARITY_COUNT, _LEFT, _SCALE, _COUNT, _REPEATS = -8, -7, -6, -4, -3, -1
 _READINGS = slice(-repeats.WIDTH, None)
 #: Numbers of a row that tell of typical innovations.
 GIVEN = slice(-_TAIL, _TOGETHER)
-# Of jumps: the chance that a reading begins one, the last one and at which reading it was believed, what a candidate
-# began with, and how many outliers there were since.
-_CHANCE, _SIZE, _AT, _BEGAN, _OUTLIERS = range(5)
-# Of a sensor with more outliers than that a run of them may be no jump; within three deviations it returns.
-_RARE, _RETURNS = 0.2, 3.0
+# Of jumps: the chance that a reading begins one, the last one, what a candidate began with, and how many outliers there
+# were since.
+_CHANCE, _SIZE, _BEGAN, _OUTLIERS = range(4)
+# Of a sensor with more outliers than that a run of them may be no jump.
+_RARE = 0.2
 # A sensor is redundant if the others leave at least this part of its variance unexplained by the state.
 _REDUNDANT = 1e-6
-# Its noise is a fifth of its parity or more where the color of that counts fully.
+# Its noise is a fifth of its parity or more, and the correlation of that a fifth or more, where its color counts fully.
 _OWN = 5.0
 
 
@@ -217,15 +216,13 @@ def learn(memory: Array, posterior: Array, r: float, excess: float, part: float,
     ordinary = float(posterior[0])
     # A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step,
     # and it is no independent sample of white noise.
-    again = bool(np.signbit(memory[_REPEATS]))
-    if not again or -memory[_REPEATS] >= repeats.RARE:
+    if not np.signbit(memory[_REPEATS]):
         # One sample is never forgotten, else r would reel where it can hardly be seen.
         after[SAMPLES] = 1.0 + (1.0 - 1.0 / noise.r_memory) * (memory[SAMPLES] - 1.0) + ordinary * part * part
         after[R_FACTOR] += ordinary * (r * (1.0 + part * excess) - memory[R_FACTOR]) / after[SAMPLES]
         after[R_FACTOR] = min(max(after[R_FACTOR], 1e-8), 1e8)
-    if not again:
         after[_LESS] = max(memory[_LESS] + ordinary * _for_less(part, excess), 0.0)
-    if after[_LESS] > _LOG_LESS:
+    if after[_LESS] > LOG_DECIDES:
         after[R_FACTOR], after[SAMPLES] = max(_LESS_SCALE * after[R_FACTOR], 1e-8), _PRIOR_R
         after[_LESS] = 0.0
     after[_shares(K)] += 1.0 / noise.r_memory * (posterior - memory[_shares(K)])
@@ -275,7 +272,7 @@ def _chain(memory: Array, K: int) -> tuple[Array, Array]:
 
 def is_established(memory: Array) -> bool:
     """Return whether a sensor has been read so often that its changes tell something."""
-    return bool(memory[_COUNT] > _FIRST_CHANGES)
+    return bool(memory[_COUNT] > _FIRST)
 
 
 def jump_chances(learnt: Array, y: Array, seen: Array, noise: Array, R: Array, scales: Sequence[float]) -> Array:
@@ -300,21 +297,19 @@ def _normal(y: float, variance: Any) -> Any:
         return np.exp(-0.5 * y / variance * y) / np.sqrt(variance)
 
 
-def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, late: bool = False) -> Array:
-    """Return the memory once the candidates of the parts that some sensors see are believed, or late, long after."""
-    # What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump.
+def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses) -> Array:
+    """Return the memory once the candidates of the parts that some sensors see are believed."""
+    # What was refused on the way was no outlier.
     learnt, K = learnt.copy(), len(noise.scales)
     prior = _chain(start(K), K)[1]
     for i in np.flatnonzero(believed):
         own, counts, readings = learnt[i, _JUMPS], _chain(learnt[i], K)[1], float(learnt[i, _COUNT])
         began, own[_BEGAN] = float(own[_BEGAN]), 0.0
-        if began == 0.0 or not readings > _FIRST_CHANGES or counts[:, 1:].sum() > _RARE * counts.sum():
+        if began == 0.0 or not readings > _FIRST or counts[:, 1:].sum() > _RARE * counts.sum():
             continue
-        returns = not late and readings - own[_AT] < _FIRST_CHANGES and abs(began + own[_SIZE]) < _RETURNS
         # The mean of what the chance may be, of which nothing was learned: (jumps + 1) / readings.
         each = 1.0 / min(readings, noise.memory)
-        own[_CHANCE] = max(own[_CHANCE] - each, 0.0) if returns else max(own[_CHANCE], each) + each
-        own[_SIZE], own[_AT] = began, readings - late * _FIRST_CHANGES
+        own[_CHANCE], own[_SIZE] = max(own[_CHANCE], each) + each, began
         # The run was in the classes that are likely for what it began with.
         sizes = np.array(noise.scales) * learnt[i, R_FACTOR]
         likely = counts.sum(axis=0) * np.exp(-0.5 * began**2 * (1.0 / sizes - 1.0 / sizes[-1])) / np.sqrt(sizes)
@@ -350,7 +345,7 @@ def weigh_together(learnt: Array, log_together: float, log_apart: float, noise: 
     """Return the memory once a sample has been weighed under both: one class for all sensors, or one for each."""
     after, before = learnt.copy(), together(learnt)
     before += (_PRIOR_TOGETHER - before) / noise.memory
-    evidence = min(max(log_together - log_apart, -_LOG_EVIDENCE), _LOG_EVIDENCE)
+    evidence = min(max(log_together - log_apart, -LOG_EVIDENCE), LOG_EVIDENCE)
     odds = before / (1.0 - before) * math.exp(evidence)
     after[:, _TOGETHER] = odds / (1.0 + odds)
     return after
@@ -364,7 +359,7 @@ def ordinary_size(
     seen: Array,
     H: Array,
     R: Array,
-    scales: Sequence[float] = SCALES,
+    memory: float = 300.0,
 ) -> tuple[Array, Array]:
     """Return r of each sensor, between what its parity and its changes allow, and the memory with this sample's."""
     # A sensor that a filter follows has no innovations left: r falls until the state is that sensor, its noise
@@ -373,7 +368,7 @@ def ordinary_size(
     # sensors leaves the R that was given.
     # Noise with a lag-one correlation c does not average out: a filter that keeps a part q of what it knew from reading
     # to reading is left with (1 + c q) / (1 - c q) times the variance that white noise leaves. It is given that r.
-    r, learnt, coloured, K = learnt[:, R_FACTOR].copy(), learnt.copy(), [], len(scales)
+    r, learnt, coloured = learnt[:, R_FACTOR].copy(), learnt.copy(), []
     readings = _in_deviations(readings, R)
     for own in np.flatnonzero(R.diagonal() > 0.0):
         most = _note(learnt[own, _READINGS], float(readings[own]), _bounded(y[own] / R[own, own] ** 0.5))
@@ -381,12 +376,11 @@ def ordinary_size(
         apart = float(learnt[own, _PARITY_VARIANCE])
         most = max(most, apart * apart)
         r[own], learnt[own, R_FACTOR] = min(r[own], most), min(learnt[own, R_FACTOR], most)
-    # Whom the others can stand in for is not who has just been far off, nor one that is followed.
-    size = learnt[:, last_class(K)] @ np.array(scales)
-    for i, e, part in parity(z, H, R, size * np.maximum(r, 1.0)):
-        correlation, least = _note_parity(learnt[i, _PARITY], e)
+    # Whom the others can stand in for is not one that is followed.
+    for i, e, part in parity(z, H, R, np.maximum(r, 1.0)):
+        correlation, least = _note_parity(learnt[i, _PARITY], e, memory)
         # A color is that of the sensor of whose noise a parity is made.
-        colour = min(max((correlation - _PARITY_FROM) / _PARITY_OVER, 0.0), 1.0) * min(_OWN * part, 1.0)
+        colour = min(max(_OWN * correlation, 0.0), 1.0) * min(_OWN * part, 1.0)
         if colour > 0.0:
             r[i] = max(r[i], r[i] ** (1.0 - colour) * least**colour)
             coloured.append((i, colour, correlation))
@@ -397,22 +391,22 @@ def ordinary_size(
     return r, learnt
 
 
-def _note_parity(row: Array, e: float) -> tuple[float, float]:
+def _note_parity(row: Array, e: float, memory: float) -> tuple[float, float]:
     """Note a parity, in place; return its lag-one correlation, 0 of too few, and the least r for that."""
     last, lag, variance, count = row.tolist()
     count += 1.0
-    share = max(1.0 / _PARITY_MEMORY, 1.0 / count)
+    share = max(1.0 / memory, 1.0 / count)
     if count > 6.0:
         # An outlier is no news about the color.
         e = min(max(e, -3.0 * variance**0.5), 3.0 * variance**0.5)
     e = min(max(e, -1e100), 1e100)
     lag, variance = lag + share * (e * last - lag), variance + share * (e * e - variance)
     row[:] = e, lag, variance, count
-    if not (count >= _PARITY_SAMPLES and variance > 0.0):
+    if not (count >= _FIRST and variance > 0.0):
         return 0.0, 1.0
     correlation = min(lag / variance, _MOST_COLOUR)
     # Samples that depend on each other are worth fewer, against the nominal R, which is worth some too.
-    worth = min(count, _PARITY_MEMORY) * (1.0 - correlation**2) / (1.0 + correlation**2)
+    worth = min(count, memory) * (1.0 - correlation**2) / (1.0 + correlation**2)
     return correlation, min(max(variance, 1e-8), 1.0) ** (worth / (worth + _PRIOR_R))
 
 
@@ -431,7 +425,7 @@ def _note(row: Array, z: float, y: float) -> float:
     repeats.note_reading(row, z)
     repeats.note_change(row, y)
     _, _, scale, count = row[:4].tolist()
-    return max(1.0, scale**2 * _MOST) if count > _FIRST_CHANGES + 1.0 else math.inf
+    return max(1.0, scale**2 * _MOST) if count > _FIRST + 1.0 else math.inf
 
 
 def repeated(learnt: Array, z: Array, R: Array) -> Array:

@@ -37,8 +37,6 @@ _REACH = 8.0
 _TOGETHER = 1e8
 # A state that is so much less certain than a sensor's noise, in variance, is unknown.
 _WIDEST = 1e12
-# What a sample is worth for a jump at most, 100 to 1: so many have to agree, however wild they are.
-_LOG_EVIDENCE = math.log(100.0)
 # One that is worth so much for a jump tells nothing of the scale of Q: a jump and a larger Q explain the same.
 _LOG_TELLS = math.log(30.0)
 # A variance that has shrunk to this part of what it was is rounding.
@@ -177,7 +175,7 @@ def _corrected(
     if follows:
         at, spread = _slow(models, process)
         r, memory[part] = learning.ordinary_size(
-            memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.scales
+            memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.memory
         )
     seen, noisy = np.argmax(H != 0.0, axis=1), r * R.diagonal()
     chances = np.zeros(len(part))
@@ -188,7 +186,7 @@ def _corrected(
         chances = np.maximum(chances, process.jump)
     models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
     if alike:
-        memory[part] = learning.jumped(memory[part], believed[seen], noise, late=True)
+        memory[part] = learning.jumped(memory[part], believed[seen], noise)
     models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new)
     if alike:
         memory[part], chances = learning.began(memory[part], models.parts[seen], *begun, R.diagonal())
@@ -368,7 +366,7 @@ def _weighed(
     if sensor_is_established and candidate > 0.0 and log_densities[q] > log_total + _LOG_TELLS:
         shares = slow / slow.sum()
     # A candidate is made to fit what it begins with, which is no evidence for it, unless that is like the jumps before.
-    own = log_total if fresh else min(float(log_densities[q]), log_total + _LOG_EVIDENCE)
+    own = log_total if fresh else min(float(log_densities[q]), log_total + learning.LOG_EVIDENCE)
     chances = math.log(max(1.0 - candidate, 1e-300)), math.log(max(candidate, 1e-300))
     full = float(np.logaddexp(chances[0] + log_total, chances[1] + (own if fresh else float(log_densities[q]))))
     if like_before > 0.0 and candidate > 0.0:

@@ -23,8 +23,8 @@ __all__ = ["RARE", "WIDTH", "again", "note_change", "note_reading"]
 
 #: Numbers of a row.
 WIDTH: Final = 6
-#: How many readings there are to one that repeats, where that is no habit of the sensor.
-RARE: Final = 10.0
+#: A share of repeats that is no habit of the sensor.
+RARE: Final = 0.1
 # Changes and repeats are remembered for 50 readings, and one repeat in a thousand is as rare as none. The scale of
 # changes is the quantile of .7 by recursion, here of a normal |x|: outliers hardly move it, nor do readings that are
 # held for three samples.
@@ -45,18 +45,22 @@ def note_reading(row: Array, z: float) -> None:
 def note_change(row: Array, y: float) -> None:
     """Let an innovation, of which the last correction's rest is taken off, move the scale of changes, in place."""
     rest, before, scale, count = row[:_LAST].tolist()
-    row[_CHANGE], row[_COUNT] = y - rest if count else 0.0, count + 1.0
+    row[_COUNT] = count + 1.0
+    if row[_RARE] < 0.0:
+        # What repeats the reading before tells nothing of the noise.
+        return
+    row[_CHANGE] = y - rest if count else 0.0
     if count < 2.0:
         return
     size = abs(row[_CHANGE] - before) / _QUANTILE
     pace = 2.0 * max(1.0 / (count - 1.0), 1.0 / _CHANGES)
     # Up or down by a pace, but never beyond what was seen.
     moved = min(size, scale * math.exp(0.7 * pace)) if size > scale else max(size, scale * math.exp(-0.3 * pace))
-    row[_SCALE] = moved if count > 2.0 else size
+    row[_SCALE] = moved if scale > 0.0 else size
 
 
 def again(rows: Array, z: Array, r: Array) -> np.ndarray:
     """Return which readings repeat the last one though their sensors seldom do, and have white noise."""
     # White noise makes 6 r. What changes less is no noise: there a repeated reading means that the state rests.
     white = rows[..., _SCALE] ** 2 >= r
-    return np.asarray((z == rows[..., _LAST]) & white & (np.abs(rows[..., _RARE]) >= RARE))
+    return np.asarray((z == rows[..., _LAST]) & white & (RARE * np.abs(rows[..., _RARE]) >= 1.0))

@@ -6,9 +6,9 @@ before a correction and `after` behind it; B = H P H' as given, B+ what the last
 
     w_i   max(1, (1 + B/R) / (1 + e^g B+/R)), g the usual growth of log(B/R)  only the noise has outliers
           as far as such e_i have been, if they were many
-    s_i   the median of |e_i| / w_i over .6745, of those that are not far     e_i = y_i / sqrt(S_ii), S as given
+    s_i   the median of |e_i| / w_i over .6745, of new and not far readings   e_i = y_i / sqrt(S_ii), S as given
     p_i   the share of those beyond 3 s_i
-    width w_i s_i (1 - 1.5 p_i) sqrt(S_ii)                                    the unit of psi's threshold
+    width w_i s_i / (1 + 1.5 p_i) sqrt(S_ii)                                  the unit of psi's threshold
 
 docs/equations.md has the whole rule, and what each number does.
 """
@@ -29,18 +29,15 @@ QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
 FAR = 3.0  #: beyond so many spreads it is an outlier, and does not move the spread
 PACE, MEMORY = 2.0, 100.0  #: steps of log(spread): 2/n of n samples, at least 2/100
-MOST, YIELD = 0.4, 1.5  #: the largest share of outliers; threshold times 1 - 1.5 share
-PRIOR = 10.0  #: the share starts from so many innovations without an outlier
-LOST = 10  #: so many far ones in a row, and the typical innovation is another one
+YIELD = 1.5  #: threshold over 1 + 1.5 share of outliers
+FEW = 10.0  #: the share starts from so many without an outlier; so many far ones in a row, and another one is typical
 RUN_LENGTH = 4  #: a jump: so many clipped in a row, until some have lasted,
 AGREE = 2.5  #: each within 2.5 spreads of where the last left x
 RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
 SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
-WHOLE = 0.01  #: a change within so much of a whole number of steps is steps, and so little wider is as usual
-MOST_STEPS = 1e6  #: more steps are no number of steps
+WHOLE = 0.01  #: so little wider is as usual
 SUDDEN = 4.0  #: what is so many spreads off has not crept there
 STEEP = 1.5  #: a run goes on while it grows by less than half
-HABIT = 0.2  #: a share of repeats from which on one that is merely clipped says something
 ROUNDED = 1e-13  #: an innovation of so much of the reading and of its standard deviation is rounding
 FLOOR, STEEPEST = 1e-9, 50.0  #: less of H P H' / R is rounding; its logarithm does not grow by more
 LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
@@ -90,16 +87,17 @@ def prepared(
     here &= ~held
     for i in np.flatnonzero(here & (excess > 1 + WHOLE)):
         _widen(memory[i], size[i] * wider[i], excess[i])
-    # A typical innovation is no rounding: of a state that was set from the reading itself, say.
+    # A typical innovation is no rounding: of a state that was set from the reading itself, say. What repeats the
+    # reading before tells nothing of the noise.
     begins = (memory[:, WEIGHT] > 0) | (np.abs(y) > ROUNDED * (np.abs(z) + nominal))
-    for i in np.flatnonzero(here & begins & (size > 0)):
+    new = (memory[:, STEP] == 0) | (z != memory[:, LAST])
+    for i in np.flatnonzero(here & begins & new & (size > 0)):
         _learn(memory[i], size[i], coarse[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
     # Who has no typical innovation yet has shown zeros alone: any width will do.
     s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
-    seen = _seen_by(B, here)
-    charge = _charges(y, s, nominal, B, seen, here) if here.sum() > 1 else np.zeros(len(y))
-    narrowed = np.maximum(s * (1 - YIELD * memory[:, SHARE]), coarse)
+    charge = _charges(y, s, nominal, B, here) if here.sum() > 1 else np.zeros(len(y))
+    narrowed = np.maximum(s / (1 + YIELD * memory[:, SHARE]), coarse)
     unit, out, back = s * nominal * wider, here & (size > BEND * narrowed), np.zeros(len(y), dtype=bool)
     for i in np.flatnonzero(here):
         own, ordinary = memory[i], not out[i]
@@ -113,9 +111,11 @@ def prepared(
         # Back where the state was before a jump.
         landing = max(AGREE * unit[i], RETURN * abs(own[JUMP]))
         back[i] = out[i] and own[JUMP] != 0 and abs(y[i] + own[JUMP]) < landing
-    jumped = _jumps(memory, y, B, seen, out, back, charge, here, unit)
+    # What others that see the same are not off by is a sensor's own noise, no jump.
     growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * nominal * wider
-    for i in np.flatnonzero(jumped):
+    for i in np.flatnonzero(out & (charge == 0) & (np.diag(B) > 0)):
+        if not _believed(memory[i], y[i], unit[i], back[i]):
+            continue
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
         # What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees.
         if size[i] < SUDDEN * narrowed[i]:
@@ -153,7 +153,7 @@ def _excess(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
 def _wider(memory: np.ndarray, excess: np.ndarray, coarse: np.ndarray) -> np.ndarray:
     """Return by what a width grows with S / R: no further than readings that were wider than usual have been (m,)."""
     usual = BEND * np.maximum(memory[:, SPREAD], coarse)
-    bounded = (excess > 1 + WHOLE) & (memory[:, WIDENED] > PRIOR) & (usual > 0)
+    bounded = (excess > 1 + WHOLE) & (memory[:, WIDENED] > FEW) & (usual > 0)
     most = FAR * memory[:, WIDE] / np.where(usual > 0, usual, 1.0)
     return np.where(bounded, np.maximum(np.minimum(excess, most), 1.0), excess)
 
@@ -183,7 +183,7 @@ def _towards(median: float, aim: float, up: float, down: float) -> float:
 
 def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
     """Let one sensor's |e| move its spread and its share of outliers."""
-    if own[STRANGE] >= LOST:
+    if own[STRANGE] >= FEW:
         own[[WEIGHT, SHARE, STRANGE]] = 0.0
     before, aim = own[WEIGHT], size / QUARTILE
     own[WEIGHT] += weight
@@ -195,7 +195,7 @@ def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
     share = float(own[SHARE])
     own[SPREAD] = _towards(float(own[SPREAD]), aim, PACE * pace * (1 - share), PACE * pace * (1 + share))
     own[STRANGE] = own[STRANGE] + 1 if far else 0
-    own[SHARE] = min(own[SHARE] + (far - own[SHARE]) * max(weight / (own[WEIGHT] + PRIOR), 1 / MEMORY), MOST)
+    own[SHARE] += (far - own[SHARE]) * max(weight / (own[WEIGHT] + FEW), 1 / MEMORY)
 
 
 def _forgive(own: np.ndarray, jump: float) -> None:
@@ -228,7 +228,7 @@ def _note_outcome(own: np.ndarray, lasted: bool, length: float) -> None:
         return
     own[LASTED] += 1
     far, reach = abs(float(own[JUMP])), float(own[REACH])
-    own[REACH] = reach * math.exp(math.log(far / reach) / min(own[LASTED], LOST)) if reach > 0 else far
+    own[REACH] = reach * math.exp(math.log(far / reach) / min(own[LASTED], FEW)) if reach > 0 else far
 
 
 def _end_run(own: np.ndarray, unit: float) -> None:
@@ -241,7 +241,7 @@ def _end_run(own: np.ndarray, unit: float) -> None:
 def _grow_old(own: np.ndarray, unit: float, ordinary: bool) -> None:
     """Let a jump that was believed grow older: one that nothing has undone has lasted."""
     own[AGE] += own[AGE] > 0
-    if own[AGE] > LOST and ordinary:
+    if own[AGE] > FEW and ordinary:
         own[AGE] = 0.0
         if abs(own[JUMP]) > SUDDEN * unit:
             _note_outcome(own, True, 0)
@@ -251,7 +251,7 @@ def _holds(own: np.ndarray, z: float, size: float, coarse: float) -> bool:
     """Tell whether a reading says nothing new: a far one that repeats the one before, or goes on doing so."""
     # Of a sensor of which most readings repeat some count.
     counts, before, unit = max(2 * own[REPEATS] - 1, 0.0), own[HELD], max(own[SPREAD], coarse)
-    far = 0 < (BEND if own[REPEATS] < HABIT else FAR) * unit < size
+    far = 0 < BEND * unit < size
     if not (own[STEP] != 0 and z == own[LAST] and (far or before > 0)):
         # One that is near those that were held bears them out.
         own[RUN] += before if own[RUN] > 0 else 0
@@ -269,28 +269,20 @@ def _note_reading(own: np.ndarray, z: float, ordinary: bool) -> None:
         own[STEP] = -1.0
     elif change > 0 and ordinary:
         own[STEP] = min(change, step) if step > 0 else change
-        # A change that is no whole number of steps: these readings are not quantized, or more finely.
-        if step > 0 and not _is_whole(change / step):
-            own[REPEATS] = 0.0
     if ordinary:
         own[REPEATS] += ((step != 0 and change == 0) - own[REPEATS]) * _step(own)
     own[LAST] = z
 
 
-def _is_whole(ratio: float) -> bool:
-    """Tell whether a change over the smallest one is a number of steps."""
-    return 0.5 < ratio < MOST_STEPS and abs(ratio - int(ratio + 0.5)) < WHOLE
-
-
 def _step(own: np.ndarray) -> float:
     """Return how much one more innovation weighs in a share."""
-    return max(1 / (float(own[WEIGHT]) + PRIOR), 1 / MEMORY)
+    return max(1 / (float(own[WEIGHT]) + FEW), 1 / MEMORY)
 
 
 def settled(memory: np.ndarray) -> np.ndarray:
     """Return the spread of each sensor as a threshold's unit, 1 where there is none yet."""
     learned = memory[:, WEIGHT] > 0
-    return np.where(learned, memory[:, SPREAD] * (1 - YIELD * memory[:, SHARE]), 1.0)
+    return np.where(learned, memory[:, SPREAD] / (1 + YIELD * memory[:, SHARE]), 1.0)
 
 
 def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:
@@ -305,10 +297,9 @@ def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:
     return seen
 
 
-def _charges(
-    y: np.ndarray, s: np.ndarray, nominal: np.ndarray, B: np.ndarray, seen: np.ndarray, here: np.ndarray
-) -> np.ndarray:
+def _charges(y: np.ndarray, s: np.ndarray, nominal: np.ndarray, B: np.ndarray, here: np.ndarray) -> np.ndarray:
     """Return what each sensor is noisier than those that see the same: that can only be its own noise."""
+    seen = _seen_by(B, here)
     charge, b = np.zeros(len(y)), np.diag(B)
     for i in np.flatnonzero(here & (b > 0)):
         w = seen[i]
@@ -322,8 +313,7 @@ def _charges(
         high = max(v for v in says if w[others][says >= v].sum() >= total * (0.5 - 1e-9))
         odd = abs(y[i] - min(max(0.0, low), high)) / nominal[i]
         own = max(s[i], min(odd, 1e100) / CONTRADICTED)
-        if own > APART * usual:
-            charge[i] = nominal[i] ** 2 * ((own / usual) ** 2 - 1)
+        charge[i] = nominal[i] ** 2 * max((own / (APART * usual)) ** 2 - 1, 0.0)
     return charge
 
 
@@ -332,20 +322,6 @@ def _goes_on(own: np.ndarray, y: float, near: float) -> bool:
     rest = float(own[REST])
     steep = abs(rest) <= abs(y) < STEEP * abs(rest)
     return bool(own[RUN] > 0 and y * np.sign(rest) > 0 and (abs(y - rest) < near or steep))
-
-
-def _jumps(
-    memory: np.ndarray, y: np.ndarray, B: np.ndarray, seen: np.ndarray, out: np.ndarray, back: np.ndarray,
-    charge: np.ndarray, here: np.ndarray, unit: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Return who has seen a jump: a run, or a return, that those who see the same do not contradict."""
-    jumped = np.zeros(len(y), dtype=bool)
-    for i in np.flatnonzero(out & (charge == 0) & (np.diag(B) > 0)):
-        if not _believed(memory[i], y[i], unit[i], back[i]):
-            continue
-        agree = out & (y * y[i] * B[i] > 0)
-        jumped[i] = (seen[i] * agree).sum() > (seen[i] * (here & ~agree)).sum() * (1 + 1e-9)
-    return jumped
 
 
 def moved(c: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -14,15 +14,11 @@
 #define LEARNT_TOGETHER REAL(1e8)     /* standard deviations that one counts for where all are weighed together */
 #define LEARNT_REACH REAL(8.0)        /* standard deviations of the widest class that an innovation counts for */
 #define LEARNT_LOG_2PI REAL(1.8378770664093454836)
-#define LEARNT_PARITY_MEMORY REAL(200.0)
-#define LEARNT_PARITY_FROM REAL(0.15)
-#define LEARNT_PARITY_OVER REAL(0.30)
-#define LEARNT_PARITY_SAMPLES REAL(20.0)
 #define LEARNT_LESS REAL(0.1)
-#define LEARNT_FOR_LESS REAL(6.9077552789821371)
+#define LEARNT_LOG_DECIDES REAL(6.9077552789821371) /* a thousand to one */
 #define LEARNT_COLOUR REAL(0.99)       /* noise that never changes is an offset, of which no reading rids a filter */
 #define LEARNT_WILDEST REAL(1e6)
-#define LEARNT_FIRST_CHANGES REAL(20.0)
+#define LEARNT_FIRST REAL(20.0)        /* parity and changes tell something from here on */
 #define LEARNT_MOST REAL(8.0) / 6      /* r at most, over the variance of the differences of changes */
 #define LEARNT_REDUNDANT REAL(1e-6)
 #define LEARNT_OWN REAL(5.0)           /* a sensor's noise is a fifth of its parity or more where its color counts fully */
@@ -39,15 +35,14 @@
 
 #define LEARNT_DECIDES REAL(50.0)      /* readings of a part from which on its factor may be taken, */
 #define LEARNT_DECIDED REAL(100.0)     /* and after which it is 1 if it is near 1 */
-#define LEARNT_BETTER REAL(6.9077552789821371) /* so much likelier, in logarithms, its readings must have been */
-#define LEARNT_LOG_BEYOND REAL(5.7037824746562009) /* half a decade beyond what the scales of Q reach */
+#define LEARNT_LOG_BEYOND REAL(3.4011973816621555) /* less is left to the scales of Q and to r */
+#define LEARNT_RARE REAL(0.2)          /* of a sensor with more outliers than that a run of them may be no jump */
 #define LEARNT_LOG_FARTHEST REAL(27.631021115928547)
 
-#define LEARNT_RARE REAL(0.2)          /* of a sensor with more outliers than that a run of them may be no jump */
 
 typedef struct {
     real chance;   /* that a reading begins a jump */
-    real size, at; /* the last jump in standard deviations of R, and at which reading it was believed */
+    real size;     /* the last jump in standard deviations of R */
     real began;    /* the innovation that a candidate began with, 0 if none did with this sensor, */
     real outliers; /* and how many outliers there were since */
 } jumps_memory;
@@ -244,10 +239,10 @@ INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt
         /* What the recursion as given foretells better is shown as it has it. */
         const real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const given = s->P + models * n * n;
         const real *const better = learnt_given(n, rule, s, LEARNT_FOR_FACTOR);
-        if (!(readings[i] < LEARNT_DECIDED && better[i] >= LEARNT_BETTER)) continue;
+        if (!(readings[i] < LEARNT_DECIDED && better[i] >= LEARNT_LOG_DECIDES)) continue;
         x[i] = s->x[models * n + i];
         for (int j = 0; j < n; j++) {
-            const int too = readings[j] < LEARNT_DECIDED && better[j] >= LEARNT_BETTER;
+            const int too = readings[j] < LEARNT_DECIDED && better[j] >= LEARNT_LOG_DECIDES;
             P[i * n + j] = P[j * n + i] = too ? given[i * n + j] : 0;
         }
     }
@@ -347,18 +342,15 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     const real keep = 1 - 1 / rule->memory, less = (1 - LEARNT_LESS) * part;
     /* A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step, and it
        is no independent sample of white noise. */
-    const int again = real_copysign(1, habits->repeats.seldom) < 0;
-    if (!again || -habits->repeats.seldom >= REPEATS_RARE) {
+    if (real_copysign(1, habits->repeats.seldom) > 0) {
         /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
         *memory->samples = 1 + (1 - 1 / rule->r_memory) * (*memory->samples - 1) + p[0] * part * part;
         *r += p[0] * (used * (1 + part * excess) - *r) / *memory->samples;
         *r = real_min(real_max(*r, REAL(1e-8)), REAL(1e8));
-    }
-    if (!again) {
         habits->less -= p[0] * REAL(0.5) * (real_log(1 - less) + (1 + excess) * less / (1 - less));
         habits->less = real_max(habits->less, 0);
     }
-    if (habits->less > LEARNT_FOR_LESS) {
+    if (habits->less > LEARNT_LOG_DECIDES) {
         *r = real_max(LEARNT_LESS * *r, REAL(1e-8));
         *memory->samples = rule->begin[1];
         habits->less = 0;
@@ -388,17 +380,17 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
 }
 
 /* Note a parity; return its lag-one correlation, 0 while it tells nothing. */
-INLINE real learnt_note_parity(real e, learnt_habits *const habits) {
+INLINE real learnt_note_parity(real e, const real memory, learnt_habits *const habits) {
     real share, covariance, variance;
     habits->parity.count += 1;
-    share = real_max(1 / LEARNT_PARITY_MEMORY, 1 / habits->parity.count);
+    share = real_max(1 / memory, 1 / habits->parity.count);
     /* An outlier is no news about the color. */
     if (habits->parity.count > 6) e = real_within(e, 3 * real_sqrt(habits->parity.variance));
     e = real_within(e, REAL(1e100));
     covariance = habits->parity.covariance += share * (e * habits->parity.last - habits->parity.covariance);
     variance = habits->parity.variance += share * (e * e - habits->parity.variance);
     habits->parity.last = e;
-    return habits->parity.count >= LEARNT_PARITY_SAMPLES && variance > 0 ? real_min(covariance / variance, LEARNT_COLOUR) : 0;
+    return habits->parity.count >= LEARNT_FIRST && variance > 0 ? real_min(covariance / variance, LEARNT_COLOUR) : 0;
 }
 
 /* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, of which spread is
@@ -435,11 +427,8 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
     real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m;
     int count = 0, coloured = 0;
     for (int i = 0; i < m; i++) {
-        /* Whom the others can stand in for is not who has just been far off, nor one that is followed. */
-        const learnt_memory memory = learnt_of(rule, s, i);
-        real size = 0;
-        for (int k = 0; k < rule->K; k++) size += memory.last[k] * rule->scales[k];
-        unit[i] = left[i] > 0 ? real_sqrt(size * real_max(r[i], 1) * R[i * m + i]) : 1;
+        /* Whom the others can stand in for is not one that is followed. */
+        unit[i] = left[i] > 0 ? real_sqrt(real_max(r[i], 1) * R[i * m + i]) : 1;
         if (!(unit[i] > 0)) return;
         count += left[i] > 0;
     }
@@ -477,14 +466,13 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
         }
         e /= real_sqrt(variance);
         if (!real_is_finite(e)) continue;
-        correlation[i] = learnt_note_parity(e, habits);
+        correlation[i] = learnt_note_parity(e, rule->memory, habits);
         /* A color is that of the sensor of whose noise a parity is made. */
-        colour[i] = real_min(real_max((correlation[i] - LEARNT_PARITY_FROM) / LEARNT_PARITY_OVER, 0), 1);
-        colour[i] *= real_min(LEARNT_OWN * rest[i * m + i], 1);
+        colour[i] = real_min(real_max(LEARNT_OWN * correlation[i], 0), 1) * real_min(LEARNT_OWN * rest[i * m + i], 1);
         if (colour[i] > 0) {
             /* Samples that depend on each other are worth fewer, against R as given, which is worth begin[1] of them. */
             const real square = correlation[i] * correlation[i];
-            const real worth = real_min(habits->parity.count, LEARNT_PARITY_MEMORY) * (1 - square) / (1 + square);
+            const real worth = real_min(habits->parity.count, rule->memory) * (1 - square) / (1 + square);
             const real sure = worth / (worth + rule->begin[1]);
             const real least = real_exp(sure * real_log(real_min(real_max(habits->parity.variance, REAL(1e-8)), 1)));
             r[i] = real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)));
@@ -538,7 +526,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
         if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
         repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), repeats);
         repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), repeats);
-        if (!(repeats->count > LEARNT_FIRST_CHANGES + 1)) continue;
+        if (!(repeats->count > LEARNT_FIRST + 1)) continue;
         /* What others contradict by more than its noise is no motion of the state, however even its changes. */
         const real apart = memory.habits->parity.variance;
         most = real_max(real_max(1, repeats->scale * repeats->scale * LEARNT_MOST), apart * apart);
@@ -700,9 +688,9 @@ INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rul
         if (w->left[i] > 0) w->head[i] = part[(int)w->head[i]];
 }
 
-/* Learn from a candidate that a sensor began and that is believed now, or late, long after: how often that happens, and how
-   far. What was refused on the way was no outlier; what returns at once to where it was before had been one, not a jump. */
-INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i, const int late) {
+/* Learn from a candidate that a sensor began and that is believed now: how often that happens, and how far. What was refused
+   on the way was no outlier. */
+INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i) {
     const int K = rule->K;
     const real *const prior = rule->begin + 2 + 2 * K;
     const learnt_memory memory = learnt_of(rule, s, i);
@@ -712,12 +700,10 @@ INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *con
     readings = memory.habits->repeats.count, began = jumps->began;
     jumps->began = 0;
     for (int k = 0; k < K * K; k++) all += counts[k], outliers += k % K ? counts[k] : 0;
-    if (began == 0 || !(readings > LEARNT_FIRST_CHANGES) || outliers > LEARNT_RARE * all) return;
-    const real back = real_abs(began + jumps->size), each = 1 / real_min(readings, rule->memory);
-    const int returns = !late && readings - jumps->at < LEARNT_FIRST_CHANGES && back * back < LEARNT_ASKS;
+    if (began == 0 || !(readings > LEARNT_FIRST) || outliers > LEARNT_RARE * all) return;
+    const real each = 1 / real_min(readings, rule->memory);
     /* The mean of what the chance may be, of which nothing was known: (jumps + 1) / readings. */
-    jumps->chance = returns ? real_max(jumps->chance - each, 0) : real_max(jumps->chance, each) + each;
-    jumps->size = began, jumps->at = readings - (late ? LEARNT_FIRST_CHANGES : 0);
+    jumps->chance = real_max(jumps->chance, each) + each, jumps->size = began;
     /* The run was in the classes that are likely for what it began with. */
     for (int twice = 0; twice < 2; twice++)
         for (int k = 1; k < K; k++) {
@@ -792,7 +778,7 @@ INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const ru
         if (chance > REAL(0.5)) learnt_settle(n, rule, s, w->head[i]), believed = 1;
         for (int j = 0; j < m; j++) {
             if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
-            if (chance > REAL(0.5)) learnt_jumped(rule, s, j, 1);
+            if (chance > REAL(0.5)) learnt_jumped(rule, s, j);
             w->fresh[j] = 1;
         }
     }
@@ -1265,7 +1251,7 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
             }
             evidence /= others;
             /* What tells for a jump so much tells nothing of the scale of Q. */
-            const int experienced = learnt_jumps(rule, s, i) && memory.habits->repeats.count > LEARNT_FIRST_CHANGES;
+            const int experienced = learnt_jumps(rule, s, i) && memory.habits->repeats.count > LEARNT_FIRST;
             for (int c = 0; c < q && experienced && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence; c++)
                 w.logs[c] = evidence;
             full = others * evidence + p[q * n] * (w.fresh[i] > 0 ? evidence : w.logs[q]);
@@ -1340,7 +1326,7 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         for (int i = 0; i < m; i++) {
             if (!(weights[i] > 0 && w.head[i] == part[o])) continue;
             learnt_unseen(n, rule, s)[o] = 0;
-            if (believed) learnt_jumped(rule, s, i, 0);
+            if (believed) learnt_jumped(rule, s, i);
         }
         if (believed) learnt_settle(n, rule, s, part[o]);
     }
@@ -1415,12 +1401,10 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
             by_it = -psi_rho(&huber.psi, y[j] / real_exp(log_unit)) - log_unit - REAL(0.5) * LEARNT_LOG_2PI;
             evidence += real_within(by_it - logs[j], real_log(LEARNT_EVIDENCE));
         }
-        evidence = beyond ? real_min(real_max(for_factor[head] + evidence, 0), 2 * LEARNT_BETTER) : 0;
+        evidence = beyond ? real_min(real_max(for_factor[head] + evidence, 0), 2 * LEARNT_LOG_DECIDES) : 0;
         count = readings[head] + 1;
         if (beyond) count = real_min(count, LEARNT_DECIDED - 1);
-        /* Evidence from before the models have had their time to learn counts for one half. */
-        if (count == LEARNT_DECIDES) evidence = real_min(evidence, LEARNT_BETTER);
-        any = count > LEARNT_DECIDES && evidence == 2 * LEARNT_BETTER;
+        any = count > LEARNT_DECIDES && evidence == 2 * LEARNT_LOG_DECIDES;
         for (int o = 0; o < n; o++) {
             if ((int)part[o] != head) continue;
             for_factor[o] = evidence, readings[o] = any ? LEARNT_DECIDED : count;

@@ -5,7 +5,7 @@
 
 #include "real.h"
 
-#define REPEATS_RARE REAL(10.0)    /* readings to one that repeats, where that is no habit of the sensor */
+#define REPEATS_RARE REAL(0.1)     /* a share of repeats that is no habit of the sensor */
 #define REPEATS_RAREST REAL(1e-3)  /* a share of repeats that is as rare as none */
 #define REPEATS_CHANGES REAL(50.0) /* changes and repeats that are remembered */
 #define REPEATS_QUANTILE REAL(1.0364333894937898) /* .7 of a normal |x| is below it */
@@ -33,13 +33,15 @@ INLINE void repeats_note_reading(const real z, repeats_memory *const memory) {
 INLINE void repeats_note_change(const real y, repeats_memory *const memory) {
     const real before = memory->change, count = memory->count, scale = memory->scale;
     real size, pace;
-    memory->change = count > 0 ? y - memory->left : 0;
     memory->count += 1;
+    /* What repeats the reading before tells nothing of the noise. */
+    if (memory->seldom < 0) return;
+    memory->change = count > 0 ? y - memory->left : 0;
     if (count < 2) return;
     size = real_abs(memory->change - before) / REPEATS_QUANTILE;
     pace = 2 * real_max(1 / (count - 1), 1 / REPEATS_CHANGES);
     /* Up or down by a pace, but never beyond what was seen. */
-    if (count < 3) memory->scale = size;
+    if (!(scale > 0)) memory->scale = size;
     else if (size > scale) memory->scale = real_min(size, scale * real_exp(REAL(0.7) * pace));
     else memory->scale = real_max(size, scale * real_exp(REAL(-0.3) * pace));
 }
@@ -47,7 +49,7 @@ INLINE void repeats_note_change(const real y, repeats_memory *const memory) {
 /* Whether a reading repeats the last one. White noise makes 6 r; what changes less is none. */
 INLINE int repeats_again(const real z, const real r, const repeats_memory *const memory) {
     return z == memory->last && memory->scale * memory->scale >= r &&
-           real_abs(memory->seldom) >= REPEATS_RARE;
+           REPEATS_RARE * real_abs(memory->seldom) >= 1;
 }
 
 #endif

@@ -1,8 +1,8 @@
 /* How each sensor's spread is learned: what its innovations usually are, in units of what S says.
 
    The spread is a median by recursion of |e|, e = y / sqrt(S_ii), without the far ones. What a sensor is noisier than
-   those that see the same is charged to its R; a run of clipped innovations that those who see the same do not
-   contradict is a jump of the state, and P grows until it is plausible, where the sensor tells much of a state. How
+   those that see the same is charged to its R; a run of clipped innovations is a jump
+   of the state, unless it is charged, and P grows until it is plausible. How
    long a run must be is learned from those that lasted and those that came to nothing. Beside other sensors a far
    reading that repeats the one before counts only as far as that is usual: one that is stuck says nothing new. Where
    readings repeat, one smallest step between them is never clipped. */
@@ -43,20 +43,17 @@ typedef struct {
 #define SPREAD_FAR REAL(3.0)                     /* beyond so many it is an outlier, and does not move the spread */
 #define SPREAD_PACE REAL(2.0)                    /* steps of log(spread): 2/n of n samples, */
 #define SPREAD_FADING REAL(0.01)                 /* at least 2/100 */
-#define SPREAD_MOST REAL(0.4)                    /* the largest share of outliers, */
-#define SPREAD_YIELD REAL(1.5)                   /* and the threshold times 1 - 1.5 share */
-#define SPREAD_PRIOR REAL(10.0)                  /* the share starts from so many without an outlier */
-#define SPREAD_LOST 10                           /* so many far ones in a row are the typical ones */
+#define SPREAD_YIELD REAL(1.5)                   /* the threshold over 1 + 1.5 share */
+#define SPREAD_FEW REAL(10.0)                    /* the share starts from so many without an outlier; */
+                                                 /* so many far ones in a row, and another one is typical */
 #define SPREAD_RUN 4                             /* a jump: so many clipped in a row, until some have lasted, */
 #define SPREAD_AGREE REAL(2.5)                   /* each within so many spreads of where the last one left x */
 #define SPREAD_RARE REAL(0.05)                   /* a share of outliers with which one innovation is a return, */
 #define SPREAD_RETURN REAL(0.2)                  /* if it is within a fifth of the jump */
 #define SPREAD_SPARED REAL(0.1)                  /* states that tell a tenth as much as another do not jump with it */
-#define SPREAD_WHOLE REAL(0.01)                  /* a change within so much of a whole number of steps, */
-#define SPREAD_STEPS REAL(1e6)                   /* up to so many, is steps */
+#define SPREAD_WHOLE REAL(0.01)                  /* so little wider is as usual */
 #define SPREAD_SUDDEN REAL(4.0)                  /* what is so many spreads off has not crept there */
 #define SPREAD_STEEP REAL(1.5)                   /* a run goes on while it grows by less than half */
-#define SPREAD_HABIT REAL(0.2)                   /* a share of repeats from which a clipped one may say something */
 #define SPREAD_GROWTH REAL(1e6)                  /* the most that S grows by at one jump */
 #define SPREAD_WITNESS REAL(0.47)                /* of the weight of those who see the same */
 #define SPREAD_APART REAL(1.5)                   /* so much wider than they are is a sensor's own noise, */
@@ -93,7 +90,7 @@ INLINE real spread_towards(const real median, const real aim, const real up, con
 INLINE void spread_learn(spread_memory *const own, const real size, const real coarse, const real weight) {
     const real aim = size / SPREAD_QUARTILE;
     real known, pace, far;
-    if (own->strange >= SPREAD_LOST) own->weight = own->share = own->strange = 0;
+    if (own->strange >= SPREAD_FEW) own->weight = own->share = own->strange = 0;
     known = own->weight;
     own->weight += weight;
     if (known == 0) {
@@ -104,8 +101,7 @@ INLINE void spread_learn(spread_memory *const own, const real size, const real c
     far = size > SPREAD_FAR * real_max(own->spread, coarse) ? REAL(1.0) : REAL(0.0);
     own->spread = spread_towards(own->spread, aim, pace * (1 - own->share), pace * (1 + own->share));
     own->strange = far != 0 ? own->strange + 1 : 0;
-    own->share += (far - own->share) * real_max(weight / (own->weight + SPREAD_PRIOR), SPREAD_FADING);
-    own->share = real_min(own->share, SPREAD_MOST);
+    own->share += (far - own->share) * real_max(weight / (own->weight + SPREAD_FEW), SPREAD_FADING);
 }
 
 /* Write into seen (m) how much of sensor i's prediction error each sensor sees too, squared correlations; the sum. */
@@ -152,20 +148,8 @@ CALLED real spread_charge(const int m, const int i, const correction *const c, c
     high = spread_quantile(m, says, seen, -1, total * (REAL(0.5) - REAL(1e-9)));
     own = real_abs(c->y[i] - real_min(real_max(0, low), high)) / real_sqrt(variance) / SPREAD_CONTRADICTED;
     own = real_max(s[i], real_min(own, REAL_PRODUCT / SPREAD_CONTRADICTED));
-    return own > SPREAD_APART * usual ? variance * (own / usual * (own / usual) - 1) : 0;
-}
-
-/* Whether those who see what sensor i sees do not contradict that the state has jumped; out: who is clipped. */
-CALLED int spread_agreed(const int m, const int i, const correction *const c, const real *R, const real *out,
-                         real *RESTRICT seen) {
-    real agree = 0, against = 0;
-    spread_seen(m, i, c, R, seen);
-    for (int j = 0; j < m; j++) {
-        const real same = c->y[j] * c->y[i] * (c->S[i * m + j] - R[i * m + j]);
-        if (out[j] != 0 && same > 0) agree += seen[j];
-        else against += seen[j];
-    }
-    return agree > against * SPREAD_ROUNDING;
+    own /= SPREAD_APART * usual;
+    return own > 1 ? variance * (own * own - 1) : 0;
 }
 
 /* What a sensor tells of the state that it tells most of, of its covariances c (n) with its prediction. */
@@ -202,7 +186,7 @@ INLINE void spread_outcome(spread_memory *const own, const int lasted, const rea
     own->vain += (lasted ? 0 : 1) - SPREAD_FADING * own->vain;
     own->on += (lasted ? 0 : length - 1) - SPREAD_FADING * own->on;
     if (!lasted) return;
-    if (own->reach > 0) own->reach *= real_exp(real_log(far / own->reach) / real_min(own->lasted, SPREAD_LOST));
+    if (own->reach > 0) own->reach *= real_exp(real_log(far / own->reach) / real_min(own->lasted, SPREAD_FEW));
     else own->reach = far;
 }
 
@@ -216,14 +200,14 @@ INLINE void spread_end(spread_memory *const own, const real unit) {
 INLINE void spread_grow_old(spread_memory *const own, const real unit, const int ordinary) {
     if (!(own->age > 0)) return;
     own->age += 1;
-    if (!(own->age > SPREAD_LOST && ordinary)) return;
+    if (!(own->age > SPREAD_FEW && ordinary)) return;
     own->age = 0;
     if (real_abs(own->jump) > SPREAD_SUDDEN * unit) spread_outcome(own, 1, 0);
 }
 
 /* How much one more innovation weighs in a share. */
 INLINE real spread_step(const spread_memory *const own) {
-    return real_max(1 / (own->weight + SPREAD_PRIOR), SPREAD_FADING);
+    return real_max(1 / (own->weight + SPREAD_FEW), SPREAD_FADING);
 }
 
 /* Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once. */
@@ -239,12 +223,7 @@ INLINE void spread_repeat(spread_memory *const own, const real z, const int ordi
     if (step == 0) {
         own->step = -1;
     } else if (change > 0 && ordinary) {
-        const real ratio = step > 0 ? change / step : 1;
         own->step = step > 0 ? real_min(change, step) : change;
-        /* A change that is no whole number of steps: these readings are not quantized, or more finely. */
-        if (!(ratio > REAL(0.5) && ratio < SPREAD_STEPS &&
-              real_abs(ratio - (real)(int)(ratio + REAL(0.5))) < SPREAD_WHOLE))
-            own->repeats = 0;
     }
     if (ordinary) own->repeats += ((step != 0 && change == 0 ? 1 : 0) - own->repeats) * spread_step(own);
     own->last = z;
@@ -255,7 +234,7 @@ INLINE void spread_repeat(spread_memory *const own, const real z, const int ordi
 INLINE int spread_holds(spread_memory *const own, const real z, const real size, const real coarse) {
     const real counts = real_max(2 * own->repeats - 1, 0), before = own->held;
     const real unit = real_max(own->spread, coarse);
-    const int far = unit > 0 && size > (own->repeats < SPREAD_HABIT ? SPREAD_BEND : SPREAD_FAR) * unit;
+    const int far = unit > 0 && size > SPREAD_BEND * unit;
     if (own->step == 0 || z != own->last || !(far || before > 0)) {
         /* One that is near those that were held bears them out. */
         if (own->run > 0) own->run += before;
@@ -276,7 +255,7 @@ INLINE real spread_excess(const spread_memory *const own, const real ratio) {
 /* By what a width grows with it: no further than readings that were wider than usual have been, if they were many. */
 INLINE real spread_wider(const spread_memory *const own, const real excess, const real coarse) {
     const real usual = SPREAD_BEND * real_max(own->spread, coarse);
-    if (!(excess > 1 + SPREAD_WHOLE && own->widened > SPREAD_PRIOR && usual > 0)) return excess;
+    if (!(excess > 1 + SPREAD_WHOLE && own->widened > SPREAD_FEW && usual > 0)) return excess;
     return real_max(real_min(excess, SPREAD_FAR * own->wide / usual), 1);
 }
 
@@ -338,8 +317,9 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
             change->width[i] = -1;
         }
         if (c->left[i] != 0 && excess[i] > 1 + SPREAD_WHOLE) spread_widen(own, e, excess[i]);
-        /* A typical innovation is no rounding: of a state that was set from the reading itself, say. */
-        if (c->left[i] != 0 && size[i] > 0 &&
+        /* A typical innovation is no rounding: of a state that was set from the reading itself, say. What repeats the
+           reading before tells nothing of the noise. */
+        if (c->left[i] != 0 && size[i] > 0 && (own->step == 0 || z[i] != own->last) &&
             (own->weight > 0 || real_abs(c->y[i]) > SPREAD_ROUNDED * (real_abs(z[i]) + nominal[i])))
             spread_learn(own, size[i], coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
         /* Who has no typical innovation yet has shown zeros alone: any width will do. */
@@ -356,7 +336,7 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         const real y = c->y[i], rest = own->rest, wider = nominal[i] * out[i], unit = s[i] * wider;
         const real near = SPREAD_AGREE * unit;
         units[i] = unit;
-        s[i] = real_max(s[i] * (1 - SPREAD_YIELD * own->share), spread_coarse(own, nominal[i]));
+        s[i] = real_max(s[i] / (1 + SPREAD_YIELD * own->share), spread_coarse(own, nominal[i]));
         out[i] = 0;
         if (c->left[i] == 0) continue;
         change->width[i] = s[i] * wider;
@@ -382,7 +362,6 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         real bent, wanted;
         if (c->left[i] == 0 || out[i] == 0 || !spread_believed(own, c->y[i], units[i], out[i] == 2)) continue;
         if (change->charge[i] > 0 || !(b > 0)) continue;
-        if (!spread_agreed(m, i, c, R, out, seen)) continue;
         bent = size[i] / (SPREAD_BEND * s[i]);
         wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance;
         /* What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees. */

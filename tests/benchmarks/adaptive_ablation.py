@@ -52,11 +52,9 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "parts of the state": (("(F[i * n + k] != 0 || Q[i * n + k] != 0)", "1"),),
     "a candidate for a jump": (("rule->jump * (1 - unseen[i])", "0"),),
     "a sample is worth 100 to 1 for it": (("real_min(w.logs[q], LEARNT_EVIDENCE * evidence)", "w.logs[q]"),),
-    "nor tells of the scale of Q": (("known_well && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
-    "how often the state jumps": (
-        ("returns ? real_max(jumps[JUMPS_CHANCE] - each, 0) : real_max(jumps[JUMPS_CHANCE], each) + each", "0"),
-    ),
-    "it knows no last class": (("learnt_usual(K, known, w.usual)", "learnt_predicted(K, known, w.usual)"),),
+    "nor tells of the scale of Q": (("experienced && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
+    "how often the state jumps": (("real_max(jumps->chance, each) + each", "0"),),
+    "it knows no last class": (("learnt_typical(K, &memory, w.typical)", "learnt_predicted(K, &memory, w.typical)"),),
     "it is hidden while three to one is against it": (("!(work[q * n + i] > REAL(0.25))", "0"),),
     "a start elsewhere, with .2": (
         ("waits[j] > 0 && S[j * m + j] > 0",
@@ -64,8 +62,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "a candidate doubts all of P": (("(most_of - noise) / S[i * m + i]", "1"),),
     "classes come in runs": (
-        ("learnt_predicted(K, known, w.before)", "learnt_usual(K, known, w.before)"),
-        ("learnt_predicted(K, s->memory + i * width, w->before)", "learnt_usual(K, s->memory + i * width, w->before)"),
+        ("learnt_predicted(K, &memory, w.before)", "learnt_typical(K, &memory, w.before)"),
         ("before[j] > 0 ? total * counts[i * K + j] * p[j] / before[j] : 0", "p[j] / K"),
     ),
     "sensors may fail together, t": (("follows && !grouped && count > 1", "0"),),
@@ -78,26 +75,25 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "a sample counts what it tells of r": (("p[0] * part * part", "p[0]"),),
     "ordinary is what most samples are": (("K > 1 && shares[0] < REAL(0.5)", "0"),),
-    "a tenth of r, by Page's sum": (("*for_less > LEARNT_FOR_LESS", "0"),),
-    "repeats teach nothing of r": (("real_copysign(1, known[width - 1]) < 0", "0"),),
-    "repeats teach where they are rare": (("-known[width - 1] >= REPEATS_RARE", "0"),),
+    "a tenth of r, by Page's sum": (("habits->less > LEARNT_LOG_DECIDES", "0"),),
+    "repeats teach nothing of r": (("real_copysign(1, habits->repeats.seldom) > 0", "1"),),
+    "nor of changes": (("memory->seldom < 0", "0"),),
     "stuck sensors are left out": (
-        ("learnt_asks(n, at, spread, z, h, known[0] * R) || known[2 + rule->K] < REAL(0.5)", "0"),
+        ("learnt_asks(n, at, spread, z, h, *memory->r * R) || memory->last[0] < REAL(0.5)", "0"),
     ),
-    "only after changes like white noise": (("row[REPEATS_SCALE] * row[REPEATS_SCALE] >= r", "1"),),
-    "r is capped by changes": (("real_max(1, row[REPEATS_SCALE] * row[REPEATS_SCALE] * LEARNT_MOST)", "REAL_MAX"),),
+    "only after changes like white noise": (("memory->scale * memory->scale >= r", "1"),),
+    "r is capped by changes": (("real_max(1, repeats->scale * repeats->scale * LEARNT_MOST)", "REAL_MAX"),),
     "parity: a floor of r": (
         ("real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)))", "r[i]"),
     ),
     "parity: r raised for a color": (("real_exp(colour[i] * real_log((1 + part) / (1 - part)))", "1"),),
-    "parity: outliers are shortened": (("real_min(real_max(e, -reach), reach)", "e"),),
+    "parity: outliers are shortened": (("real_within(e, 3 * real_sqrt(habits->parity.variance))", "e"),),
     "parity: dependent samples are worth few": (("worth / (worth + rule->begin[1])", "1"),),
 }  # fmt: skip
 #: What tests, by the name of one, see of a rule that no row needs.
 TESTED = {
     "it is hidden while less likely than not": "test_a_jump_that_nothing_confirms_does_not_show",
     "shortened to 8 deviations (here to 30)": "test_r_does_not_depend_on_how_wild_an_outlier_is",
-    "repeats teach where they are rare": "test_a_sensor_that_repeats_itself_far_off_is_stuck_and_says_nothing",
 }
 NAMES = {
     "the same through one row": "sensors in turn through one row",

@@ -138,7 +138,7 @@ def test_a_colour_and_sensors_that_fail_together_are_learnt_by_both():
     memory = compare(problem, slow, NoiseClasses(), Scales())[1]
     assert (memory[:, -9] > 0.45 * memory[:, -8]).all()
     alike = rng.normal(size=(150, 3)) * np.where(rng.random((150, 1)) < 0.1, 30.0, 1.0)
-    assert (compare(problem, alike, NoiseClasses(), Scales())[1][:, -17] > 0.9).all()
+    assert (compare(problem, alike, NoiseClasses(), Scales())[1][:, -16] > 0.9).all()
 
 
 def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
