@@ -448,7 +448,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         if not self._skips:
             correction = moments.correct(self._choices, before.memory, P, values, y, C, np.asarray(S, dtype=float), R)
         if correction is None:
-            innovation = Innovation(values, y, C, S, R, H)
+            innovation = Innovation(values, y, C, S, R)
             correction, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._skips)
         last = correction if isinstance(correction, Correction) else correction.as_arrays()
         self._learn(correction.memory, m)

@@ -80,6 +80,27 @@ def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, inf
     assert taken > 60
 
 
+@pytest.mark.parametrize("information", ["realized", "weight"])
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_a_correction_with_the_gain_as_it_stands_is_the_definition(monkeypatch, grouping, information):
+    def kind(n, m):
+        return RobustKalmanFilter(n, m, grouping=grouping, information=information)
+
+    H = [[1.0, 0.0], [1.0, 1.0]]
+    one, two = (support.mover(kind, H=H, q=0.01) for _ in range(2))
+    zs = np.random.default_rng(3).normal(size=(60, 2))
+    zs[25] += 30.0
+    for kf in (one, two):
+        if kf is two:
+            support.without_kernel(monkeypatch)
+        for k, z in enumerate(zs):
+            # From the 19th on S is that of the last correction, not H P H' + R.
+            kf.predict_steadystate() if k > 19 else kf.predict()
+            kf.update_steadystate(z) if k > 18 else kf.update(z)
+    assert_same(one, two, 1e-10)
+    np.testing.assert_allclose(one._memory, two._memory, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("scaling", ["learnt", "innovation"])
 def test_among_sensors_that_fail_together_one_that_sees_no_state_is_judged_alone(monkeypatch, scaling):
     problem = support.random_problem(3, 3, 4)
