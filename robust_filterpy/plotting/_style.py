@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,15 +16,29 @@ COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
 STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
 MARKERS = ("o", "x", "^", "s", "+", "d")
 MARK = "#cb181d"
+
+
+class _Looks(dict[str, dict[str, Any]]):
+    """Looks by name; the old name of one is taken with a warning."""
+
+    def __missing__(self, name: str) -> dict[str, Any]:
+        if name != "told":
+            raise KeyError(name)
+        warnings.warn('LOOKS: "told" is called "ideal" now', DeprecationWarning, stacklevel=2)
+        return self["ideal"]
+
+
 # The same filter looks the same in every picture, and no two alike to the color-blind.
-LOOKS: dict[str, dict[str, Any]] = {
-    "Kalman": {"color": COLOURS[1], "linestyle": "--"},
-    "gate": {"color": "#e6ab02", "linestyle": ":"},
-    "Huber": {"color": COLOURS[0], "linestyle": "-"},
-    "Tukey": {"color": COLOURS[2], "linestyle": "-."},
-    "learnt": {"color": "#41ab5d", "linestyle": (0, (5, 1))},
-    "ideal": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
-}
+LOOKS = _Looks(
+    {
+        "Kalman": {"color": COLOURS[1], "linestyle": "--"},
+        "gate": {"color": "#e6ab02", "linestyle": ":"},
+        "Huber": {"color": COLOURS[0], "linestyle": "-"},
+        "Tukey": {"color": COLOURS[2], "linestyle": "-."},
+        "learnt": {"color": "#41ab5d", "linestyle": (0, (5, 1))},
+        "ideal": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+    }
+)
 
 
 def one_axes(ax: Any, size: tuple[float, float] = (7.0, 3.6)) -> Any:

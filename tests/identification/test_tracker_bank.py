@@ -118,6 +118,20 @@ def test_bank_is_the_loop(structure, gradient, guard):
     assert_is_the_loop(structure, y, u, gradient=gradient, guard=guard, R=0.25, Q=1e-4)
 
 
+def test_bank_is_the_loop_for_the_influence_functions_of_statsmodels():
+    norms = pytest.importorskip("statsmodels.robust.norms")
+    assert_is_the_loop(OutputError(2, 2), *recording(OutputError(2, 2)), influence=norms.TrimmedMean(2.0), R=0.25)
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2), FIR(2)], ids=str)
+@pytest.mark.parametrize("spike", [1e8, 1e40, 1e300])
+def test_a_spike_in_phi_is_tempered_as_in_the_loop(structure, spike):
+    y, u = recording(structure)
+    y, u = y[15:60, 1:4].copy(), u[15:60, 1:4].copy()
+    y[20, 0], y[30, 2], u[25, 1] = spike, -spike, min(spike, 1e90)
+    assert_is_the_loop(structure, y, u, R=0.25)
+
+
 @pytest.mark.parametrize("structure", [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1)], ids=str)
 def test_each_actuator_may_have_its_own_options(structure):
     rng, n = np.random.default_rng(4), structure.n_theta

@@ -189,3 +189,10 @@ def test_no_two_filters_look_alike_to_anybody(eyes):
     for one, other in itertools.combinations(plotting.LOOKS.values(), 2):
         assert one["linestyle"] != other["linestyle"]
         assert np.linalg.norm(lab(one["color"], SEEN[eyes]) - lab(other["color"], SEEN[eyes])) > 25.0
+
+
+def test_the_old_name_of_a_look_is_taken_with_a_warning():
+    with pytest.warns(DeprecationWarning, match="ideal"):
+        assert plotting.LOOKS["told"] is plotting.LOOKS["ideal"]
+    with pytest.raises(KeyError, match="unheard"):
+        plotting.LOOKS["unheard"]
