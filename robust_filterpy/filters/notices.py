@@ -34,11 +34,12 @@ class OutlierShareWarning(RobustFilterWarning):
 
 
 class Share:
-    """Keep weights and innovations of a window of updates."""
+    """Keep which innovations of a window of updates were clipped, and their signs."""
 
     def __init__(self) -> None:
         """Start an empty window."""
-        self.window = np.empty((_NUMBERS, 2, 0))
+        # As `_clipped` writes them; small, since a Saver copies them at each step.
+        self.window = np.zeros((_NUMBERS, 0), np.int8)
         # How many updates and numbers there are, and of how many it is judged next.
         self.updates, self.numbers, self.due = 0, 0, _NUMBERS // 2
 
@@ -51,10 +52,10 @@ class Share:
         numbers = int(np.count_nonzero(weights == weights))
         if not numbers:
             return
-        if self.window.shape[2] != len(weights):
+        if self.window.shape[1] != len(weights):
             self.__init__()  # type: ignore[misc]
-            self.window = np.empty((_NUMBERS, 2, len(weights)))
-        self.window[self.updates] = weights, y
+            self.window = np.zeros((_NUMBERS, len(weights)), np.int8)
+        self.window[self.updates] = _clipped(kf, weights, y)
         self.updates, self.numbers = self.updates + 1, self.numbers + numbers
         if self.updates < _UPDATES or self.numbers < self.due:
             return
@@ -63,31 +64,36 @@ class Share:
         if self.numbers >= _NUMBERS:
             least = _HALF
             self.__init__()  # type: ignore[misc]
-        _judge_share(kf, window[:, 0], window[:, 1], least)
+        _judge_share(kf, window, least)
 
 
 def look_at_weights(kf: Any, weights: Array, y: Array) -> None:
     """Judge windows of a recording's corrections, shape (N, m), each of as many as `Share` takes."""
     seen = ~np.isnan(weights).all(axis=1)
-    weights, y = weights[seen][::EVERY], y[seen][::EVERY]
-    length = max(_UPDATES, -(-_NUMBERS // weights.shape[1]))
-    for first in range(0, len(weights) - length + 1, length):
-        window = slice(first, first + length)
-        numbers = np.count_nonzero(weights[window] == weights[window])
+    judged = _clipped(kf, weights[seen][::EVERY], y[seen][::EVERY])
+    length = max(_UPDATES, -(-_NUMBERS // judged.shape[1]))
+    for first in range(0, len(judged) - length + 1, length):
+        window = judged[first : first + length]
+        numbers = np.count_nonzero(window)
         if numbers >= _NUMBERS // 2:
-            _judge_share(kf, weights[window], y[window], _HALF if numbers >= _NUMBERS else _SURER)
+            _judge_share(kf, window, _HALF if numbers >= _NUMBERS else _SURER)
 
 
-def _judge_share(kf: Any, weights: Array, y: Array, least: float) -> None:
+def _clipped(kf: Any, weights: Array, y: Array) -> Any:
+    """Return 2 for a clipped innovation and 1 for another, with its sign; 0 for a missing one."""
+    size = np.where(weights < _weight_at_clip(kf.choices), 2, 1) * (weights == weights)
+    return np.where(y < 0.0, -size, size).astype(np.int8)
+
+
+def _judge_share(kf: Any, window: Any, least: float) -> None:
     """Warn, once for each class, if too much of what psi expects unclipped is: more than one jump or run clips."""
-    name, m = type(kf).__name__, weights.shape[1]
-    here = ~np.isnan(weights)
-    share = float((weights[here] < _weight_at_clip(kf.choices)).mean())
+    name, m, numbers = type(kf).__name__, window.shape[1], np.count_nonzero(window)
+    share = np.count_nonzero(np.abs(window) == 2) / numbers
     if not share > least or was_said(OutlierShareWarning, name):
         return
     expected = _expected(kf.influence, kf.grouping, m)
     if share > expected + least * (1.0 - expected):
-        signs = np.sign(np.where(here, np.sign(y), 0.0).sum(axis=1))
+        signs = np.sign(np.sign(window).sum(axis=1))
         keeps = (signs[1:] * signs[:-1] > 0.0).sum() > 0.75 * len(signs)
         cause = (
             "Q is too small (innovations keep their sign)"
@@ -95,7 +101,7 @@ def _judge_share(kf: Any, weights: Array, y: Array, least: float) -> None:
             else "R is too small, or most measurements hold an outlier"
         )
         warn(
-            f"{name}: clipped {share:.0%} of the last {here.sum()} innovations looked at, where its psi expects "
+            f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
             f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
             f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
             f'warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)',

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.hypotheses import corrected
-from robust_filterpy.correction.spread import _charges, _ratio, _seen_by
+from robust_filterpy.correction.spread import _charges, _ratio
 from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
@@ -218,7 +218,7 @@ def test_what_a_sensor_is_noisier_than_its_witnesses_does_not_depend_on_units():
     y, unit, here = np.array([0.2, 0.3, 0.25, 40.0]), np.array([1.0, 1e-3, 1e3, 30.0]), np.ones(4, dtype=bool)
     B = np.ones((4, 4)) + 0.1 * np.eye(4)
     plain, other = (
-        _charges(y * u, np.ones(4), u, B * np.outer(u, u), _seen_by(B * np.outer(u, u), here), here) / u**2
+        _charges(y * u, np.ones(4), u, B * np.outer(u, u), here) / u**2
         for u in (np.ones(4), unit)
     )
     assert plain[3] > 10.0 * plain[:3].max() and plain[3] > 0.0

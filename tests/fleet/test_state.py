@@ -184,7 +184,7 @@ TRACKERS = {
     "starting": tracker(ARX(2, 1), start=100),
     "ARMA": tracker(ARMA(2, 1), start=0),
     "Box and Jenkins": tracker(BoxJenkins(1, 1, 1, 1), start=0, R=0.04),
-    "two-sided inside": tracker(ARX(2, 1), filter=two_sided, start=0, Q=1e-6),
+    "two-sided inside": lambda: ParameterTracker(ARX(2, 1), filter=two_sided(3, 1), start=0, Q=1e-6),
     "adaptive inside": tracker(ARX(2, 1), filter=AdaptiveKalmanFilter, start=0, Q=1e-6),
     "bank": lambda: TrackerBank(2, ARX(2, 1), start=0),
 }

@@ -13,9 +13,14 @@ def test_a_fusion_goes_on_from_a_stored_state():
     x, P = stored.pop("then_x"), stored.pop("then_P")
     sensors = {"gps": Sensor([1.0, 0.0], R=1.0), "speed": Sensor([0.0, 1.0])}
     options = {"P0": np.eye(2), "watch": True, "reacquire": Reacquisition()}
-    fusion = Fusion(constant_velocity(1, q=0.1), sensors, 4.0, **options)
+    fusion, other = (Fusion(constant_velocity(1, q=0.1), sensors, 4.0, **options) for _ in range(2))
     fusion.restore(stored)
-    assert all(np.array_equal(part, stored[name], equal_nan=True) for name, part in fusion.state().items())
+    now = fusion.state()
+    # What is learned of a sensor had a number more when this was stored.
+    assert stored.pop("memory").shape[1] == now["memory"].shape[1] + 1
+    assert all(np.array_equal(now[name], part, equal_nan=True) for name, part in stored.items() if name != "moments")
+    other.restore(now)
+    assert all(np.array_equal(now[name], part, equal_nan=True) for name, part in other.state().items())
     # 113 numbers say what is in doubt, after one that says whether something is.
     assert len(stored["moments"]) == 13 and stored["moments"][-1, -114] == 1.0
     fusion.observe("gps", 12.0, 24.0)

@@ -41,8 +41,8 @@ def one_by_one(tracker, y, u):
 
 
 MADE = [
-    lambda: ParameterTracker(OutputError(2, 2), start=100),
-    lambda: ParameterTracker(ARX(2, 2), start=100),
+    lambda: ParameterTracker(OutputError(2, 2), start=200),
+    lambda: ParameterTracker(ARX(2, 2), start=200),
     lambda: ParameterTracker(ARX(2, 2), theta=0.0, P=1.0, R=0.01, Q=1e-6),
     lambda: ParameterTracker(OutputError(2, 2), start=0, forgetting=0.99, offset=True),
     lambda: ParameterTracker(FIR(3), start=0, filter=KalmanFilter, R=0.01),

@@ -178,7 +178,7 @@ def test_a_table_of_any_library_and_resolution_is_the_same_table(unit):
     stamps = (1_700_000_000 + np.cumsum(rng.integers(1, 4, 40))).astype("M8[s]")
     kf.H, kf.Q, model = np.eye(1), 0.1 * np.eye(1), FilterModel(kf, time="t", measurements=["z"])
     columns = {"device": ["a", "b"] * 20, "t": stamps, "z": rng.normal(size=40)}
-    expected = filter_table(pd.DataFrame(columns), model)["x0"].to_numpy()
+    expected = filter_table(model, pd.DataFrame(columns))["x0"].to_numpy()
     columns["t"] = stamps.astype(f"M8[{unit}]")
     zoned = pa.array(columns["t"]).cast(pa.timestamp(unit, "Asia/Tokyo"))
     tables = [pd.DataFrame(columns), pa.table({**columns, "t": zoned})]
@@ -187,5 +187,5 @@ def test_a_table_of_any_library_and_resolution_is_the_same_table(unit):
     if unit != "s":
         tables.append(pl.DataFrame(columns).with_columns(pl.col("t").dt.replace_time_zone("America/Lima")))
     for table in tables:
-        found = filter_table(table, model)
+        found = filter_table(model, table)
         np.testing.assert_array_equal(np.asarray(found["x0"], float), expected)
