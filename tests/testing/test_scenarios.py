@@ -84,6 +84,7 @@ def test_bursts_stuck_sensors_and_gaps_come_in_runs():
     assert (draw("level", 500, contamination="sentinels", rng=3).z == 9999).any()
     one = draw("level", 500, contamination="one-sided", rng=3)
     assert (one.z - one.x)[one.is_outlier].min() > -4
+    np.testing.assert_array_equal(one.noise_ratio, np.where(one.is_outlier, np.hypot(1.0, 10.0), 1.0))
 
 
 def test_a_slow_sensor_is_missing_between_its_periods():
