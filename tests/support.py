@@ -392,10 +392,10 @@ def assert_corrected(kf, reference, rtol=1e-9):
         assert getattr(kf, name).shape == kf.y.shape == (len(reference.y), 1)[: kf.x.ndim], name
 
 
-def without_kernel(monkeypatch):
-    """Let the definition serve, as where there is no extension."""
-    monkeypatch.setattr(kernel, "extension", lambda: None)
-    monkeypatch.setattr(shell, "_extension", None)
+def without_kernel(monkeypatch, extension=None):
+    """Let the definition serve, as where there is no extension; or an extension."""
+    monkeypatch.setattr(kernel, "extension", lambda: extension)
+    monkeypatch.setattr(shell, "_extension", extension)
 
 
 def needs_kernel():

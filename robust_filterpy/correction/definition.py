@@ -168,7 +168,7 @@ def correct_by_typical(
     """Correct a state under scaling "learnt": judge each sensor by its own typical innovation, and learn that."""
     z, y, C, S, R, H = innovation
     judged = spread.prepared(memory, z, y, S, R, C, P)
-    y = np.where(judged.held, np.nan, y)
+    raw, y = y, np.where(judged.held, np.nan, y)
     nominal, R = S, np.asarray(R)
     if (judged.growth > 1.0).any() or judged.opened.any():
         seen = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H
@@ -181,7 +181,8 @@ def correct_by_typical(
     rest = np.where(np.isnan(y), np.nan, last.y - B @ last.score)
     left = np.diag(B - B @ last.information @ B if H is None else H @ last.P @ H.T)
     weights = np.where(judged.held, 0.0, last.weights)
-    return last._replace(S=np.array(S), weights=weights, memory=spread.after(judged.memory, rest, left, nominal, R))
+    memory = spread.after(judged.memory, rest, left, nominal, R)
+    return last._replace(y=np.where(judged.held, raw, last.y), S=np.array(S), weights=weights, memory=memory)
 
 
 def _opened(P: Array, H: Array, variances: Array) -> Array:
