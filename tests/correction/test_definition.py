@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robust_filterpy import Huber, StudentT, TukeyBiweight
 from robust_filterpy.correction import SingularInnovationError
 from robust_filterpy.correction.definition import correct, embed_block, innovation_moments
-from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.options import Choices, typical_length
 from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
@@ -111,3 +111,10 @@ def test_a_block_beside_others_is_uncorrelated_with_them():
             assert_array_equal(both[[0, 2], 1], 0.0)
         if before is not None:
             assert_array_equal(found.S[np.ix_([0, 2], [0, 2])], whole.S[np.ix_([0, 2], [0, 2])])
+
+
+@pytest.mark.parametrize("k", [1, 2, 5])
+def test_the_typical_length_of_a_group_is_in_units_of_one_sensors(k):
+    lengths = np.linalg.norm(np.random.default_rng(k).normal(size=(200_000, k)), axis=1)
+    # Five standard errors of the median.
+    assert np.median(lengths) * typical_length(k) == pytest.approx(0.674490, abs=5 * 1.2533 / 200_000**0.5)
