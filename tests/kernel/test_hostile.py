@@ -17,7 +17,6 @@ from hostile import Fleeting, guarded, leaves, mutated, spoilt
 from robust_filterpy import Huber, RobustKalmanFilter, filter_series, kernel, smooth
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters import shell
 from robust_filterpy.identification import ARMAX, BoxJenkins, OutputError
 from robust_filterpy.identification.recursive import track
 from robust_filterpy.kernel import moments
