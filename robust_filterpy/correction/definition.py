@@ -168,7 +168,7 @@ def correct_by_typical(
     """Correct a state under scaling "learnt": judge each sensor by its own typical innovation, and learn that."""
     z, y, C, S, R, H = innovation
     judged = spread.prepared(memory, z, y, S, R, C, P)
-    raw, y = y, np.where(judged.held, np.nan, y)
+    y = np.where(judged.held, np.nan, y)
     nominal, R = S, np.asarray(R)
     if (judged.growth > 1.0).any() or judged.opened.any():
         seen = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H
@@ -180,9 +180,9 @@ def correct_by_typical(
     B = S - R
     rest = np.where(np.isnan(y), np.nan, last.y - B @ last.score)
     left = np.diag(B - B @ last.information @ B if H is None else H @ last.P @ H.T)
-    weights = np.where(judged.held, 0.0, last.weights)
-    memory = spread.after(judged.memory, rest, left, nominal, R)
-    return last._replace(y=np.where(judged.held, raw, last.y), S=np.array(S), weights=weights, memory=memory)
+    # What is held is shown as it was read, with no weight.
+    y, weights = np.where(judged.held, [innovation.y, np.zeros(len(y))], [last.y, last.weights])
+    return last._replace(y=y, S=np.array(S), weights=weights, memory=spread.after(judged.memory, rest, left, nominal, R))
 
 
 def _opened(P: Array, H: Array, variances: Array) -> Array:
