@@ -169,7 +169,7 @@ def correct_by_typical(
     z, y, C, S, R, H = innovation
     judged = spread.prepared(memory, z, y, S, R, C, P)
     y = np.where(judged.held, np.nan, y)
-    nominal, R = S, np.asarray(R)
+    before, R = S, np.asarray(R)
     if (judged.growth > 1.0).any() or judged.opened.any():
         seen = np.linalg.lstsq(P, C, rcond=None)[0].T if H is None else H
         grown = _opened(P * np.outer(judged.growth, judged.growth), seen, judged.opened)
@@ -182,7 +182,7 @@ def correct_by_typical(
     left = np.diag(B - B @ last.information @ B if H is None else H @ last.P @ H.T)
     # What is held is shown as it was read, with no weight.
     y, weights = np.where(judged.held, [innovation.y, np.zeros(len(y))], [last.y, last.weights])
-    return last._replace(y=y, S=np.array(S), weights=weights, memory=spread.after(judged.memory, rest, left, nominal, R))
+    return last._replace(y=y, S=np.array(S), weights=weights, memory=spread.after(judged.memory, rest, left, before, R))
 
 
 def _opened(P: Array, H: Array, variances: Array) -> Array:
@@ -236,8 +236,8 @@ def _judge(group: list[int], joint: _Joint, S: Array, choices: Choices, widths: 
     if is_cancelled(block, S.diagonal()[group]):
         if not skip_singular:
             # Under "unit" the sensors before this one may have taken more than there was.
-            told_apart = choices.scaling == "unit" and (block.diagonal() < 0.0).any() and (S.diagonal() > 0.0).all()
-            raise _indefinite() if told_apart else singular(S)
+            taken = choices.scaling == "unit" and not is_cancelled(S, S.diagonal())
+            raise _indefinite() if taken else singular(S)
         nothing = np.zeros(len(group))
         return _Step((math.inf, math.inf, 0.0), None, nothing, nothing, nothing, nothing, nothing)
     T, s = group_scaling(block, choices.scaling), max(float(widths[group].max()), np.finfo(float).tiny)

@@ -13,16 +13,13 @@
 #define update_work(n, m) \
     (correction_work(n, m) + spread_work(n, m) + (size_t)((m) + SPREAD_NUMBERS * (m) + (n) * ((n) + 1)))
 
-/* Whether P is positive definite beyond rounding, but for states that are known exactly; L (n, n) is scratch. */
+/* Whether P is positive definite beyond rounding; L (n, n) is scratch. */
 CALLED int update_is_positive(const int n, const real *RESTRICT P, real *RESTRICT L) {
     for (int i = 0; i < n; i++)
         for (int j = 0; j <= i; j++) {
             real total = P[i * n + j];
             for (int k = 0; k < j; k++) total -= L[i * n + k] * L[j * n + k];
-            L[i * n + j] = 0;
-            if (P[i * n + i] == 0 || P[j * n + j] == 0) {
-                if (P[i * n + j] != 0) return 0;
-            } else if (i != j) {
+            if (i != j) {
                 L[i * n + j] = total / L[j * n + j];
             } else if (total > REAL_PIVOT * P[i * n + i]) {
                 L[i * n + i] = real_sqrt(total);

@@ -115,6 +115,18 @@ def test_unit_scaling_keeps_p_positive_definite_or_says_that_it_cannot(data, pro
         support.assert_positive_definite(kf.P, size=size)
 
 
+@pytest.mark.parametrize(("H", "R", "grouping"), [
+    ([[0.0, 0.0], [0.0, 1.0]], [[0.1, 0.0], [0.0, 0.1]], "component"),
+    ([[0.0, 0.0], [0.0, 1.0], [0.0, 1.0]], [[1.6625, 0.0, 1.25], [0.0, 0.1, 0.0], [1.25, 0.0, 1.1]], "joint"),
+])  # fmt: skip
+def test_unit_scaling_says_so_where_nothing_would_be_left_of_a_variance(H, R, grouping):
+    """H P H' is 1, or a sensor that sees nothing takes more from the others than there is."""
+    kf = RobustKalmanFilter(2, len(H), scaling="unit", grouping=grouping)
+    kf.H, kf.R = np.array(H), np.array(R)
+    with pytest.raises(NotPositiveDefiniteError):
+        kf.update(np.zeros(len(H)))
+
+
 def away_from_kinks(kf):
     """Set aside the draws in which rounding decides on which side of a kink of psi a component falls."""
     e = np.ravel(kf.e)
