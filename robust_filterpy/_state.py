@@ -137,7 +137,7 @@ def widened(name: str, value: Array, width: int | None) -> Array:
     """Return what a state holds of sensors, with 0 in the columns that there were not yet when it was stored."""
     missing = (width or 0) - (value.shape[-1] if value.ndim else 0)
     if value.ndim > 1 and missing in (-1, 21) and name.endswith(("learnt", "memory")):
-        # When the last jump was believed, of which nothing depends any more.
+        # The reading at which the last jump was believed: nothing depends on it any more.
         value, missing = np.delete(value, -13, axis=-1), missing + 1
     if value.ndim < 2 or missing <= 0:
         return value

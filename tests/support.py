@@ -392,10 +392,15 @@ def assert_corrected(kf, reference, rtol=1e-9):
         assert getattr(kf, name).shape == kf.y.shape == (len(reference.y), 1)[: kf.x.ndim], name
 
 
-def without_kernel(monkeypatch, extension=None):
-    """Let the definition serve, as where there is no extension; or an extension."""
+def served_by(monkeypatch, extension):
+    """Let an extension serve; None: the definition, as where there is no compiler."""
     monkeypatch.setattr(kernel, "extension", lambda: extension)
     monkeypatch.setattr(shell, "_extension", extension)
+
+
+def without_kernel(monkeypatch):
+    """Let the definition serve."""
+    served_by(monkeypatch, None)
 
 
 def needs_kernel():

@@ -170,7 +170,7 @@ def test_a_state_of_learned_noise_with_a_number_that_is_no_more_is_read():
 
 
 def over_the_kalman_filter(kind, of, sensors=1):
-    """Error over the Kalman filter's, where of(readings' noise) makes readings of a position and random numbers."""
+    """Error of a position over the Kalman filter's; of(truth, noise) makes the readings."""
     error, (F, Q) = {kind: 0.0, KalmanFilter: 0.0}, white(1.0, 1e-2)
     for seed in range(20, 26):
         rng, x = np.random.default_rng(seed), np.zeros((400, 2))

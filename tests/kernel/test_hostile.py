@@ -177,7 +177,7 @@ def test_a_spoilt_filter_does_what_the_definition_does(monkeypatch, options):
                 arguments = (*given, None, None)
                 if extension is not None:
                     outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(copy.copy(kf), *a)])
-            support.without_kernel(monkeypatch, extension)
+            support.served_by(monkeypatch, extension)
             raised = outcome([
                 lambda kf=kf, told=told: kf.predict(told["u"]),
                 lambda kf=kf, told=told: kf.update(told["z"], R=told["told R"]),

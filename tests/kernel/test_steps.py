@@ -62,11 +62,11 @@ def test_a_step_is_the_definition(monkeypatch, influence, grouping, scaling, inf
         options = {"influence": influence, "scaling": scaling, "information": information, "grouping": grouping}
         one, two = (support.make(RobustKalmanFilter, problem, 1 + seed % 2, **options) for _ in range(2))
         zs, _ = support.simulate(problem, 25, seed, 0.15, 20.0)
-        # Every other sensor is read in coarse steps, so that readings repeat.
+        # Sensors of every other problem are read in coarse steps, so that readings repeat.
         zs = np.round(zs) if seed % 2 else zs
         zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
         for z in zs:
-            support.without_kernel(monkeypatch, EXTENSION)
+            support.served_by(monkeypatch, EXTENSION)
             one.predict()
             one.update(z)
             taken += type(one._last) is np.ndarray
@@ -117,7 +117,7 @@ def test_among_sensors_that_fail_together_one_that_sees_no_state_is_judged_alone
         support.without_kernel(monkeypatch)
         two.predict()
         two.update(z)
-        support.without_kernel(monkeypatch, EXTENSION)
+        support.served_by(monkeypatch, EXTENSION)
         assert_same(one, two, 1e-9)
         # Where nothing is seen of the state, only this tells how it was judged.
         np.testing.assert_allclose(one._arrays().information, two._arrays().information, rtol=1e-6, atol=1e-9)
@@ -161,7 +161,7 @@ def test_noise_that_is_thirty_times_larger_from_now_on_is_learnt_anew_as_by_the_
     for kf in (one, two):
         kf.H[:], kf.Q[:] = 1.0, 0.01
     for z in zs:
-        support.without_kernel(monkeypatch, EXTENSION)
+        support.served_by(monkeypatch, EXTENSION)
         one.predict()
         one.update(z)
         support.without_kernel(monkeypatch)
@@ -194,7 +194,7 @@ def test_a_step_under_learnt_noise_is_the_definition(monkeypatch, how):
                 # From outside: the copies begin there, by the definition.
                 one.x, two.x = one.x + 1.0, two.x + 1.0
             for kf, extension in ((one, EXTENSION), (two, None)):
-                support.without_kernel(monkeypatch, extension)
+                support.served_by(monkeypatch, extension)
                 kf.predict(0.1)
                 kf.update(z)
             # Kernel and definition order sums differently, and a mixture of classes doubts at its border.
