@@ -14,11 +14,11 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import ARX, Contaminated, OutputError, ParameterTracker
-from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import LostTrackerWarning
 from robust_filterpy.plants import simulate_output_error
 from robust_filterpy.plants.linear import random_walk, stable
 from robust_filterpy.plotting import LOOKS
+from robust_filterpy.testing import fit_percent
 
 HERE = Path(__file__).parent
 SIGMA, CONTAMINATION = 0.5, 0.1

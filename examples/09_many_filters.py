@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from robust_filterpy import RobustKalmanFilter, filter_series
-from robust_filterpy.experiments import bootstrap_interval, monte_carlo
+from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])
 H, Q, R = np.array([[1.0, 0.0]]), np.diag([0.0, 0.02]), np.array([[1.0]])

@@ -15,8 +15,8 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from robust_filterpy import RobustExtendedKalmanFilter
-from robust_filterpy.experiments import bootstrap_interval
 from robust_filterpy.plotting import LOOKS
+from robust_filterpy.testing import bootstrap_interval
 
 DT, STEPS, RUNS = 0.5, 200, 10
 SIGMA = np.array([10.0, 0.005])  # m, rad

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy import ARX
-from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import select_structure
+from robust_filterpy.testing import fit_percent
 
 A, B = [1.0, -1.5, 0.7], [0.0, 0.0, 0.0, 0.0, 1.0, 0.5]
 STEPS, ORDERS, DELAYS = 1200, range(1, 5), range(1, 9)

@@ -38,9 +38,9 @@ from servo.models import valve_to_velocity as signals_of
 from servo.study import Run, table, trial
 
 from robust_filterpy import Huber
-from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import OutputError, identify
 from robust_filterpy.influence import Linear
+from robust_filterpy.testing import fit_percent
 
 #: What is run for the conclusion alone.
 FEW: dict = dict(loops=(NONE, NOMINAL, TOTAL, ROBUST), trackers=(NOMINAL, ROBUST), closed=False, gains=False)

@@ -29,9 +29,9 @@ from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
-from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.influence import Linear
 from robust_filterpy.plotting import LOOKS
+from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 # %% The problem, equations (31)-(34)
 F = np.array(

@@ -29,7 +29,7 @@ _HOMES = (
     "correction Scales", "influence Linear",
     "filters RobustCubatureKalmanFilter RobustEnsembleKalmanFilter OutlierShareWarning",
     "correction.definition correct", "correction.options Choices", "correction.result Correction",
-    "experiments.metrics Interval", "fleet.models Model", "fusion.motion Motion",
+    "testing.studies Interval", "fleet.models Model", "fusion.motion Motion",
     "identification.models.grey_box GreyBoxModel", "identification.models.regressor Coefficients",
     "identification.models.results TrackingResult",
     "identification.models.state_space StateSpaceModel", "identification.models.structures Structure",

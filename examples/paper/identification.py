@@ -15,12 +15,12 @@ from scipy.linalg.blas import dtbsv
 
 from robust_filterpy import Contaminated, Huber
 from robust_filterpy.correction import NotPositiveDefiniteError
-from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import LostTrackerWarning, OutputError, ParameterTracker
 from robust_filterpy.influence import Linear
 from robust_filterpy.noise import fisher_information
 from robust_filterpy.plants import THETA_BAR, simulate_output_error
 from robust_filterpy.plants.linear import Simulation, random_walk, stable
+from robust_filterpy.testing import fit_percent
 
 STEPS = 1000
 KALMAN, KALMAN_TOTAL, LABELS = "Kalman, R nominal", "Kalman, R of all noise", "Kalman, outliers known"

@@ -24,8 +24,8 @@ from identification import (
 )
 from report import Options, geometric_ratio, markdown_table
 
-from robust_filterpy.experiments import monte_carlo
-from robust_filterpy.experiments.metrics import Interval
+from robust_filterpy.testing import monte_carlo
+from robust_filterpy.testing.studies import Interval
 
 LATE = slice(500, None)
 STAY = "stay at the start"

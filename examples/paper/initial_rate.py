@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from state_estimation_study import FILTERS, VARIANCE, F, H, Setting, W, drawn, on_threads, simulate, study
 
 from robust_filterpy import Huber, RobustKalmanFilter
-from robust_filterpy.experiments import monte_carlo
-from robust_filterpy.experiments.metrics import Interval
+from robust_filterpy.testing import monte_carlo
+from robust_filterpy.testing.studies import Interval
 
 STEPS, OFFSETS, LARGE = 20, (0, 1, 2, 3, 5, 10), 2
 START = Setting("x1 off", P0=0.5)

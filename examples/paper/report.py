@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from robust_filterpy.experiments import bootstrap_interval
-from robust_filterpy.experiments.metrics import Interval
+from robust_filterpy.testing import bootstrap_interval
+from robust_filterpy.testing.studies import Interval
 
 RESAMPLES = 1999
 

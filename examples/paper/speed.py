@@ -12,7 +12,7 @@ import numpy as np
 import state_estimation
 from state_estimation_study import filtered, looped, study
 
-from robust_filterpy.experiments import monte_carlo
+from robust_filterpy.testing import monte_carlo
 
 TARGET = 20
 

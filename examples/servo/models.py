@@ -10,7 +10,6 @@ import scipy.stats
 from servo.experiment import DT, LABELS, NOMINAL, ROBUST, SERVO, STD, TOTAL, Conditions
 
 from robust_filterpy import Huber
-from robust_filterpy.experiments import fit_percent
 from robust_filterpy.identification import LostTrackerWarning, OutputError, ParameterTracker, identify
 from robust_filterpy.identification.models.results import TrackingResult
 from robust_filterpy.influence import Linear
@@ -19,6 +18,7 @@ from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
 from robust_filterpy.plants.servo.equations import valve_opening
 from robust_filterpy.plants.servo.linearization import linearize_servo, operating_point
 from robust_filterpy.plants.servo.position_loop import ServoRecording
+from robust_filterpy.testing import fit_percent
 
 ORDER, P0 = 4, 0.01
 CONSTANT = "constant"

@@ -20,8 +20,8 @@ from servo.models import (
     valve_to_velocity,
 )
 
-from robust_filterpy.experiments import bootstrap_interval
-from robust_filterpy.experiments.metrics import Interval
+from robust_filterpy.testing import bootstrap_interval
+from robust_filterpy.testing.studies import Interval
 
 #: Shares of the recording at which the model's gain is compared with that of the frozen physics.
 INSTANTS = (0.4, 0.7, 1.0)

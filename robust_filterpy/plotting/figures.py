@@ -271,7 +271,7 @@ def plot_fit(
 
     Notes
     -----
-    The fit is `robust_filterpy.experiments.fit_percent` over the samples that are there.
+    The fit is `robust_filterpy.testing.fit_percent` over the samples that are there.
     """
     source: Any = simulated if hasattr(simulated, "index") else measured
     if style.is_run(simulated):

@@ -38,8 +38,8 @@ from peers.recursion import filtered
 
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import Scales
-from robust_filterpy.experiments import bootstrap_interval
 from robust_filterpy.filters.conversion import AdaptiveKalmanFilter
+from robust_filterpy.testing import bootstrap_interval
 
 #: States and their covariances.
 Estimator = Callable[[Case], tuple[np.ndarray, np.ndarray]]

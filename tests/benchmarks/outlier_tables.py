@@ -28,9 +28,9 @@ from outlier_problems import (
 
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import Scales
-from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.identification import ParameterTracker
 from robust_filterpy.influence import Hampel
+from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 LABELS = "Kalman, told the labels"
 TWO_SIDED = {"noise": Contaminated(), "process": Scales((1, 10, 100), jump=0)}

@@ -15,7 +15,6 @@ import scipy.signal
 from measuring import target
 
 from robust_filterpy import Contaminated, Huber, StudentT
-from robust_filterpy.experiments import monte_carlo
 from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
 from robust_filterpy.identification.models.regressor import GUARDS
 from robust_filterpy.identification.recursive.tracker import GRADIENTS
@@ -24,6 +23,7 @@ from robust_filterpy.noise import fisher_information
 from robust_filterpy.plants import THETA_BAR, simulate_output_error
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.plants.linear import random_walk, stable
+from robust_filterpy.testing import monte_carlo
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 SIGMA = 0.5

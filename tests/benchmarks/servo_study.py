@@ -26,7 +26,7 @@ from servo.figures import decibel, linearized, model_response
 from servo.models import TRACKERS, frozen
 from servo.study import Run, at, mean_of, shown, table, trial
 
-from robust_filterpy.experiments import monte_carlo
+from robust_filterpy.testing import monte_carlo
 
 
 def targets(runs: list[Run], seed: int) -> str:

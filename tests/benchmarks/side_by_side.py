@@ -36,7 +36,7 @@ from scipy.signal import lfilter
 
 import robust_filterpy
 from robust_filterpy import ARX, AdaptiveKalmanFilter, OutputError, ParameterTracker, RobustKalmanFilter, identify
-from robust_filterpy.experiments import fit_percent
+from robust_filterpy.testing import fit_percent
 
 PAGE = Path(__file__).parents[2] / "docs" / "side_by_side.md"
 STEPS, TUNING_SEED = 800, 90_000

@@ -34,9 +34,9 @@ from robust_filterpy import (
     smooth,
 )
 from robust_filterpy.correction import Scales
-from robust_filterpy.experiments import bootstrap_interval, monte_carlo
 from robust_filterpy.influence import Linear
 from robust_filterpy.smoothing import FixedLagSmoother, smooth_series
+from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 LABELS = "told the labels, RTS"
 #: States and their covariances, None where a smoother gives none.

@@ -124,7 +124,7 @@ def test_a_start_that_is_far_off_keeps_the_gain_of_the_realized_psi_up(paper):
 
 
 def test_verdicts_are_one_sided_and_join(paper):
-    report, Interval = paper("report"), paper("robust_filterpy.experiments.metrics").Interval
+    report, Interval = paper("report"), paper("robust_filterpy.testing.studies").Interval
     # Far better than asked for is no failure of "no worse".
     assert report.judged(Interval(0.5, 0.4, 0.6, 0.05), high=1.1) is True
     assert report.judged(Interval(1.5, 1.2, 1.6, 0.1), high=1.1) is False

@@ -17,7 +17,7 @@ from numpy.random import SeedSequence, default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from recordings import assert_refused
 
-from robust_filterpy.experiments import monte_carlo, rerun
+from robust_filterpy.testing import monte_carlo, rerun
 
 
 class Study(NamedTuple):
@@ -63,11 +63,12 @@ def test_result_is_the_same_for_any_number_of_jobs(n_jobs):
     assert study.stopped is None and study.failures == [] and len(study) == study.runs == 20
 
 
-@pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
-def test_any_joblib_backend_gives_the_same_result(backend):
-    with joblib.parallel_config(backend=backend, n_jobs=2):
+def test_another_joblib_backend_gives_the_same_result():
+    with joblib.parallel_config(backend="threading", n_jobs=2):
         study = monte_carlo(functools.partial(draw_sized, 4), 50, seed=1)
     assert_array_equal(study.stacked(), monte_carlo(functools.partial(draw_sized, 4), 50, seed=1).stacked())
+    with joblib.parallel_config(backend="multiprocessing", n_jobs=2), pytest.raises(ValueError, match="generator"):
+        monte_carlo(draw, 2)
 
 
 @pytest.mark.slow
@@ -163,7 +164,7 @@ def test_keyboard_interrupt_before_the_first_run_comes_through():
 SCRIPT = """
     import sys, time, warnings
     from typing import NamedTuple
-    from robust_filterpy.experiments import monte_carlo
+    from robust_filterpy.testing import monte_carlo
 
     class Out(NamedTuple):
         value: float
