@@ -95,17 +95,16 @@ def test_efficiency_of_just_the_limit_seldom_fails():
 # Invariance
 
 
-@pytest.mark.parametrize(("call", "words"), [
-    (lambda one, two: assert_sensor_order_irrelevant(KalmanFilter, one), "at least two sensors"),
-    (lambda one, two: assert_sensor_order_irrelevant(KalmanFilter, two, order=[0, 0]), "order"),
-    (lambda one, two: assert_unit_equivariant(KalmanFilter, two, sensors=[1.0]), "sensors: expected 2 factors"),
-    (lambda one, two: assert_unit_equivariant(KalmanFilter, two, state=[1, 2, 3, -4.0]), "state: expected 4 factors"),
-])  # fmt: skip
-def test_other_units_and_orders_that_are_none_are_refused(call, words):
+def test_units_and_order_are_compared_with_inputs_too_and_what_differs_is_named():
     scenario = draw(random_stable(4, 2, 1, rng=3), 15, rng=3)
-    with pytest.raises(ValueError, match=words):
-        call(draw("level", 10, rng=0), scenario)
-    # With inputs, and with the words of what is wrong.
+    for call, words in (
+        (lambda: assert_sensor_order_irrelevant(KalmanFilter, draw("level", 10, rng=0)), "at least two sensors"),
+        (lambda: assert_sensor_order_irrelevant(KalmanFilter, scenario, order=[0, 0]), "order"),
+        (lambda: assert_unit_equivariant(KalmanFilter, scenario, sensors=[1.0]), "sensors: expected 2 factors"),
+        (lambda: assert_unit_equivariant(KalmanFilter, scenario, state=[1, 2, 3, -4.0]), "state: expected 4 factors"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
     assert_unit_equivariant(KalmanFilter, scenario)
     assert_missing_is_no_information(RobustKalmanFilter, scenario)
     text = fails(lambda: assert_unit_equivariant(wrong_filters.PseudoInverse, scenario), "a unit of its own")
@@ -115,7 +114,7 @@ def test_other_units_and_orders_that_are_none_are_refused(call, words):
 # Contracts
 
 
-def test_a_refused_call_is_told_with_what_it_changed():
+def test_a_refused_call_is_named_with_what_it_changed():
     kf = load(RobustKalmanFilter(4, 2), random_stable(4, 2, rng=1))
     kf.predict()
     kf.update([0.1, 0.2])
@@ -237,6 +236,6 @@ def test_bad_input_is_named(call, error, match):
         call(run_tracker(scenario.load(told_tracker(scenario.structure)), scenario))
 
 
-def test_a_single_innovation_beside_zeros_is_no_correlation():
+def test_a_single_innovation_among_zeros_is_no_correlation():
     assert _correlation([np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])], 1)[:2] == (0.0, 0.0)
     assert _correlation([np.zeros(6)], 1)[:2] == (0.0, 0.0)

@@ -15,7 +15,7 @@ from robust_filterpy.testing.assertions.consistency import assert_covariance_sta
 from robust_filterpy.testing.scenarios.runs import FilterRun
 
 
-def told(scenario, **factors):
+def misfit(scenario, **factors):
     """Run filterpy's filter with some of its matrices multiplied."""
     kf = scenario.load(KalmanFilter(*scenario.model.dims[:2]))
     for name, factor in factors.items():
@@ -52,14 +52,14 @@ def test_the_false_alarm_probability_is_what_it_says(assertion):
     ({"R": 10.0}, r"times too large: R or Q too large"),
     ({"Q": 1000.0}, r"times too large: R or Q too large"),
 ])  # fmt: skip
-def test_a_wrong_model_is_told_in_words_and_figures(factors, expected):
-    run = told(draw("constant velocity", 500, rng=1), **factors)
+def test_a_wrong_model_is_named_in_words_and_figures(factors, expected):
+    run = misfit(draw("constant velocity", 500, rng=1), **factors)
     with pytest.raises(AssertionError, match=expected):
         assert_consistent(run)
 
 
 def test_nis_mean_and_band_are_the_chi_square_ones():
-    run = told(draw("constant velocity", 500, rng=1), R=0.25)
+    run = misfit(draw("constant velocity", 500, rng=1), R=0.25)
     text = words(assert_consistent, FilterRun(run.y, run.S), false_alarm=1e-3)
     nis = np.mean([y @ np.linalg.solve(S, y) for y, S in zip(run.y, run.S, strict=True)])
     low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], 1000) / 500
@@ -67,9 +67,9 @@ def test_nis_mean_and_band_are_the_chi_square_ones():
     assert f"about {nis / 2:.2g} times too small" in text
 
 
-def test_outliers_are_told_from_a_wrong_r():
+def test_outliers_are_no_wrong_r():
     scenario = draw("constant velocity", 500, contamination="mixture", rng=1)
-    assert "outliers (the ordinary samples alone give" in words(assert_consistent, told(scenario))
+    assert "outliers (the ordinary samples alone give" in words(assert_consistent, misfit(scenario))
 
 
 def test_errors_are_judged_by_p_even_where_innovations_are_right():
@@ -83,7 +83,7 @@ def test_errors_are_judged_by_p_even_where_innovations_are_right():
 def test_a_factor_is_granted_both_ways():
     scenario = draw("constant velocity", 500, rng=1)
     for factor in (0.25, 4.0):
-        run = told(scenario, R=factor, Q=factor, P=factor)
+        run = misfit(scenario, R=factor, Q=factor, P=factor)
         assert_consistent(run, factor=6.0)
         words(assert_consistent, run)
 
@@ -125,10 +125,10 @@ def test_a_bias_is_named_with_its_state():
 
 def test_whiteness_does_not_depend_on_the_scale_of_s_and_tells_slow_from_eager():
     scenario = draw("constant velocity", 500, rng=1)
-    slow, eager = told(scenario, Q=0.001), told(scenario, Q=1000.0)
+    slow, eager = misfit(scenario, Q=0.001), misfit(scenario, Q=1000.0)
     assert "follows too slowly" in words(assert_innovations_white, slow)
     assert "follows too eagerly" in words(assert_innovations_white, eager)
-    right = told(scenario)
+    right = misfit(scenario)
     assert_innovations_white(FilterRun(right.y, 100.0 * right.S))
     assert_innovations_white(slow, tolerance=0.99)
 
@@ -147,7 +147,7 @@ def test_correlation_at_a_later_lag_is_found():
     (np.array([[1e12, 1.1], [1.1, 1e-12]]), "no covariance"),
     (np.array([[1.0, np.nan], [np.nan, 1.0]]), "NaN or infinity"),
 ])  # fmt: skip
-def test_what_is_no_covariance_is_told_whatever_the_units(P, expected):
+def test_what_is_no_covariance_is_named_whatever_the_units(P, expected):
     assert expected in words(assert_covariance_stays_one, P)
     assert_covariance_stays_one(np.diag([1e12, 1e-12]))
     assert_covariance_stays_one(draw("constant velocity", 20, rng=1).reference.P)
