@@ -40,7 +40,7 @@ def recordings(*kinds):
         yield u, y
 
 
-def watched(call, things, state, said):
+def watched(call, things, said):
     """Make a call twice: as it is, and where a warning is an error, there again if it was refused."""
     _warning._said.clear()
     with warnings.catch_warnings(record=True) as given:
@@ -51,11 +51,11 @@ def watched(call, things, state, said):
         if not any(issubclass(one.category, UserWarning) for one in given):
             call(things[1])
             return
-        before = pickle.dumps(state(things[1]))
+        before = pickle.dumps(things[1].state())
         with pytest.raises(UserWarning) as word:
             call(things[1])
         said.add(word.type.__name__)
-        assert pickle.dumps(state(things[1])) == before
+        assert pickle.dumps(things[1].state()) == before
         warnings.simplefilter("ignore")
         call(things[1])
 
@@ -99,43 +99,32 @@ def test_a_reading_that_a_warning_refuses_has_not_happened(name):
             kf.F, kf.H, kf.P, kf.Q = np.eye(2) + np.eye(2, k=1), np.eye(1, 2), 10.0 * np.eye(2), 0.01 * np.eye(2)
         for z in zs[:, None]:
             for call in (lambda kf: kf.predict(), lambda kf, z=z: kf.update(z)):
-                watched(call, things, lambda kf: kf.state(), said)
+                watched(call, things, said)
         assert pickle.dumps(things[0].state()) == pickle.dumps(things[1].state())
     assert said or name in ("patience", "unscented")
 
 
-def tracker(structure):
-    return ParameterTracker(structure, start=50)
+LOST, STUCK = "LostTrackerWarning", "StuckSensorWarning"
 
 
-def bank(structure):
-    return TrackerBank(2, structure, start=50)
-
-
-@pytest.mark.pairwise(1)
-@pytest.mark.parametrize("make", [tracker, bank])
-@pytest.mark.parametrize("structure", [ARX(1, 1), OutputError(1, 1)])
-def test_a_sample_that_a_warning_refuses_has_not_happened(make, structure):
+@pytest.mark.parametrize("width, structure, by, kinds, expected", [
+    (None, ARX(1, 1), "sample", ("changes", "stands"), {LOST, STUCK}),
+    (2, OutputError(1, 1), "sample", ("changes", "stands"), {LOST, STUCK}),
+    (None, ARX(1, 1), "run", ("stands", "fills"), {STUCK, "UserWarning"}),
+    (2, ARX(1, 1), "run", ("stands", "fills"), {STUCK}),
+], ids=["tracker", "bank", "run of a tracker", "run of a bank"])  # fmt: skip
+def test_samples_that_a_warning_refuses_have_not_happened(width, structure, by, kinds, expected):
     said = set()
-    for u, y in recordings("changes", "stands"):
-        things = make(structure), make(structure)
-        for k in range(len(y)):
-            sample = (y[k], u[k]) if make is tracker else (np.array([y[k], y[k]]), np.array([u[k], u[k]]))
-            watched(lambda one, sample=sample: one.update(*sample), things, lambda one: one.state(), said)
+    for u, y in recordings(*kinds):
+        things = [TrackerBank(2, structure, start=50) if width else ParameterTracker(structure, start=50) for _ in "ab"]
+        y, u = (np.stack([x] * width, axis=1) if width else x for x in (y, u))
+        for part in np.split(np.arange(len(y)), len(y) if by == "sample" else 6):
+            if by == "sample":
+                watched(lambda one, k=part[0], y=y, u=u: one.update(y[k], u[k]), things, said)
+            else:
+                watched(lambda one, part=part, y=y, u=u: one.run(y[part], u[part]), things, said)
         assert pickle.dumps(things[0].state()) == pickle.dumps(things[1].state())
-    assert said == {"LostTrackerWarning", "StuckSensorWarning"}
-
-
-@pytest.mark.parametrize("make", [tracker, bank])
-def test_a_run_that_a_warning_refuses_has_not_happened(make):
-    said = set()
-    for u, y in recordings("stands", "fills"):
-        things = make(ARX(1, 1)), make(ARX(1, 1))
-        for part in np.split(np.arange(len(y)), 6):
-            both = [y[part], u[part]] if make is tracker else [np.stack([x[part]] * 2, axis=1) for x in (y, u)]
-            watched(lambda one, both=both: one.run(*both), things, lambda one: one.state(), said)
-        assert pickle.dumps(things[0].state()) == pickle.dumps(things[1].state())
-    assert {"StuckSensorWarning"} | ({"UserWarning"} if make is tracker else set()) <= said
+    assert expected <= said
 
 
 def fails(x):
