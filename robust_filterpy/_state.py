@@ -30,8 +30,8 @@ Shape = tuple[int | None, ...]
 # Arrays of a state that are covariances, or stacks of them, and what `_checks.covariance` is given for them.
 _MOVING: Final = {"slack": _checks.GATHERED, "gathered": _checks.ROUNDING}
 _COVARIANCES: Final[dict[str, dict[str, float]]] = {
-    **{name: _MOVING for name in ("P", "R", "covariances", "prior_P", "window_R")},
-    **{name: {"slack": math.inf} for name in ("Q", "window_Q")},
+    **{name: _MOVING for name in ("P", "R", "covariances")},
+    "Q": {"slack": math.inf},
 }
 
 
@@ -42,8 +42,8 @@ _FORMER: Final = (10, 15, 17)
 _OF_NOISE: Final = ((4, 10), (22, 16))
 
 
-# Arrays of as many sensors, or numbers, as there are.
-_ANY_LENGTH: Final = ("learnt", "insisting", "random")
+# Arrays of as many sensors, steps or numbers as there are.
+_ANY_LENGTH: Final = ("learnt", "insisting", "random", "window", "regressions")
 
 
 class StateError(ValueError):

@@ -1,59 +1,47 @@
-"""FixedLagSmoother: filterpy's live smoother, which weighs its last measurements anew with each one that comes."""
+"""FixedLagSmoother: a robust filter that corrects its last states too, by what each measurement taught it of the last.
+
+A state of the window moves by the regression on the state now, A_i = J_(k-i) .. J_(k-1), where J = P F' (F P F' + Q)^-1
+is the gain of Rauch, Tung and Striebel (AIAA Journal 3, 1965)::
+
+    A_i <- A_i J,    x_(k-i) += A_i (x_k - F x_(k-1) - B u)
+
+A measurement is judged once, by the filter; nothing is iterated.
+"""
 
 from __future__ import annotations
 
 import copy
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dposv
 
 from robust_filterpy import _checks, _filterpy, _state
-from robust_filterpy._arrays import control_term, measured, noise_covariance, process_noise, state_of
+from robust_filterpy._arrays import state_of
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.options import GROUPINGS, Grouping
-from robust_filterpy.filters.driver import at_step
-from robust_filterpy.influence.functions import Influence, Linear
-from robust_filterpy.smoothing.linear_pass import Recording, Smooth, Weighting, problem, smoothing_pass
-from robust_filterpy.smoothing.rules import Belief, Learnt, Mixture, Rule, rule_of
-from robust_filterpy.smoothing.sweeps import reweighted
+from robust_filterpy._warning import warn
+from robust_filterpy.correction.contaminated import Contaminated
+from robust_filterpy.filters.driver import at_step, columns_of
+from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.policies import Options, with_options
+from robust_filterpy.filters.snapshot import whole
+from robust_filterpy.influence.functions import Linear
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["FixedLagSmoother"]
 
-# Sweeps over the window for each new measurement; it starts from the last weights, so that it seldom takes more.
-_SWEEPS = 10
-# Weight of a measurement that nothing has been said about: next to none, so that the others judge it first.
-_UNJUDGED = 1e-3
-# How fast learned noise forgets: about a thousand samples.
-_MEMORY = 0.999
+# A pivot of a predicted covariance that is so small a share of its variance is rounding.
+_ROUNDING = 1e-12
 
 
-class _Window(NamedTuple):
-    """Measurements in the window, the matrices of their times, what they weigh at present; (steps, ..)."""
-
-    F: Array
-    Q: Array
-    c: Array
-    H: Array
-    R: Array
-    z: Array
-    precision: Array
-    offset: Array
-    process_scale: Array
-
-    @classmethod
-    def empty(cls, n: int, m: int) -> _Window:
-        """Return a window without a step."""
-        shapes = (n, n), (n, n), (n,), (m, n), (m, m), (m,), (m,), (m,), ()
-        return cls(*(np.empty((0, *shape)) for shape in shapes))
-
-
-class FixedLagSmoother(_filterpy.FixedLagSmoother):
+class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
     """Smooth live like `filterpy.kalman.FixedLagSmoother`, without believing outliers.
 
-    After each measurement ``xSmooth[k - i]`` for i = 0..N is the estimate of step k - i from everything up to step k,
-    with weights that the later measurements had a say in. A measurement that leaves the window keeps its last weight.
+    After each measurement ``xSmooth[k - i]`` for i = 0..N is the estimate of step k - i from everything up to step k.
 
     Parameters
     ----------
@@ -61,19 +49,20 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         Lengths of the state and of the measurement, >= 1.
     N : int, optional
         The lag in steps, >= 1; not needed for `smooth_batch`.
-    influence, process, grouping
-        As in `robust_filterpy.smooth`: by default contamination and size of outliers are learned.
+    influence, scaling, information, grouping, noise, process, patience
+        As in `robust_filterpy.RobustKalmanFilter`, but where none of them says how measurements fail, it is
+        ``noise=Contaminated()``: one in ten is an outlier of ten times the size, and R is that of the others. Where R
+        is a guess or the state may jump, say ``noise="learnt", process="scales"``.
 
     Attributes
     ----------
     x, P : ndarray
-        Estimate of the last step, shape (dim_x, 1) or (dim_x,), and its covariance.
+        Estimate of the last step, shape (dim_x, 1) or (dim_x,), and its covariance; and the other attributes of a
+        `RobustKalmanFilter`, of the last step.
     x_s : ndarray, shape of x
         Estimate of the oldest step in the window.
     xSmooth : list of ndarray
         Estimates of all steps.
-    weights : ndarray, shape (steps in the window, dim_z)
-        How much the measurements in the window are believed at present, NaN where missing.
 
     Raises
     ------
@@ -86,6 +75,9 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
     of Rauch, Tung and Striebel over the data so far. filterpy's own recursion puts the corrected covariance where the
     predicted one belongs (D. Simon, Optimal State Estimation, 2006, section 9.3), so that its xSmooth is not that mean.
 
+    Each measurement is judged once, by those before it. What judges a measurement by those after it, too, is
+    `robust_filterpy.smooth`.
+
     Examples
     --------
     >>> smoother = FixedLagSmoother(dim_x=1, dim_z=1, N=3)
@@ -96,42 +88,28 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
     (7, True)
     """
 
-    def __init__(
-        self,
-        dim_x: int,
-        dim_z: int,
-        N: int | None = None,
-        *,
-        influence: Influence | None = None,
-        process: Influence | None = Linear(),
-        grouping: Grouping = "component",
-    ) -> None:
-        """Set up filterpy's attributes and the choices."""
-        for name, value in (("dim_x", dim_x), ("dim_z", dim_z), ("N", 1 if N is None else N)):
-            _checks.count(name, value, 1)
-        self._joint = _checks.option("grouping", grouping, GROUPINGS) == "joint"
-        self._influence, self._process = influence, process
-        self._rules(np.ones((1, 1, dim_z), dtype=bool), np.ones((1, 1, dim_x), dtype=bool))
-        super().__init__(dim_x, dim_z, N)
-        self._window = _Window.empty(dim_x, dim_z)
-        self._prior = (np.zeros(dim_x), np.eye(dim_x))
-        self._beliefs = [Belief(), Belief()]
-        self._mixtures: list[Mixture | None] = [None, None]
-        self.weights = np.empty((0, dim_z))
+    @with_options
+    def __init__(self, dim_x: int, dim_z: int, N: int | None = None, **options: Unpack[Options]) -> None:
+        """Set up the filter and an empty window."""
+        self.N = None if N is None else _checks.count("N", N, 1)
+        super().__init__(dim_x, dim_z, **_as_filters_take_them(dict(options)))
+        self._empty()
+
+    def _empty(self) -> None:
+        """Start a window, and a list of estimates, without a step."""
+        n = self.dim_x
+        self.count, self.xSmooth, self.x_s = 0, [], np.zeros(np.shape(self.x))
+        self._window, self._regressions = np.empty((0, n)), np.empty((0, n, n))
 
     def __str__(self) -> str:
-        """Show where the smoother stands and what it has learnt; `repr` shows every matrix."""
-        parts = {"x": np.ravel(self.x), "std": np.sqrt(np.maximum(np.diag(self.P), 0.0))}
-        if len(self.weights):
-            parts |= {f"x, {len(self.weights) - 1} steps before": np.ravel(self.x_s), "weights": np.ravel(self.weights)}
-        for name, mixture in zip(("measurements", "process"), self._mixtures, strict=True):
-            if mixture is not None:
-                parts[f"share of outliers, {name}"] = np.ravel(mixture.contamination)
-                parts[f"size over ordinary, {name}"] = np.ravel(mixture.ratio)
+        """Show where the smoother stands; `repr` shows every matrix."""
+        lines = super().__str__().split("\n")
         lag = "N is not set" if self.N is None else f"lag {self.N}"
-        head = f"{type(self).__name__}: {self.dim_x} states, {self.dim_z} measured, {lag}; repr() shows every matrix"
-        return "\n".join([head, *lines_of(parts)])
+        steps = len(self._window)
+        more = lines_of({f"x, {steps - 1} steps before": np.ravel(self.x_s)}) if steps else []
+        return "\n".join([lines[0].replace("measured;", f"measured, {lag};"), *lines[1:], *more])
 
+    @whole
     def smooth(self, z: ArrayLike | None, u: ArrayLike | None = None) -> None:
         """Take a measurement and smooth the last N + 1 steps.
 
@@ -149,165 +127,19 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
         """
         if self.N is None:
             raise ValueError("N: expected a lag, got None; use FixedLagSmoother(dim_x, dim_z, N=..)")
-        x, P = state_of(self)
-        step = self._step(z, u, x)
-        prior = self._prior if len(self._window.z) else (x.ravel().copy(), P.copy())
-        parts = zip(self._window, step, strict=True)
-        window = _Window(*(np.concatenate([a, np.reshape(b, (1, *a.shape[1:]))]) for a, b in parts))
-        there = problem(*(a[None] for a in (*window[:6], *prior)))
-        rules = self._rules(there.observed, there.driven)
-        start = Weighting(*(a[None] for a in window[6:]))
-        fit = reweighted(there.model, there.observed, *rules, _SWEEPS, start=start)
-        window = _Window(*window[:6], *(a[0] for a in fit.weighting))
-        after: dict[str, Any] = {"_prior": prior, "_beliefs": self._beliefs, "_window": window}
-        after |= self._shown(fit.smooth, step, x, P, rules)
-        if len(window.z) > self.N:
-            after |= self._left(there, fit.weighting, rules, window)
-        after["_settled"] = len(self.xSmooth) + 1 - len(window.z)
-        # Everything at once, so that an interrupt falls before it or behind it.
-        self.__dict__.update(after)
-
-    def _step(self, z: Any, u: Any, x: Array) -> _Window:
-        """Return a measurement with the matrices of its time, without the axis of steps."""
-        n, m = self.dim_x, self.dim_z
-        F, H = _checks.matrix("F", self.F, (n, n), "dim_x"), _checks.matrix("H", self.H, (m, n), f"dim_z={m}")
-        values = np.full(m, np.nan) if z is None else np.atleast_1d(measured(z, m, missing=True))
-        c = np.zeros(n) if u is None else np.zeros(n) + control_term(self.B, u, (n,))
-        Q = process_noise(self.Q, None, n) * np.ones((n, n))
-        R, precision = noise_covariance(self.R, None, m), np.where(np.isnan(values), 0.0, _UNJUDGED)
-        return _Window(F, Q, c, H, R, values, precision, np.zeros(m), np.ones(()))
-
-    def _rules(self, observed: Array, driven: Array) -> tuple[Rule, Rule]:
-        """Return what is made of residuals, with what was learned so far."""
-        measurement = rule_of("influence", self._influence, self._joint, observed)
-        rules = measurement, rule_of("process", self._process, True, driven)
-        for rule, belief, mixture in zip(
-            rules, getattr(self, "_beliefs", ()), getattr(self, "_mixtures", ()), strict=False
-        ):
-            if isinstance(rule, Learnt):
-                rule.belief, rule.mixture = belief, rule.mixture if mixture is None else mixture
-        return rules
-
-    def _shown(self, smooth: Smooth, step: _Window, x: Array, P: Array, rules: tuple[Rule, Rule]) -> dict[str, Any]:
-        """Return filterpy's attributes after a step."""
-        shape = x.shape
-        prior = step.F @ x.ravel() + step.c
-        y = np.where(np.isnan(step.z), 0.0, step.z - step.H @ prior)
-        states = [one.reshape(shape) for one in smooth.x[0]]
-        return {
-            "y": y.reshape((-1, 1) if len(shape) == 2 else -1),
-            "S": step.H @ (step.F @ P @ step.F.T + step.Q) @ step.H.T + step.R,
-            "x": states[-1].copy(), "P": smooth.P[0, -1].copy(), "x_s": states[0].copy(), "_latest": states,
-            "_mixtures": [rule.mixture for rule in rules], "weights": np.array(rules[0].weights[0]),
-            "count": self.count + 1,
-        }  # fmt: skip
-
-    def _left(
-        self, there: Recording, weighting: Weighting, rules: tuple[Rule, Rule], window: _Window
-    ) -> dict[str, Any]:
-        """Let the oldest step go: the prior of the window moves on by it, and learned noise remembers it."""
-        model = there.model
-        model = model._replace(**{name: getattr(model, name)[:, :1] for name in ("F", "G", "c", "H", "z")})
-        first = smoothing_pass(model, Weighting(*(a[:, :1] for a in weighting)), states=True)
-        beliefs = [rule.remembered(_MEMORY) if isinstance(rule, Learnt) else Belief() for rule in rules]
-        window = _Window(*(a[1:] for a in window))
-        return {"_prior": (first.x[0, 0].copy(), first.P[0, 0].copy()), "_window": window, "_beliefs": beliefs}
-
-    @property
-    def xSmooth(self) -> list[Array]:
-        """Estimates of all steps: one list, brought up to date when it is looked at."""
-        if self._in_list is not self._latest:
-            # Again and again the same, should an interrupt fall between the two.
-            self._estimates[self._settled :] = self._latest
-            self._in_list = self._latest
-        return self._estimates
-
-    @xSmooth.setter
-    def xSmooth(self, value: list[Array]) -> None:
-        """Begin another list."""
-        latest: list[Array] = []
-        self.__dict__.update(_estimates=list(value), _settled=len(value), _latest=latest, _in_list=latest)
-
-    _estimates: list[Array]
-    _latest: list[Array]
-    _in_list: list[Array]
-    _settled: int
-    count: int
-
-    def state(self) -> dict[str, Array]:
-        """Return everything that the smoother needs to go on, as plain arrays.
-
-        Returns
-        -------
-        dict of str to ndarray
-            ``format``, as in `robust_filterpy.RobustKalmanFilter.state`; x and P; the window, a row for each of its L
-            steps: F, Q, c, H, R, z, precision, offset, process_scale and the estimates smooth; the prior before
-            the window, prior_x and prior_P; count; and what is learned of the noises, beliefs (2, 4, kinds) and
-            mixtures (2, 2, kinds), NaN where nothing is. All of float64.
-        """
-        x, P = state_of(self)
-        steps = len(self._window.z)
-        window = {f"window_{name}": array for name, array in self._window._asdict().items()}
-        smooth = np.reshape(self.xSmooth[len(self.xSmooth) - steps :], (steps, self.dim_x))
-        parts = {"smooth": smooth, "prior_x": self._prior[0], "prior_P": self._prior[1], "count": self.count}
-        return _state.labelled(self._kind, {"x": x, "P": P, **window, **parts, **self._learnt_arrays()})
-
-    def restore(self, state: Any) -> None:
-        """Go back to a state of this smoother, or of another one made like it.
-
-        Parameters
-        ----------
-        state : mapping of str to ndarray
-            From `state`, or what ``numpy.load`` makes of a file that holds it.
-
-        Raises
-        ------
-        ValueError
-            If it is of something else or of a newer format, an array is missing, does not fit, or is not finite, or P
-            is no covariance; nothing has changed then.
-        TypeError
-            If state is no mapping.
-
-        Notes
-        -----
-        The continuation is the same to the last bit. xSmooth begins with the oldest step of the window. F, Q, H, R and
-        B of the steps to come are those of this object.
-        """
-        n, m = self.dim_x, self.dim_z
-        parts = {f"window_{k}": (None, *a.shape[1:]) for k, a in _Window.empty(n, m)._asdict().items()}
-        needed = {"x": (n,), "P": (n, n), **parts, "smooth": (None, n), "prior_x": (n,), "prior_P": (n, n), "count": ()}
-        needed |= {name: array.shape for name, array in self._learnt_arrays().items()}
-        entries = _state.checked(state, self._kind, needed, {}, ("window_z", "beliefs", "mixtures"))
-        steps = len(entries["smooth"])
-        if any(len(entries[name]) != steps for name in parts):
-            raise ValueError(f"state: expected {steps} steps in each part of the window, got others")
-        self.x, self.P, shape = entries["x"], entries["P"], entries["x"].shape
-        self._window = _Window(*(entries[name] for name in parts))
-        self._prior, self.count = (entries["prior_x"], entries["prior_P"]), int(entries["count"])
-        self.xSmooth = [one.reshape(shape).copy() for one in entries["smooth"]]
-        self.x_s = self.xSmooth[0].copy() if steps else np.zeros(shape)
-        self.weights = np.empty((0, m))
-        for i, size in enumerate((1 if self._joint else m, 1)):
-            belief, mixture = entries["beliefs"][i, :, :size], entries["mixtures"][i, :, :size]
-            self._beliefs[i] = Belief() if np.isnan(belief).all() else Belief(*belief[:, None])
-            self._mixtures[i] = None if np.isnan(mixture).all() else Mixture(*mixture[:, None])
-
-    @property
-    def _kind(self) -> str:
-        """What a state belongs to."""
-        return f"{type(self).__name__} of lag {self.N}"
-
-    def _learnt_arrays(self) -> dict[str, Array]:
-        """Return what is learned of measurement and process noise, NaN where nothing is."""
-        kinds = 1 if self._joint else self.dim_z
-        entries = {"beliefs": np.full((2, 4, kinds), np.nan), "mixtures": np.full((2, 2, kinds), np.nan)}
-        for name, noises in (("beliefs", self._beliefs), ("mixtures", self._mixtures)):
-            for i, parts in enumerate(noises):
-                for j, part in enumerate(parts or ()):
-                    # One that has not met a sample is made of numbers.
-                    if np.ndim(part):
-                        entries[name][i, j, : np.size(part)] = np.ravel(part)
-        return entries
+        before = state_of(self)[1]
+        self.predict(u)
+        prior, kept = np.ravel(self.x), slice(max(len(self._window) - self.N, 0), None)
+        A = self._regressions[kept] @ _gain(self.F @ before, self.P)
+        self.update(z)
+        x = np.ravel(self.x)
+        self._window = np.concatenate([self._window[kept] + A @ (x - prior), x[None]])
+        self._regressions = np.concatenate([A, np.eye(len(x))[None]])
+        self.count += 1
+        estimates = [state.reshape(self.x.shape) for state in self._window]
+        self.x_s = estimates[0].copy()
+        # The last line, since what an interrupt undoes is no list's contents.
+        self.xSmooth[max(len(self.xSmooth) - len(A), 0) :] = estimates
 
     def smooth_batch(self, zs: Any, N: int, us: Any = None) -> tuple[Array, Array]:
         """Smooth a recording with a lag, and change nothing in this object.
@@ -334,14 +166,53 @@ class FixedLagSmoother(_filterpy.FixedLagSmoother):
             As `smooth`, with the step named.
         """
         live = copy.deepcopy(self)
-        live.N, live.count, live.xSmooth = _checks.count("N", N, 1), 0, []
-        live._window = _Window.empty(self.dim_x, self.dim_z)
-        if us is not None and len(us) < len(zs):
-            raise ValueError(f"us: expected an entry for each of the {len(zs)} measurements, got {len(us)}")
-        latest = []
-        for k, z in enumerate(zs):
+        live.N = _checks.count("N", N, 1)
+        live._empty()
+        columns = columns_of({"zs": zs, "us": us})
+        latest = np.empty((len(columns[0]), *np.shape(self.x)))
+        for k, (z, u) in enumerate(zip(*columns, strict=False)):
             with at_step(k):
-                live.smooth(z, None if us is None else us[k])
-            latest.append(live.x)
-        shape = (len(latest), *np.shape(self.x))
-        return np.array(live.xSmooth).reshape(shape), np.array(latest).reshape(shape)
+                live.smooth(z, u)
+            latest[k] = live.x
+        return np.array(live.xSmooth).reshape(latest.shape), latest
+
+    def _moving(self) -> dict[str, Any]:
+        """Return what a step moves, the window among it."""
+        window = {"window": self._window, "regressions": self._regressions, "count": self.count}
+        return {**super()._moving(), **window}
+
+    def _go_on(self, entries: dict[str, Array]) -> None:
+        """Take over a checked state; xSmooth begins with the oldest step of its window."""
+        if len(entries["window"]) != len(entries["regressions"]):
+            raise _state.StateError("state: expected as many regressions as states in the window, got others")
+        super()._go_on(entries)
+        self._empty()
+        self._window, self._regressions, self.count = entries["window"], entries["regressions"], int(entries["count"])
+        self.xSmooth = [state.reshape(self.x.shape) for state in self._window.copy()]
+        self.x_s = self.xSmooth[0].copy() if self.xSmooth else self.x_s
+
+
+def _gain(moved: Array, predicted: Array) -> Array:
+    """Return J = P F' (F P F' + Q)^-1, given F P and the inverse; what is known exactly has no share in it."""
+    factor, gain, failed = dposv(predicted, moved)
+    if failed or (factor.diagonal() ** 2 < _ROUNDING * predicted.diagonal()).any():
+        unit = np.sqrt(np.where(predicted.diagonal() > 0.0, predicted.diagonal(), 1.0))
+        inverse = np.linalg.pinv(predicted / unit / unit[:, None], rcond=_ROUNDING, hermitian=True)
+        gain = inverse @ (moved / unit[:, None]) / unit[:, None]
+    return np.asarray(gain.T)
+
+
+def _as_filters_take_them(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a filter; where none says how measurements fail, some of them are outliers."""
+    process = options.get("process", Linear())
+    if isinstance(process, Linear):
+        options.pop("process", None)
+    elif process is None:
+        warn(
+            "process: None takes Q as given, as by every filter; to learn where the state jumps, as None did before, "
+            "say noise='learnt', process='scales'",
+            DeprecationWarning,
+        )
+    if options.get("influence", 0) is None:
+        del options["influence"]
+    return options if options.keys() - {"grouping", "process"} else {"noise": Contaminated(), **options}

@@ -31,6 +31,8 @@ from robust_filterpy.smoothing.linear_pass import Smooth, Weighting
 #: contaminated noise but a wrong R.
 CONTAMINATION_LIMITS = (0.005, 0.49)
 RATIO_LIMITS = (3.0, 1e4)
+# Before the recording: one outlier in ten samples, and two of eight times the ordinary size.
+_OUTLIERS, _SAMPLES, _SIZED, _SQUARES = 1.0, 10.0, 2.0, 128.0
 # Square of the distance at which an outlier is none that the mixture knows of.
 _REACH = 64.0
 # What the others tell of a noise is the difference of two numbers: at least so much of them, less is rounding.
@@ -40,32 +42,6 @@ _PIVOT = 1e-9
 _LONGER = 1.4
 # Steps at a time: what is computed of them stays in a processor's cache, which halves the time.
 _BLOCK = 2048
-
-
-class Belief(NamedTuple):
-    """What is believed before the recording: one outlier in ten samples, and two of eight times the ordinary size."""
-    # Each is a number or an array of shape (series, kinds).
-
-    outliers: Array | float = 1.0
-    samples: Array | float = 10.0
-    sized: Array | float = 2.0
-    squares: Array | float = 128.0
-
-    def joined(self, verdict: Verdict, counted: Array) -> Belief:
-        """Return the belief after samples; counted (series, steps, kinds) is 1 for each and 0 for what is missing."""
-        share = verdict.outlier * counted
-        # einsum takes a quarter of what sums along an axis of short rows take.
-        outliers, samples = np.einsum("snk->sk", share), np.einsum("snk->sk", counted)
-        squares = np.einsum("snk,snk->sk", share, verdict.square)
-        return Belief(self.outliers + outliers, self.samples + samples, self.sized + outliers, self.squares + squares)
-
-    @property
-    def mixture(self) -> Mixture:
-        """The mixture that fits."""
-        return Mixture(
-            np.clip(self.outliers / np.asarray(self.samples), *CONTAMINATION_LIMITS),
-            np.clip(np.sqrt(self.squares / np.asarray(self.sized)), *RATIO_LIMITS),
-        )
 
 
 class Mixture(NamedTuple):
@@ -78,6 +54,18 @@ class Mixture(NamedTuple):
     def guess(cls, series: int, kinds: int) -> Mixture:
         """Return where learning starts."""
         return cls(np.full((series, kinds), 0.15), np.full((series, kinds), 8.0))
+
+    @classmethod
+    def fitted(cls, verdict: Verdict, counted: Array) -> Mixture:
+        """Return what fits; counted (series, steps, kinds) is 1 for each sample and 0 for what is missing."""
+        share = verdict.outlier * counted
+        # einsum takes a quarter of what sums along an axis of short rows take.
+        outliers, samples = np.einsum("snk->sk", share), np.einsum("snk->sk", counted)
+        squares = np.einsum("snk,snk->sk", share, verdict.square)
+        return cls(
+            np.clip((_OUTLIERS + outliers) / (_SAMPLES + samples), *CONTAMINATION_LIMITS),
+            np.clip(np.sqrt((_SQUARES + squares) / (_SIZED + outliers)), *RATIO_LIMITS),
+        )
 
     def towards(self, fit: Mixture) -> Mixture:
         """Return where a step towards what fits leads, made longer: expectation-maximization creeps up to its end."""
@@ -292,9 +280,9 @@ class Learnt:
     tolerance = 2e-2
 
     def __init__(self, joint: bool, counted: np.ndarray) -> None:
-        """Start from what is usual; who knows better sets belief and mixture."""
+        """Start from what is usual."""
         series, _, kinds = counted.shape
-        self.joint, self.counted, self.belief = joint, counted, Belief()
+        self.joint, self.counted = joint, counted
         self.mixture = Mixture.guess(series, 1 if joint else kinds)
         self._verdict: Verdict | None = None
         self._each = (counted.any(axis=-1, keepdims=True) if joint else counted).astype(float)
@@ -320,7 +308,7 @@ class Learnt:
     def _learn(self, verdict: Verdict, frozen: Array) -> None:
         """Fit the mixture of the series that are not finished."""
         self._verdict = verdict
-        new = self.mixture.towards(self.belief.joined(verdict, self._each).mixture)
+        new = self.mixture.towards(Mixture.fitted(verdict, self._each))
         self.mixture = Mixture(*(np.where(frozen[:, None], a, b) for a, b in zip(self.mixture, new, strict=True)))
 
     @property
@@ -328,12 +316,6 @@ class Learnt:
         """Mean precision of each noise, NaN where there is none."""
         precision = 1.0 if self._verdict is None else self._verdict.mean_precision(self.mixture)
         return np.where(self.counted, precision, np.nan)
-
-    def remembered(self, memory: float) -> Belief:
-        """Return the belief after the first step has gone, older ones forgotten by a factor."""
-        first = Verdict(*(a[:, :1] for a in self._verdict or ()))
-        discounted = (start + memory * (now - start) for start, now in zip(Belief(), self.belief, strict=True))
-        return Belief(*discounted).joined(first, self._each[:, :1])
 
 
 Rule = Ordinary | Psi | Learnt

@@ -66,21 +66,19 @@ class Fit(NamedTuple):
 
 
 def reweighted(
-    model: Model, observed: Array, measurement: Rule, process: Rule, limit: int, trajectory: Any = None,
-    start: Weighting | None = None,
-) -> Fit:  # fmt: skip
+    model: Model, observed: Array, measurement: Rule, process: Rule, limit: int, trajectory: Any = None
+) -> Fit:
     """Sweep until every series has converged, or ``limit`` times."""
     # observed (series, steps, m): which components there are. A series that has converged keeps its weights, so that it
     # ends with the same numbers whatever else is smoothed with it. trajectory: what makes a new model of a nonlinear
     # problem after each sweep; the states in the result are then deviations from where it was before the last one.
-    # start: weights from an earlier search; then no sweep is graduated.
     series = len(observed)
     doubted = not isinstance(process, Ordinary)
     tolerance = min(measurement.tolerance, process.tolerance, _LINEAR)
     tolerance = max(tolerance, _NEAR) if doubted or trajectory is not None else tolerance
     plain = not doubted and isinstance(measurement, Ordinary)
     frozen = np.full(series, plain and trajectory is None)
-    weighting = ordinary(observed) if plain else first(model, observed) if start is None else start
+    weighting = ordinary(observed) if plain else first(model, observed)
     soon = plain or trajectory is not None
     before = unused = None
     earlier = np.full(series, np.inf)
@@ -93,7 +91,7 @@ def reweighted(
         if trajectory is not None:
             model, moved = trajectory.advanced(smooth)
         temperature = np.ones((series, 1, 1))
-        if sweep < _GRADUATED and not plain and start is None:
+        if sweep < _GRADUATED and not plain:
             temperature = _temperature(model, smooth, weighting, observed)
             if sweep == 0:
                 temperature = np.maximum(temperature, _WARM)

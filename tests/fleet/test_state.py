@@ -93,7 +93,7 @@ FILTERS = {
     "recovering cubature": sigma_points(RobustCubatureKalmanFilter, **COMES_BACK),
     "ensemble": ensemble,
     "fixed lag": lagged(),
-    "fixed lag, Kalman measurement": lagged(process=None),
+    "fixed lag, adaptive": lagged(noise="learnt", process="scales"),
 }
 
 
