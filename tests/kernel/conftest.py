@@ -17,3 +17,19 @@ def by_kernel_alone(monkeypatch):
     for name in ("predicted", "corrected", "corrected_by_moments"):
         for policy in (Bounded, Mixture):
             monkeypatch.setattr(policy, name, not_asked)
+
+
+@pytest.fixture
+def both(monkeypatch):
+    """Run a program by the kernel, and by the definition, and return what each makes of it."""
+    support.needs_kernel()
+
+    def run(program):
+        ours = program()
+        monkeypatch.undo()
+        support.without_kernel(monkeypatch)
+        theirs = program()
+        monkeypatch.undo()
+        return ours, theirs
+
+    return run

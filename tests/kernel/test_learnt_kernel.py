@@ -111,13 +111,6 @@ def test_a_stuck_sensor_says_nothing_by_both():
     np.testing.assert_array_equal(weights == 0.0, stuck)
 
 
-def test_readings_that_repeat_themselves_teach_nothing_of_r_by_both():
-    problem = with_(random_problem(3, 2, 2), H=np.eye(2), R=np.eye(2), F=np.eye(2), Q=1e-3 * np.eye(2))
-    zs = np.round(np.random.default_rng(7).normal(size=(120, 2)) * [0.4, 0.0])
-    _, memory = compare(problem, zs, NoiseClasses(), Scales())
-    assert 0.1 < memory[0, 0] < 1.0 and memory[1, 0] > 0.9
-
-
 @pytest.mark.parametrize("start", [(75.0, -40.0), (75.0, 0.0), (0.0, 0.0)])
 def test_a_candidate_lives_on_where_its_part_becomes_one_with_another_by_both(start):
     problem = with_(

@@ -5,24 +5,25 @@ import sys
 
 import numpy as np
 import pytest
-import support
+from alike import assert_alike, shown
 from filterpy.kalman import MerweScaledSigmaPoints
 
 import robust_filterpy
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.correction.policies import Contaminated
-from robust_filterpy.influence.functions import TukeyBiweight
+from robust_filterpy.filters import RobustCubatureKalmanFilter
+from robust_filterpy.influence import Linear, TukeyBiweight
 
-TOLD, ADAPTIVE = {"noise": Contaminated(0.1, 8.0)}, {"noise": "learnt", "process": "scales"}
+GIVEN, ADAPTIVE = {"noise": Contaminated(0.1, 8.0)}, {"noise": "learnt", "process": "scales"}
 OPTIONS = {
     "default": {},
     "learnt, joint": {"noise": "learnt", "grouping": "joint"},
     "adaptive": ADAPTIVE,
     "adaptive, joint": {**ADAPTIVE, "grouping": "joint"},
     "adaptive, groups": {**ADAPTIVE, "grouping": ((0, 1),)},
-    "told": TOLD,
-    "told, joint": {**TOLD, "grouping": "joint"},
-    "told, process told": {**TOLD, "process": Contaminated(0.05, 10.0)},
+    "given": GIVEN,
+    "given, joint": {**GIVEN, "grouping": "joint"},
+    "given, process given": {**GIVEN, "process": Contaminated(0.05, 10.0)},
 }
 WAYS = {
     "H": {"H": np.array([[1.0, 0.1], [0.3, 1.0]])}, "a row of H": {"H": np.array([[1.0, 0.2]]), "R": 0.3},
@@ -30,65 +31,71 @@ WAYS = {
 }  # fmt: skip
 
 
+def moving(H=((1.0, 0.0), (0.0, 1.0)), **options):
+    kf = RobustKalmanFilter(2, 2, **options)
+    kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array(H), 0.01 * np.eye(2)
+    return kf
+
+
+def take(kf, k, z, way):
+    """Predict, and take a measurement in one of the ways."""
+    kf.predict(F=kf.F.T, Q=2.0 * kf.Q) if way == "F and Q" else kf.predict()
+    if way == "M":
+        kf.update_correlated(z)
+    elif way == "part by part" and k % 3 != 2:
+        for i in np.flatnonzero(z == z).tolist():
+            kf.update_sequential(i, z[i])
+    elif way == "a row of H" and k % 2 == 0:
+        kf.update(z)
+    else:
+        z = z if way != "a row of H" else z[0] if z[0] == z[0] else 1.0
+        kf.update(z, **WAYS[way])
+
+
+@pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 @pytest.mark.parametrize("way", WAYS)
-def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, by_kernel_alone, monkeypatch):
-    found = []
-    for kernel in (True, False):
-        if not kernel:
-            monkeypatch.undo()
-            support.without_kernel(monkeypatch)
-        kf = RobustKalmanFilter(2, 2, **options)
-        kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.eye(2), 0.01 * np.eye(2)
-        kf.M, rows = np.array([[0.02, 0.01], [0.0, 0.03]]), []
+def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, both):
+    def steps():
+        kf, rows = moving(**options), []
+        kf.M = np.array([[0.02, 0.01], [0.0, 0.03]])
         for k, z in enumerate(np.random.default_rng(2).normal(size=(30, 2))):
+            # Outliers, gaps, and at the end a jump under noise that is correlated with the state.
             z[k % 2] += 15.0 * (k % 7 == 6)
+            z = z + 60.0 * (way == "M" and k > 15)
             z = np.where(np.arange(2) == (k % 5 == 4), np.nan, z) if k % 5 == 4 else z
-            kf.predict(F=kf.F.T, Q=2.0 * kf.Q) if way == "F and Q" else kf.predict()
-            given = WAYS[way]
-            if way == "M":
-                kf.update_correlated(z)
-            elif way == "part by part":
-                kf.update(z) if k % 3 == 2 else [kf.update_sequential(i, z[i]) for i in (0, 1) if z[i] == z[i]]
-            elif way == "a row of H" and k % 2:
-                kf.update(z[0] if z[0] == z[0] else 1.0, **given)
-            else:
-                kf.update(z, **({} if way == "a row of H" else given))
+            take(kf, k, z, way)
             lags = np.nansum(getattr(kf._last, "lags", 0.0))
-            shown = [*np.ravel(kf.y), *np.ravel(kf.S), *np.ravel(kf.SI), *np.ravel(kf.K), *np.ravel(kf.weights)]
-            shown += [float(z) for z in np.ravel(kf.z)]
-            rows.append([*np.ravel(kf.x), *np.ravel(kf.P), kf.log_likelihood, kf.outlier_probability, lags])
-            if way == "part by part":
-                rows[-1] += shown
-        found.append((np.array(rows), kf._memory, *kf._other_sensors.values()))
-    for ours, theirs in zip(*found, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-11)
+            rows.append(shown(kf, "outlier_probability") | {"lags": lags})
+        return rows, [kf._memory, *kf._other_sensors.values()]
+
+    (ours, memories), (theirs, expected) = both(steps)
+    assert_alike(ours, theirs, 1e-9)
+    for mine, other in zip(memories, expected, strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-11)
 
 
 FAR = {**OPTIONS, "innovation": {"scaling": "innovation"}, "Tukey": {"influence": TukeyBiweight()}}
 
 
+@pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("options", FAR.values(), ids=FAR)
-@pytest.mark.parametrize("rows", [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.3]]], ids=["apart", "alike"])
-def test_a_reading_beyond_all_measure_is_the_kernels_and_the_definitions(rows, options, by_kernel_alone, monkeypatch):
-    found = []
-    for kernel in (True, False):
-        if not kernel:
-            monkeypatch.undo()
-            support.without_kernel(monkeypatch)
-        kf, shown = RobustKalmanFilter(2, 2, **options), []
-        kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array(rows), 0.01 * np.eye(2)
+@pytest.mark.parametrize("H", [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.3]]], ids=["apart", "alike"])
+def test_a_reading_beyond_all_measure_is_the_kernels_and_the_definitions(H, options, both):
+    def steps():
+        kf, rows = moving(H, **options), []
         for k, z in enumerate(np.random.default_rng(3).normal(size=(60, 2))):
             far = k > 15 and k % 4 == 0
             z[0] = (-1.0) ** (k // 4) * 1e151 * 10.0 ** (2.5 * k) if far else z[0]
             z[1] = z[0] / 7.0 if far and k % 12 == 0 else z[1]
             kf.predict()
             kf.update(z)
-            shown.append([*np.ravel(kf.x), *np.ravel(kf.P), *np.ravel(kf.weights), kf.log_likelihood])
-        found.append((np.array(shown), kf._memory))
-    for ours, theirs in zip(*found, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-10)
-    assert np.abs(found[0][0][:, :2]).max() < 10.0
+            rows.append({name: np.array(getattr(kf, name)) for name in ("x", "P", "weights", "log_likelihood")})
+        return [*rows, {"memory": kf._memory}]
+
+    ours, theirs = both(steps)
+    assert_alike(ours, theirs, 1e-8)
+    assert max(np.abs(row["x"]).max() for row in ours[:-1]) < 10.0
 
 
 @pytest.mark.parametrize("options", [{}, ADAPTIVE], ids=["default", "adaptive"])
@@ -164,41 +171,49 @@ def angle(a, b):
     return (a - b + np.pi) % (2.0 * np.pi) - np.pi
 
 
+def bearings(x):
+    x = np.ravel(x)
+    return np.array([np.arctan2(x[1], x[0]), np.arctan2(x[1] - 1.0, x[0] + 1.0)])
+
+
+def slopes(x):
+    x = np.ravel(x)
+    rows = [(x[0], x[1]), (x[0] + 1.0, x[1] - 1.0)]
+    return np.array([[-b, a] / (a**2 + b**2) for a, b in rows])
+
+
+@pytest.mark.pairwise
+@pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("residual", [np.subtract, angle], ids=["plain", "angle"])
-@pytest.mark.parametrize(
-    "options",
-    [{"noise": "learnt"}, {"noise": "learnt", "grouping": "joint"}, TOLD, {"patience": 3}],
-    ids=["learnt", "learnt, joint", "told", "patience"],
-)
-@pytest.mark.parametrize("kind", ["extended", "unscented"])
-def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(
-    kind, options, residual, by_kernel_alone, monkeypatch
-):
-    points = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
+@pytest.mark.parametrize("options", [
+    {"noise": "learnt"}, {"noise": "learnt", "grouping": "joint"}, GIVEN, {"patience": 3}, {},
+    {"grouping": "joint"}, {"influence": Linear()}, {"influence": TukeyBiweight(), "grouping": "joint"},
+], ids=str)  # fmt: skip
+@pytest.mark.parametrize("kind", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
+def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(kind, options, residual, both):
+    # How far P grows after a jump, the typical innovation tells by a Jacobian: without one that is the definition's.
+    jumps = kind is RobustExtendedKalmanFilter or bool({"noise", "patience"} & set(options))
 
-    def h(x):
-        return np.array([np.arctan2(x[1], x[0]), np.arctan2(x[1] - 1.0, x[0] + 1.0)])
+    def made():
+        if kind is RobustExtendedKalmanFilter:
+            return kind(2, 2, **options)
+        points = [MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)] if kind is RobustUnscentedKalmanFilter else []
+        return kind(2, 2, 1.0, bearings, lambda x, dt: np.ravel(x), *points, residual_z=residual, **options)
 
-    def jacobian(x):
-        rows = [(x[0], x[1]), (x[0] + 1.0, x[1] - 1.0)]
-        return np.array([[-b, a] / (a**2 + b**2) for a, b in rows])
-
-    found = []
-    for kernel in (True, False):
-        if not kernel:
-            monkeypatch.undo()
-            support.without_kernel(monkeypatch)
-        rng = np.random.default_rng(3)
-        if kind == "extended":
-            kf = RobustExtendedKalmanFilter(2, 2, **options)
-        else:
-            kf = RobustUnscentedKalmanFilter(2, 2, 1.0, h, lambda x, dt: x, points, residual_z=residual, **options)
-        kf.x, kf.P, kf.Q, kf.R = np.array([5.0, 3.0]), 0.1 * np.eye(2), 1e-3 * np.eye(2), 1e-3 * np.eye(2)
-        rows = []
+    def steps():
+        rng, kf, rows = np.random.default_rng(3), made(), []
+        kf.x = np.reshape([5.0, 3.0], (2, 1) if kind is RobustCubatureKalmanFilter else 2)
+        kf.P, kf.Q, kf.R = 0.1 * np.eye(2), 1e-3 * np.eye(2), 1e-3 * np.eye(2)
         for k in range(40):
-            z = h([5.0, 3.0]) + 0.03 * rng.normal(size=2) + [0.0, 0.5 * (k % 7 == 3 or k > 30)]
+            z = bearings([5.0, 3.0]) + 0.03 * rng.normal(size=2) + [0.0, 0.5 * (k % 7 == 3 or (k > 30 and jumps))]
+            z[k % 2] = np.nan if k % 5 == 4 else z[k % 2]
+            R = None if k % 3 else np.diag(rng.uniform(1e-3, 2e-3, 2))
             kf.predict()
-            kf.update(z, jacobian, h, residual=residual) if kind == "extended" else kf.update(z)
-            rows.append([*kf.x, *kf.P.ravel(), kf.log_likelihood, kf.outlier_probability, kf.recoveries])
-        found.append(np.array(rows))
-    np.testing.assert_allclose(*found, rtol=1e-7, atol=1e-9)
+            if kind is RobustExtendedKalmanFilter:
+                kf.update(z, slopes, bearings, R=R, residual=residual)
+            else:
+                kf.update(z, R=R)
+            rows.append(shown(kf, "outlier_probability", "recoveries"))
+        return rows
+
+    assert_alike(*both(steps), 1e-7)
