@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 
 
@@ -35,15 +34,3 @@ def test_a_fusion_refuses_and_stays(name, place, value, says):
     with pytest.raises(ValueError, match=f"state: expected .*{says}"):
         fusion.restore(changed(fusion.state(), name, place, value))
     np.testing.assert_array_equal(fusion.estimate().x, before.x)
-
-
-@pytest.mark.parametrize(
-    ("name", "shape"), [("H", (4, 2)), ("H", (1, 2)), ("R", (4, 4)), ("R", (2, 3)), ("M", (2, 4)), ("F", (3, 3))]
-)
-def test_a_filter_refuses_matrices_of_other_sensors(name, shape):
-    kf = RobustKalmanFilter(2, 2)
-    kf.H = np.eye(2)
-    with pytest.raises(ValueError, match=rf"state: expected {name} of shape \(2, 2\), got \({shape[0]}, {shape[1]}\)"):
-        kf.restore({**kf.state(), name: np.eye(*shape)})
-    kf.predict()
-    kf.update([1.0, 1.0])

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, RobustExtendedKalmanFilter, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import definition, spread
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters.policies import Bounded
 from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.kernel import moments
 
@@ -121,16 +120,6 @@ def test_nothing_that_is_passed_crashes(name, arguments):
             function(*arguments)
 
 
-def test_an_extended_filter_is_stepped_by_it():
-    kf = RobustExtendedKalmanFilter(2, 1)
-    for z in (1.0, 1.2, 50.0):
-        kf.predict()
-        kf.update(np.array([[z]]), lambda x: np.array([[1.0, 0.0]]), lambda x: x[:1])
-    # A record of numbers, which only the kernel leaves.
-    assert type(kf._last) is np.ndarray
-    assert kf.weights[0, 0] < 0.1 and kf.S.shape == (1, 1)
-
-
 @pytest.mark.parametrize("grouping", ["component", "joint"])
 @pytest.mark.parametrize("influence", [Huber(), Linear(), TukeyBiweight()], ids=str)
 def test_linear_sensors_are_as_a_filters_own(influence, grouping):
@@ -185,19 +174,3 @@ def test_linear_sensors_that_are_out_of_the_ordinary_are_declined(place, bad):
     for a, b in zip(given, before, strict=True):
         if a is not None and bad == "read only":
             np.testing.assert_array_equal(a, b)
-
-
-@pytest.mark.parametrize("update", [
-    lambda kf, k: kf.update([1.0, 2.0], kf.R.copy(), kf.H.copy()),
-    lambda kf, k: kf.update([1.0, 2.0], kf.R.tolist(), kf.H.tolist()),
-    lambda kf, k: kf.update([1.0], 0.5, [[1.0 + k, 0.0, 0.0]]),
-    lambda kf, k: kf.update([1.0], np.eye(1), kf.H[k % 2 : k % 2 + 1]),
-], ids=["arrays", "lists", "another H each time", "sensors in turn"])  # fmt: skip
-def test_an_h_that_is_passed_needs_no_definition(update, monkeypatch):
-    kf = RobustKalmanFilter(3, 2)
-    kf.H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    monkeypatch.setattr(Bounded, "corrected_by_moments", None)
-    for k in range(20):
-        kf.predict()
-        update(kf, k)
-    assert np.isfinite(kf.x).all() and kf.weights.shape[0] in (1, 2)

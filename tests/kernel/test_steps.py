@@ -261,24 +261,6 @@ def test_what_an_attribute_raises_is_passed_on():
         EXTENSION.predict(kf, *NONE)
 
 
-def test_wrong_calls_are_errors():
-    kf = RobustKalmanFilter(2, 1)
-    for call in (lambda: EXTENSION.predict(kf), lambda: EXTENSION.correct(kf, 1.0), lambda: EXTENSION.filter_series()):
-        with pytest.raises(TypeError):
-            call()
-    with pytest.raises(AttributeError):
-        EXTENSION.predict(object(), None, None, None, None)
-
-
-def test_a_diffuse_start_that_cancels_is_for_the_definition():
-    """P0/R of 1e16: what is left of P after the step is rounding."""
-    kf = RobustKalmanFilter(2, 2)
-    kf.H = np.array([[1.0, 0.0], [1.0, 1e-9]])
-    kf.P, kf.R = 1e16 * np.eye(2), np.eye(2)
-    kf.scaling = "innovation"
-    assert EXTENSION.correct(kf, [1.0, 2.0], *NONE[1:]) is False
-
-
 @pytest.mark.parametrize("R, served", [(1e-6, True), (1e-9, True), (1e-11, True), (1e-15, False)])
 def test_a_sensor_that_repeats_another_is_taken_until_what_is_left_of_it_is_rounding(R, served):
     """After the first of two sensors of the same the other's variance is 2 R of 1 + R: served down to 1e-13 of it."""
