@@ -88,12 +88,6 @@ def test_redundant_sensors_with_a_minority_bad_stay_bounded():
             assert P[0, 0] <= 1.0 / n_good + 0.01
 
 
-@pytest.mark.parametrize("grouping", [((0, 0),), ((0,), (0, 1)), ((-1,),), ((),), ((0, 1.5),)])
-def test_groups_that_make_no_sense_are_refused(grouping):
-    with pytest.raises((ValueError, TypeError), match="grouping"):
-        Choices(grouping=grouping)
-
-
 def test_a_block_beside_others_is_uncorrelated_with_them():
     """What a joint correction before had between this block and the others is gone from S and from the information."""
     rng = np.random.default_rng(0)

@@ -1,7 +1,6 @@
 """AdaptiveKalmanFilter: exact on small mixtures, told nothing it finds the noise; what it has learnt is safe."""
 
 import copy
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from support import TOLD, cart, make, random_problem, simulate, through, with_, 
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, side_by_side
-from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.spread import NUMBERS
 
 # How probable the classes are before anything has been seen.
@@ -323,33 +321,6 @@ def test_what_is_handed_on_is_checked(value):
     with pytest.raises((ValueError, TypeError), match="learnt: expected"):
         kf.learnt = value
     np.testing.assert_array_equal(kf.learnt, before)
-
-
-@pytest.mark.parametrize("kind, options, match", [
-    (Scales, {"scales": []}, "process_scales"),
-    (Scales, {"scales": [1.0, np.nan]}, "process_scales"),
-    (Scales, {"scales": [0.0, 1.0]}, "process_scales"),
-    (Scales, {"dwell": 1.0}, "dwell"),
-    (Scales, {"dwell": "long"}, "dwell"),
-    (Scales, {"jump": 1.0}, "jump"),
-    (Scales, {"scales": [1.0, 2.0], "probabilities": [0.5, 0.6]}, "probabilities"),
-    (Scales, {"jump": -0.1}, "jump"),
-    (NoiseClasses, {"probabilities": [0.5, 0.5]}, "probabilities"),
-    (NoiseClasses, {"grouping": "each"}, "grouping"),
-    (Learnt, {"scales": []}, "measurement_scales"),
-    (Learnt, {"scales": [2.0, 3.0]}, "measurement_scales"),
-    (Learnt, {"scales": [1.0, 1.0]}, "measurement_scales"),
-    (Learnt, {"scales": [1.0, np.inf]}, "measurement_scales"),
-    (Learnt, {"scales": 10.0}, "measurement_scales"),
-    (Learnt, {"memory": 1.0}, "memory"),
-    (Learnt, {"memory": np.inf}, "memory"),
-    (Learnt, {"r_memory": np.nan}, "r_memory"),
-    (Learnt, {"r_memory": None}, "r_memory"),
-    (partial(AdaptiveKalmanFilter, 2, 1), {"grouping": "all"}, "grouping"),
-])  # fmt: skip
-def test_bad_options_are_named(kind, options, match):
-    with pytest.raises((ValueError, TypeError), match=f"^{match}: expected"):
-        kind(**options)
 
 
 def apart():

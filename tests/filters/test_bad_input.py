@@ -1,6 +1,7 @@
 """What is refused, in which words, and that a refused call changes nothing."""
 
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,11 +10,17 @@ from filterpy.kalman import MerweScaledSigmaPoints
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
+    Contaminated,
     Huber,
+    Learnt,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
+    StudentT,
 )
+from robust_filterpy.correction import Scales
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters import RobustCubatureKalmanFilter
 from robust_filterpy.influence import Linear
 from robust_filterpy.testing.assertions.contracts import assert_refused_call_changes_nothing
@@ -216,12 +223,76 @@ def test_choices(name, value):
     goes_on(kf)
 
 
-def test_what_it_is_built_with():
-    for dims in ((0, 1), (1, 0), (1, 1, -1), (-2, 1), (2.5, 1), ("2", 1)):
-        with pytest.raises(REFUSED, match="dim_"):
-            RobustKalmanFilter(*dims)
-    with pytest.raises(TypeError):
-        RobustKalmanFilter(4, 2, 0, Huber())
+def nonlinear(cls, n=2, **options):
+    """A nonlinear filter of a sensor of its first state, which stands still."""
+    points = {"points": MerweScaledSigmaPoints(n, 0.5, 2.0, 1.0)} if cls is RobustUnscentedKalmanFilter else {}
+    functions = {} if cls is RobustExtendedKalmanFilter else {"dt": 1.0, "hx": lambda x: x[:1], "fx": lambda x, dt: x}
+    return cls(n, 1, **functions, **points, **options)
+
+
+NONLINEAR = (RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter)
+linear, adaptive = partial(RobustKalmanFilter, 2, 1), partial(AdaptiveKalmanFilter, 2, 1)
+#: What is built, with which options, and which of them is named.
+OPTIONS = [
+    *((partial(RobustKalmanFilter, *dims), {}, "dim_") for dims in (
+        (0, 1), (1, 0), (1, 1, -1), (-2, 1), (2.5, 1), ("2", 1),
+    )),
+    *((Scales, {name: value}, f"^{told}: expected") for told, name, value in (
+        ("process_scales", "scales", []), ("process_scales", "scales", [1.0, np.nan]),
+        ("process_scales", "scales", [0.0, 1.0]), ("dwell", "dwell", 1.0), ("dwell", "dwell", "long"),
+        ("jump", "jump", 1.0), ("jump", "jump", -0.1),
+    )),
+    (Scales, {"scales": [1.0, 2.0], "probabilities": [0.5, 0.6]}, "^probabilities: expected"),
+    (NoiseClasses, {"probabilities": [0.5, 0.5]}, "^probabilities: expected"),
+    (NoiseClasses, {"grouping": "each"}, "^grouping: expected"),
+    *((Learnt, {"scales": scales}, "^measurement_scales: expected") for scales in (
+        [], [2.0, 3.0], [1.0, 1.0], [1.0, np.inf], 10.0,
+    )),
+    *((Learnt, {name: value}, f"^{name}: expected") for name, value in (
+        ("memory", 1.0), ("memory", np.inf), ("r_memory", np.nan), ("r_memory", None),
+    )),
+    *((Contaminated, given, f"{next(reversed(given))}: expected") for given in (
+        {"contamination": 1.0}, {"contamination": 0.1, "scale_ratio": 0.5}, {"contamination": "a"},
+    )),
+    *((Choices, {"grouping": grouping}, "grouping") for grouping in (
+        ((0, 0),), ((0,), (0, 1)), ((-1,),), ((),), ((0, 1.5),),
+    )),
+    *((support.recovering, {"dim_x": 1, "dim_z": 1, "patience": value}, "patience") for value in (
+        1, 0, 2.5, True, "a",
+    )),
+    (adaptive, {"grouping": "all"}, "^grouping: expected"), (linear, {"noise": 0.1}, "noise: expected"),
+    (linear, {"noise": "learned"}, "noise: expected"),
+    (linear, {"noise": Contaminated(0.0), "process": StudentT()}, "process: expected"),
+    (linear, {"process": "scales"}, "noise='learnt'"), (linear, {"noise": "learnt", "patience": 12}, "jump="),
+    (linear, {"scaling": "learnt", "patience": 12}, "leave one of the two out"),
+    (linear, {"noise": "learnt", "influence": StudentT()}, "influence: expected none"),
+    (linear, {"noise": "learnt", "scaling": "unit"}, "scaling: expected none"),
+    (partial(RobustKalmanFilter, 2, 2), {"noise": "learnt", "grouping": ((0,), (0,))}, "grouping: expected"),
+    (partial(RobustExtendedKalmanFilter, 2, 1), {"noise": "learnt", "process": "scales"}, "linear models"),
+    *((partial(nonlinear, cls), options, words) for cls in NONLINEAR for options, words in (
+        ({"influence": 3.0}, "influence"), ({**support.RECOVERING, "patience": 2.5}, "patience"),
+    )),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("build, options, words", OPTIONS, ids=range(len(OPTIONS)))
+def test_options_that_are_none_or_make_no_sense_together_are_named(build, options, words):
+    with pytest.raises(REFUSED, match=words):
+        build(**options)
+
+
+@pytest.mark.parametrize("kf, name, value, words", [
+    (support.told(2, 1), "scaling", "unit", "follows from noise="),
+    (linear(), "process", "scales", "noise='learnt'"), (linear(), "learnt", np.zeros((1, 30)), "noise=Learnt"),
+    *((nonlinear(cls, noise="learnt"), "influence", Huber(), "noise=") for cls in NONLINEAR),
+    *((nonlinear(cls, **support.RECOVERING), "patience", 1, "patience") for cls in NONLINEAR),
+    *((nonlinear(cls), "scaling", "none", "scaling") for cls in NONLINEAR),
+], ids=range(12))  # fmt: skip
+def test_what_does_not_fit_a_filter_is_not_set(kf, name, value, words):
+    before = repr(kf)
+    with pytest.raises((*REFUSED, AttributeError), match=words):
+        setattr(kf, name, value)
+    assert repr(kf) == before
 
 
 @pytest.mark.parametrize(("arguments", "match"), [
@@ -260,11 +331,9 @@ def test_a_q_that_is_no_covariance_is_refused_where_it_is_used(bad, words):
 
 
 @pytest.mark.parametrize("n", [2, 40])
-@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
+@pytest.mark.parametrize("cls", NONLINEAR)
 def test_nonlinear_filters_refuse_such_a_q_too(cls, n):
-    functions = () if cls is RobustExtendedKalmanFilter else (1.0, lambda x: x[:1], lambda x, dt: x)
-    points = (MerweScaledSigmaPoints(n, 0.5, 2.0, 1.0),) if cls is RobustUnscentedKalmanFilter else ()
-    kf = cls(n, 1, *functions, *points)
+    kf = nonlinear(cls, n)
     kf.predict()
     for kf.Q in (-0.1 * np.eye(n), np.eye(n) + np.eye(n, k=1)):
         refuse(kf, lambda kf: kf.predict(), match=r"^Q: expected ")

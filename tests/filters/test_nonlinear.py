@@ -15,7 +15,7 @@ from filterpy.kalman import (
 )
 from support import FILTERPY_2, RECOVERING, load, polar, polar_jacobian, random_problem, simulate, with_, wrapped
 
-from robust_filterpy import Huber, Learnt, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.influence import Linear
@@ -188,8 +188,7 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, policy):
     # Without Q, on which see below, a P that F shrinks would not stay definite.
     problem = with_(problem, F=0.99 * np.linalg.qr(problem.F)[0])
     zs, _ = simulate(problem, 80, seed=7, contamination=0.1)
-    if "patience" in options:
-        zs[30:] += problem.H @ np.full(dims[0], 40.0)
+    zs[30:] += problem.H @ np.full(dims[0], 40.0)
     zs[5, 0] = zs[9] = zs[33, 0] = np.nan
     if dims == (3, 2) and options.get("noise") is None and "patience" not in options:
         # A sensor that sees nothing of the state must not take part in the joint length.
@@ -221,17 +220,6 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, policy):
             atol = 1e-9 * np.nanmax(np.abs(theirs), initial=1.0)
             np.testing.assert_allclose(np.ravel(ours), np.ravel(theirs), rtol=1e-6, atol=atol, err_msg=name)
     assert "patience" not in options or linear.recoveries > 0
-
-
-@EVERY_CLASS
-def test_outliers_do_not_hurt(cls):
-    sums = np.zeros(2)
-    for seed in range(4):
-        truth, zs = returns(100, seed, contamination=0.15)
-        cubature = cls is RobustCubatureKalmanFilter
-        for i, (kf, rows) in enumerate(((radar(cls), zs), (radar(PLAIN[cls]), zs[:, :, None] if cubature else zs))):
-            sums[i] += np.mean((run(kf, rows) - truth)[:, [0, 2]] ** 2)
-    assert sums[0] < 0.3 * sums[1]
 
 
 @pytest.mark.parametrize("policy", POLICIES)
@@ -278,65 +266,37 @@ def test_the_unscented_filter_smooths_and_takes_lists():
     assert kf.rts_smoother(means, covariances)[0].shape == means.shape
 
 
-def test_a_model_that_fails_changes_nothing():
-    extended, unscented, cubature = (radar(cls) for cls in PLAIN)
-    for kf in (extended, unscented, cubature):
+def failing():
+    """What fails: a filter, the error, and the call."""
+    kinds = [radar(cls) for cls in PLAIN]
+    for kf in kinds:
         run(kf, returns(5, 0)[1])
-    z = returns(1, 0)[1][0]
-    cases = [
-        (extended, ValueError, lambda: extended.update(z, lambda x: np.eye(2), polar)),
-        (extended, ValueError, lambda: extended.update(z, polar_jacobian, lambda x: np.ones(3))),
-        (extended, ValueError, lambda: extended.update(z, polar_jacobian, lambda x: polar(x) * np.nan)),
-        (extended, ValueError, lambda: extended.update(z, polar_jacobian, polar, residual=lambda a, b: a[:1])),
-        (extended, ValueError, lambda: extended.predict_update(z, polar_jacobian, lambda x: np.ones(3))),
-        (unscented, ValueError, lambda: unscented.update(z, hx=lambda x: x * np.nan)),
-        (unscented, ValueError, lambda: unscented.predict(fx=lambda x, dt: x * np.nan)),
-        (unscented, ZeroDivisionError, lambda: unscented.predict(fx=lambda x, dt: 1 // 0)),
-        (cubature, ValueError, lambda: cubature.update(z[:1])),
-    ]
-    for kf, error, call in cases:
+    (extended, unscented, cubature), z = kinds, returns(1, 0)[1][0]
+    for Hx in (lambda x: np.ones(3), lambda x: polar(x) * np.nan):
+        yield extended, ValueError, lambda Hx=Hx: extended.update(z, polar_jacobian, Hx)
+        yield extended, ValueError, lambda Hx=Hx: extended.predict_update(z, polar_jacobian, Hx)
+    yield extended, ValueError, lambda: extended.update(z, lambda x: np.eye(2), polar)
+    yield extended, ValueError, lambda: extended.update(z, polar_jacobian, polar, residual=lambda a, b: a[:1])
+    yield unscented, ValueError, lambda: unscented.update(z, hx=lambda x: x * np.nan)
+    yield unscented, ValueError, lambda: unscented.predict(fx=lambda x, dt: x * np.nan)
+    yield unscented, ZeroDivisionError, lambda: unscented.predict(fx=lambda x, dt: 1 // 0)
+    yield cubature, ValueError, lambda: cubature.update(z[:1])
+    lost = radar(RobustExtendedKalmanFilter)
+    lost.F = np.eye(4) * np.nan
+    yield lost, ValueError, lost.predict
+    for cls in (RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter):
+        kf = radar(cls, scaling="unit")
+        kf.P *= 1e4
+        kf.predict()
+        yield kf, NotPositiveDefiniteError, lambda kf=kf: correct(kf, polar(EAST))
+
+
+def test_a_model_that_fails_changes_nothing():
+    for kf, error, call in failing():
         before = state(kf)
         with pytest.raises(error):
             call()
         assert_same_state(before, state(kf))
-    extended.F = np.eye(4) * np.nan
-    before = state(extended)
-    with pytest.raises(ValueError, match="predict"):
-        extended.predict()
-    assert_same_state(before, state(extended))
-
-
-@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter])
-def test_unit_scaling_that_would_make_P_indefinite_is_refused(cls):
-    kf = radar(cls, scaling="unit")
-    kf.P *= 1e4
-    kf.predict()
-    before = state(kf)
-    with pytest.raises(NotPositiveDefiniteError, match="bounded"):
-        correct(kf, polar(EAST))
-    assert_same_state(before, state(kf))
-
-
-def test_every_choice_can_be_changed_later_unless_it_follows_from_the_noise():
-    kf = radar(RobustUnscentedKalmanFilter)
-    assert repr(kf).startswith("RobustUnscentedKalmanFilter") and "influence = Huber" in repr(kf).replace("\n", " ")
-    kf.influence, kf.information, kf.grouping, kf.scaling = TukeyBiweight(), "weight", "joint", "bounded"
-    run(kf, returns(5, 0)[1])
-    with pytest.raises(ValueError, match="scaling"):
-        kf.scaling = "none"
-    for cls in PLAIN:
-        with pytest.raises(TypeError, match="influence"):
-            radar(cls, influence=3.0)
-        with pytest.raises(AttributeError, match="noise="):
-            radar(cls, noise="learnt").influence = Huber()
-        with pytest.raises(ValueError, match="measurement_scales"):
-            radar(cls, noise=Learnt((2.0, 3.0)))
-        with pytest.raises((ValueError, TypeError), match="patience"):
-            radar(cls, **{**RECOVERING, "patience": 2.5})
-        kf = radar(cls, **{**RECOVERING, "patience": 3})
-        with pytest.raises(ValueError, match="patience"):
-            kf.patience = 1
-        assert kf.patience == 3
 
 
 def test_extended_predict_update_predicts_then_corrects():
@@ -352,27 +312,20 @@ def test_extended_predict_update_predicts_then_corrects():
     np.testing.assert_allclose(ours.P, F @ P @ F.T + Q)
 
 
-def test_extended_takes_one_range_like_filterpys_own_test():
-    """A climbing aircraft seen by a range-only radar, a scalar R for each call, hx a plain number."""
-    rng = np.random.default_rng(0)
-    kf = RobustExtendedKalmanFilter(3, 1)
-    kf.F = np.eye(3) + 0.05 * np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])
-    kf.x, kf.Q = np.array([-10.0, 90.0, 1100.0]), 0.001 * np.diag([0, 1, 1])
-    kf.P *= 50
-    position, saver = 0.0, Saver(kf)
-    for k in range(400):
-        position += 0.05 * 100
-        z = np.hypot(position, 1000.0) * (1 + 0.05 * rng.normal()) + (500.0 if k % 10 == 9 else 0.0)
-        at = np.hypot(kf.x[0], kf.x[2])
-        kf.update(
-            np.array([z]), lambda x: np.array([[x[0], 0, x[2]]]) / np.hypot(x[0], x[2]), lambda x: np.hypot(x[0], x[2]),
-            R=at * 2.5,
-        )  # fmt: skip
+def test_extended_takes_numbers_for_one_range():
+    """As filterpy's own example: R of each call and what hx returns are plain numbers."""
+    kf, other = (RobustExtendedKalmanFilter(3, 1) for _ in range(2))
+    for one in (kf, other):
+        one.x, one.P = np.array([-10.0, 90.0, 1100.0]), 50.0 * np.eye(3)
+    for z in (1000.0, 1500.0, 990.0):
+        kf.update(z, range_jacobian, lambda x: np.hypot(x[0], x[2]), R=2500.0)
+        other.update(np.array([z]), range_jacobian, lambda x: np.array([np.hypot(x[0], x[2])]), R=np.array([[2500.0]]))
+        np.testing.assert_array_equal(kf.x, other.x)
         assert kf.mahalanobis == pytest.approx(abs(kf.e[0]))
-        kf.predict()
-        saver.save()
-    saver.to_array()
-    assert abs(kf.x[0] - position) < 150 and abs(kf.x[1] - 100) < 15
+
+
+def range_jacobian(x):
+    return np.array([[x[0], 0.0, x[2]]]) / np.hypot(x[0], x[2])
 
 
 @pytest.mark.parametrize("ndim", [1, 2])
@@ -527,27 +480,19 @@ def test_a_residual_function_may_write_into_what_it_is_given():
 
 
 @EVERY_CLASS
-def test_a_wrong_r_costs_little_and_outliers_less_than_by_huber_told_all(cls):
-    def late(kf):
-        return np.sqrt(np.mean(errors(kf, truth, zs)[250:] ** 2))
+def test_a_wrong_r_costs_little_and_outliers_less_than_by_a_psi_and_far_less_than_filterpy(cls):
+    def late(kf, zs=None):
+        return np.sqrt(np.mean(errors(kf, truth, readings if zs is None else zs)[250:] ** 2))
 
     for seed in range(2):
-        truth, zs = returns(600, seed, contamination=0.1, pull=0.02)
-        right = late(radar(cls, noise="learnt"))
-        assert right < late(radar(cls))
+        truth, readings = returns(600, seed, contamination=0.1, pull=0.02)
+        right, by_psi = late(radar(cls, noise="learnt")), late(radar(cls))
+        plain = readings[:, :, None] if cls is RobustCubatureKalmanFilter else readings
+        assert right < by_psi < 0.55 * late(radar(PLAIN[cls]), plain)
         for factor in (0.01, 100.0):
             kf = radar(cls, factor=factor, noise="learnt")
             assert late(kf) < 1.15 * right
             assert np.all((0.5 < kf.R_learnt.diagonal() / R.diagonal()) & (kf.R_learnt.diagonal() / R.diagonal() < 2.0))
-
-
-@EVERY_CLASS
-@pytest.mark.parametrize("jump", [5.0, 50.0])
-def test_after_a_jump_of_the_state_they_come_back(cls, jump):
-    truth, zs = returns(400, 7, contamination=0.1, pull=0.02)
-    moved = truth[250:] + [jump, 0.0, -jump / 4.0, 0.0]
-    truth, zs = np.vstack((truth[:250], moved)), np.vstack((zs[:250], [polar(x) for x in moved]))
-    assert np.sqrt(np.mean(errors(radar(cls, noise="learnt"), truth, zs)[340:] ** 2)) < 1.4
 
 
 def test_what_curvature_adds_to_the_innovation_is_no_noise():

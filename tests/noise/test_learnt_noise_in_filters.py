@@ -1,14 +1,14 @@
-"""What any part of the package learns of noise is what any filter is told of it."""
+"""What any part of the package learns of noise is what any filter takes."""
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
+import support
+from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import (
     ARX,
     Contaminated,
     ParameterTracker,
-    RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     estimate_noise,
@@ -63,7 +63,7 @@ def test_it_is_the_noise_that_there_was(learnt):
     assert 0.08 < learnt.contamination < 0.35 and 5.0 < learnt.scale_ratio < 16.0
 
 
-def test_a_filter_that_is_told_follows_better_than_the_default_and_as_the_truth(learnt, recording):
+def test_a_filter_with_it_follows_better_than_the_default_and_as_the_truth(learnt, recording):
     x, zs = recording
     told, truth = ({"noise": noise} for noise in (learnt, Contaminated(0.15, 10.0)))
     default, told, truth = (
@@ -73,29 +73,16 @@ def test_a_filter_that_is_told_follows_better_than_the_default_and_as_the_truth(
 
 
 def test_every_filter_takes_it(learnt):
-    points = MerweScaledSigmaPoints(1, 0.5, 2.0, 2.0)
-    alike = {"hx": lambda x: x, "fx": lambda x, dt: x}
-    plain = KalmanFilter(1, 1)
-    plain.H = np.eye(1)
-    filters = (
-        walk(noise=learnt),
-        robust(plain, noise=learnt),
-        RobustUnscentedKalmanFilter(1, 1, 1.0, points=points, noise=learnt, **alike),
-        RobustCubatureKalmanFilter(1, 1, 1.0, noise=learnt, **alike),
-    )
-    for kf in filters:
+    plain = support.of_matrices(KalmanFilter, [[1.0]], [[1.0]])
+    kinds = (RobustKalmanFilter, support.Extended, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter)
+    filters = [support.of_matrices(kind, [[1.0]], [[1.0]], noise=learnt) for kind in kinds]
+    for kf in (*filters, robust(plain, noise=learnt)):
         kf.predict()
         kf.update(np.array([100.0]))
         assert kf.noise == learnt and kf.outlier_probability > 0.99
-    extended = RobustExtendedKalmanFilter(1, 1, noise=learnt)
-    extended.predict()
-    extended.update(np.array([100.0]), HJacobian=lambda x: np.eye(1), Hx=lambda x: x)
-    assert extended.outlier_probability > 0.99
     tracker = ParameterTracker(ARX(1, 1), filter=RobustKalmanFilter(2, 1, noise=learnt))
     tracker.update(1.0, 1.0)
-
-
-def test_psi_is_an_influence_function_of_a_filter(learnt):
+    # It is an influence function of a filter as well.
     kf = walk(influence=learnt, scaling="innovation")
     kf.predict()
     kf.update(100.0)
@@ -124,7 +111,4 @@ def test_fit_finds_what_was_drawn(contamination, ratio):
 def test_fit_refuses_what_tells_nothing(data):
     with pytest.raises(ValueError, match="data: expected two finite numbers"):
         Contaminated.fit(data)
-
-
-def test_fit_of_zeros_is_no_division_by_zero():
     assert np.isfinite(Contaminated.fit(np.zeros(10)).scale)

@@ -10,6 +10,7 @@ from filterpy.kalman import (
     UnscentedKalmanFilter,
 )
 from scipy.optimize import least_squares
+from support import of_matrices
 
 from robust_filterpy import RobustUnscentedKalmanFilter, smooth
 from robust_filterpy.influence import Linear
@@ -61,13 +62,12 @@ def recording(seed, contamination=0.0, steps=40):
 
 
 def prepared(kind):
-    if kind == "extended":
-        kf = Turning(2, 2)
-    elif kind == "unscented":
-        points = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
-        kf = UnscentedKalmanFilter(2, 2, 1.0, seen, move, points, residual_z=turned)
-    else:
-        kf = CubatureKalmanFilter(2, 2, 1.0, seen, move, residual_z=turned)
+    points = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
+    kf = {
+        "extended": lambda: Turning(2, 2),
+        "unscented": lambda: UnscentedKalmanFilter(2, 2, 1.0, seen, move, points, residual_z=turned),
+        "cubature": lambda: CubatureKalmanFilter(2, 2, 1.0, seen, move, residual_z=turned),
+    }[kind]()
     kf.x, kf.P = np.array([-8.0, 0.4]), np.diag([0.5, 0.1])
     kf.Q, kf.R = Q.copy(), np.diag(SIGMA**2)
     return kf
@@ -77,7 +77,29 @@ def options(kind):
     return {"HJacobian": jacobian, "Hx": seen, "residual": turned} if kind == "extended" else {}
 
 
-KINDS = ["extended", "unscented", "cubature"]
+KINDS = {"extended": ExtendedKalmanFilter, "unscented": UnscentedKalmanFilter, "cubature": CubatureKalmanFilter}
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_linear_model_gives_the_linear_smoother(kind):
+    zs, H = np.cumsum(np.random.default_rng(3).normal(size=(30, 1)), axis=0), np.array([[1.0, 0.0]])
+    plain, kf = (of_matrices(cls, F, H) for cls in (KalmanFilter, KINDS[kind]))
+    for one in (plain, kf):
+        one.x, one.P, one.Q = np.zeros(2), 5.0 * np.eye(2), Q.copy()
+    functions = {"HJacobian": lambda x: H, "Hx": lambda x: H @ x} if kind == "extended" else {}
+    expected, found = smooth(plain, zs, influence=Linear()), smooth(kf, list(zs), influence=Linear(), **functions)
+    np.testing.assert_allclose(found.x.reshape(-1, 2), expected.x, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(found.P, expected.P, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind, change, match", [
+    ("extended", {}, "HJacobian, Hx"), ("unscented", {"Fs": [F] * 40}, "Fs: expected none"),
+    ("cubature", {"Rs": [np.eye(2)]}, "Rs: expected an entry"), ("unscented", {"zs": []}, "zs: expected"),
+])  # fmt: skip
+def test_bad_input_is_refused_by_name(kind, change, match):
+    with pytest.raises((TypeError, ValueError), match=match):
+        smooth(prepared(kind), **{"zs": recording(5)[1], **change})
 
 
 def test_the_extended_smoother_is_the_minimum_of_the_cost_of_all_states():
@@ -100,8 +122,8 @@ def test_the_extended_smoother_is_the_minimum_of_the_cost_of_all_states():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_outliers_are_not_believed(kind):
-    """Close to the smoother that is told which are outliers, far from the one that believes them."""
-    error = {"learnt": [], "told": [], "believed": []}
+    """Close to the smoother that knows which are outliers, far from the one that believes them."""
+    error = {"learnt": [], "labelled": [], "believed": []}
     for seed in range(4):
         rng = np.random.default_rng(seed)
         truth, zs = recording(seed, 0.0)
@@ -109,12 +131,12 @@ def test_outliers_are_not_believed(kind):
         zs[bad] += SIGMA * 20.0 * rng.normal(size=(bad.sum(), 2))
         Rs = [np.diag(SIGMA**2) * (400.0 if one else 1.0) for one in bad]
         for name, choice in (
-            ("learnt", {"grouping": "joint"}), ("told", {"influence": Linear(), "Rs": Rs}),
+            ("learnt", {"grouping": "joint"}), ("labelled", {"influence": Linear(), "Rs": Rs}),
             ("believed", {"influence": Linear()}),
         ):  # fmt: skip
             found = smooth(prepared(kind), list(zs), **choice, **options(kind))
             error[name].append(np.mean((found.x - truth)[:, 0] ** 2))
-    assert np.mean(error["learnt"]) < 1.5 * np.mean(error["told"]) < np.mean(error["believed"])
+    assert np.mean(error["learnt"]) < 1.5 * np.mean(error["labelled"]) < np.mean(error["believed"])
 
 
 def test_bearings_may_pass_through_pi():
@@ -131,30 +153,6 @@ def test_bearings_may_pass_through_pi():
     plain = smooth(prepared("extended"), zs, **options("extended"))
     across = smooth(prepared("extended"), shifted, HJacobian=jacobian, Hx=behind, residual=turned)
     np.testing.assert_allclose(across.x, plain.x, rtol=1e-7, atol=1e-8)
-
-
-@pytest.mark.core
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_linear_model_gives_the_linear_smoother(kind):
-    rng = np.random.default_rng(3)
-    zs = np.cumsum(rng.normal(size=(30, 1)), axis=0)
-    H, R = np.array([[1.0, 0.0]]), np.eye(1)
-    plain = KalmanFilter(2, 1)
-    if kind == "extended":
-        kf = ExtendedKalmanFilter(2, 1)
-        kf.F = F
-        functions = {"HJacobian": lambda x: H, "Hx": lambda x: H @ x}
-    elif kind == "unscented":
-        points = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
-        kf, functions = UnscentedKalmanFilter(2, 1, 1.0, lambda x: H @ x, lambda x, dt: F @ x, points), {}
-    else:
-        kf, functions = CubatureKalmanFilter(2, 1, 1.0, lambda x: H @ x, lambda x, dt: F @ x), {}
-    for one in (plain, kf):
-        one.x, one.P, one.Q, one.R = np.zeros(2), 5.0 * np.eye(2), Q.copy(), R
-    plain.F, plain.H = F, H
-    expected, found = smooth(plain, zs, influence=Linear()), smooth(kf, list(zs), influence=Linear(), **functions)
-    np.testing.assert_allclose(found.x.reshape(-1, 2), expected.x, rtol=1e-6, atol=1e-7)
-    np.testing.assert_allclose(found.P, expected.P, rtol=1e-6, atol=1e-7)
 
 
 def test_states_that_are_angles_use_the_filters_sum_and_difference():
@@ -181,13 +179,3 @@ def test_states_that_are_angles_use_the_filters_sum_and_difference():
     zs[30:32] = wrapped(zs[30:32] + 2.5)
     found = smooth(kf, list(zs))
     assert found.converged and np.abs(wrapped(found.x[:, 0] - truth)).max() < 0.25
-
-
-def test_bad_input_is_refused_by_name():
-    zs = recording(5)[1]
-    for kind, change, match in (
-        ("extended", {}, "HJacobian, Hx"), ("unscented", {"Fs": [F] * 40}, "Fs: expected none"),
-        ("cubature", {"Rs": [np.eye(2)]}, "Rs: expected an entry"), ("unscented", {"zs": []}, "zs: expected"),
-    ):  # fmt: skip
-        with pytest.raises((TypeError, ValueError), match=match):
-            smooth(prepared(kind), change.pop("zs", zs), **change)
