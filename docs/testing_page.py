@@ -10,9 +10,9 @@ import re
 from collections.abc import Mapping, Sequence
 
 from robust_filterpy import testing
-from robust_filterpy.testing.checks.bench import FILTER_TAGS, Check
-from robust_filterpy.testing.checks.lists import FILTER_PROMISES
-from robust_filterpy.testing.scenarios import contamination, models, plants
+from robust_filterpy.testing import contamination, models, plants
+from robust_filterpy.testing.bench import FILTER_TAGS, Check
+from robust_filterpy.testing.checks import FILTER_PROMISES
 
 __all__ = ["page"]
 

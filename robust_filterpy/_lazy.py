@@ -19,7 +19,20 @@ _GONE = {
     "tune": "kf = estimate_noise(kf, zs).apply(kf) fits a filter's noises, noise=Learnt() learns them while it runs",
     "check_tracker": "draw('arx', ..), run_tracker(tracker, scenario), assert_tracks and its like test a tracker",
     "mean_square_error": "((x_hat - x) ** 2).sum(axis=2).mean(axis=0), of arrays (runs, steps, n)",
-    "step_table": "fleet.step(model, states, table, key=\"device\")",
+    **dict.fromkeys(
+        [
+            f"assert_{one}"
+            for one in (
+                "bounded_influence",
+                "missing_is_no_information",
+                "recovers_from_jump",
+                "sensor_order_irrelevant",
+                "unit_equivariant",
+            )
+        ],
+        "check_filter(make) tests it; filter_checks() has each check by name",
+    ),
+    "step_table": 'fleet.step(model, states, table, key="device")',
     "batch": "filter_series is in robust_filterpy, and in robust_filterpy.filters",
     "FilterBank": "filter_series(z[:, None], .., state=result.state) takes one step of many filters",
 }
@@ -40,13 +53,10 @@ _HOMES = (
     "plants.servo.position_loop ServoRecording", "plants.servo.linearization operating_point",
     "plotting.figures plot_fit plot_parameters", "plotting.responses plot_noise_spectrum plot_step",
     "plotting.workbench plot_comparison plot_structure_selection plot_tuning plot_validation",
-    "testing.assertions.consistency assert_covariance_stays_one assert_interval_coverage",
-    "testing.assertions.contracts assert_refused_call_changes_nothing assert_same_filter assert_state_round_trip",
-    "testing.scenarios.drawing Scenario",
-    "testing.scenarios.models StateModel", "testing.scenarios.plants Plant PlantScenario",
-    "testing.assertions.robustness assert_sensor_order_irrelevant assert_unit_equivariant",
-    "testing.assertions.robustness assert_missing_is_no_information assert_efficient assert_recovers_from_jump",
-    "testing.assertions.robustness assert_bounded_influence",
+    "testing.consistency assert_covariance_stays_one assert_efficient assert_interval_coverage",
+    "testing.contracts assert_refused_call_changes_nothing assert_same_filter assert_state_round_trip",
+    "testing.drawing Scenario",
+    "testing.models StateModel", "testing.plants Plant PlantScenario",
 )  # fmt: skip
 _MOVED = {name: f"robust_filterpy.{home}" for home, *names in map(str.split, _HOMES) for name in names}
 

@@ -19,8 +19,8 @@ from robust_filterpy import Contaminated, RobustExtendedKalmanFilter, RobustKalm
 from robust_filterpy.correction import Scales
 from robust_filterpy.filters import shell
 from robust_filterpy.identification import ParameterTracker, TrackerBank
-from robust_filterpy.testing.assertions.contracts import assert_close, assert_same_filter, visible
-from robust_filterpy.testing.assertions.contracts import assert_unchanged as assert_unchanged
+from robust_filterpy.testing.contracts import assert_close, assert_same_filter, visible
+from robust_filterpy.testing.contracts import assert_unchanged as assert_unchanged
 
 # What 1.4.5 lacks, the tests compare with the definition.
 FILTERPY_2 = hasattr(KalmanFilter, "update_sequential")

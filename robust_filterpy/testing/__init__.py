@@ -3,9 +3,17 @@
 People who filter with something else can use them too: a filter is whatever has ``x, P, F, H, Q, R``, ``predict()`` and
 ``update(z)``, a tracker whatever has ``theta`` and ``update(y, u)``.
 
-* `scenarios`: recordings with everything known, and what a filter or a tracker makes of them.
-* `assertions`: theorems about such runs, and about what a program relies on.
-* `checks`: every promise of a filter, by name: `check_filter`, a list for pytest.
+* `drawing`: `draw`, one function for all scenarios: the system, the truth, the labels, and what an estimator gets that
+  knows them.
+* `models`, `plants`: the systems by name: state estimation, identification.
+* `contamination`: the ways in which a recording goes wrong.
+* `runs`: what a filter or a tracker makes of a scenario, as arrays.
+* `consistency`: NIS, NEES, bias, whiteness, efficiency, a covariance that stays one; parameters recovered, followed,
+  honest intervals.
+* `contracts`: refused calls, copies, two filters that are the same.
+* `checks`: every promise of a filter, tested by name: `check_filter`, a list for pytest.
+* `filter_contracts`, `filter_equations`, `filter_data`: the promises.
+* `bench`: names, claims, expected failures, and what makes filters and moves them.
 * `studies`: a trial repeated with other random numbers, and how far its figures can be trusted.
 
 Imports from below: `influence`, `diagnostics`, `identification`, `plants`. pytest is not needed.
@@ -15,17 +23,23 @@ from __future__ import annotations
 
 from robust_filterpy._lazy import elsewhere
 from robust_filterpy.identification.models.noise import fit_percent
-from robust_filterpy.testing import assertions, checks, scenarios, studies
-from robust_filterpy.testing.assertions import *  # noqa: F403
-from robust_filterpy.testing.checks import *  # noqa: F403
-from robust_filterpy.testing.scenarios import *  # noqa: F403
-from robust_filterpy.testing.studies import *  # noqa: F403
+from robust_filterpy.testing.bench import ChecksFailed
+from robust_filterpy.testing.checks import check_filter, filter_checks
+from robust_filterpy.testing.consistency import (
+    assert_consistent,
+    assert_innovations_white,
+    assert_recovers_parameters,
+    assert_tracks,
+    assert_unbiased,
+)  # fmt: skip
+from robust_filterpy.testing.drawing import draw
+from robust_filterpy.testing.runs import run_filter, run_tracker
+from robust_filterpy.testing.studies import bootstrap_interval, monte_carlo, rerun
 
-# Each package lists its own names, and each of its modules its own.
-__all__: list[str] = ["fit_percent"]
-__all__ += assertions.__all__
-__all__ += checks.__all__
-__all__ += scenarios.__all__
-__all__ += studies.__all__
+__all__ = [
+    "ChecksFailed", "assert_consistent", "assert_innovations_white", "assert_recovers_parameters", "assert_tracks",
+    "assert_unbiased", "bootstrap_interval", "check_filter", "draw", "filter_checks", "fit_percent", "monte_carlo",
+    "rerun", "run_filter", "run_tracker",
+]  # fmt: skip
 
 __getattr__ = elsewhere(__name__)

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "testing"))
 from right_estimators import FILTERS
 
 from robust_filterpy.testing import filter_checks
-from robust_filterpy.testing.checks.bench import Check
+from robust_filterpy.testing.bench import Check
 
 
 def failures(checks: Sequence[Check], make: Any, seeds: range) -> Counter[str]:

@@ -25,7 +25,7 @@ from filterpy.kalman import KalmanFilter
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.influence import Linear
 from robust_filterpy.testing import ChecksFailed, check_filter
-from robust_filterpy.testing.checks.lists import FILTER_PROMISES as PROMISES
+from robust_filterpy.testing.checks import FILTER_PROMISES as PROMISES
 
 WORDS = {"passed": "yes", "failed": "no", "skipped": "-"}
 

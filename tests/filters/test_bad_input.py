@@ -23,7 +23,7 @@ from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters import RobustCubatureKalmanFilter
 from robust_filterpy.influence import Linear
-from robust_filterpy.testing.assertions.contracts import assert_refused_call_changes_nothing
+from robust_filterpy.testing.contracts import assert_refused_call_changes_nothing
 
 pytestmark = pytest.mark.core
 

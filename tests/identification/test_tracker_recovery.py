@@ -17,8 +17,8 @@ from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 from robust_filterpy.plants.linear import random_walk
 from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_tracker
-from robust_filterpy.testing.assertions.consistency import assert_interval_coverage
-from robust_filterpy.testing.scenarios.plants import Plant
+from robust_filterpy.testing.consistency import assert_interval_coverage
+from robust_filterpy.testing.plants import Plant
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 

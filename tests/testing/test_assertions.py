@@ -13,25 +13,29 @@ from support import told_tracker
 
 from robust_filterpy import ParameterTracker, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.influence import Linear
-from robust_filterpy.testing import assert_recovers_parameters, assert_tracks, draw, run_filter, run_tracker
-from robust_filterpy.testing.assertions.consistency import _correlation, assert_interval_coverage
-from robust_filterpy.testing.assertions.contracts import (
+from robust_filterpy.testing import (
+    assert_recovers_parameters,
+    assert_tracks,
+    draw,
+    filter_checks,
+    run_filter,
+    run_tracker,
+)
+from robust_filterpy.testing.consistency import (
+    _correlation,
+    assert_efficient,
+    assert_interval_coverage,
+    ratio_of_errors,
+)
+from robust_filterpy.testing.contracts import (
     assert_close,
     assert_refused_call_changes_nothing,
     assert_same_filter,
     assert_unchanged,
     visible,
 )
-from robust_filterpy.testing.assertions.robustness import (
-    assert_bounded_influence,
-    assert_efficient,
-    assert_missing_is_no_information,
-    assert_recovers_from_jump,
-    assert_sensor_order_irrelevant,
-    assert_unit_equivariant,
-)
-from robust_filterpy.testing.scenarios.models import random_stable
-from robust_filterpy.testing.scenarios.runs import TrackerRun, load
+from robust_filterpy.testing.models import random_stable
+from robust_filterpy.testing.runs import TrackerRun, load
 
 
 def fails(call, *match):
@@ -46,21 +50,18 @@ def fails(call, *match):
 # Robustness
 
 
-def test_bounded_influence_is_bounded_by_psi():
-    """The bound is k sqrt(m) standard deviations of the prior."""
-    assert_bounded_influence(RobustKalmanFilter, at_most=1.345 * np.sqrt(2))
-    fails(lambda: assert_bounded_influence(RobustKalmanFilter, at_most=0.5), "expected at most 0.5")
-    fails(lambda: assert_bounded_influence(KalmanFilter), "an innovation of 1e+02 standard deviations of sensor 0")
-    fails(lambda: assert_bounded_influence(wrong_filters.OneSided), "-1e+02")
-
-
-def test_the_way_back_from_a_jump():
-    for seed in range(5):
-        assert_recovers_from_jump(RobustKalmanFilter, rng=seed)
-        assert_recovers_from_jump(KalmanFilter, within=60, size=100.0, rng=seed)
+def test_a_fault_of_a_filter_is_named_with_the_call_and_the_size():
+    checks = {check.name: check for check in filter_checks()}
+    bounded, jump, units = (
+        checks[name] for name in ("influence_of_one_measurement_is_bounded", "a_true_jump_is_followed",
+                                  "units_change_nothing")
+    )  # fmt: skip
+    fails(lambda: bounded(KalmanFilter), "an innovation of 1e+02 standard deviations of sensor 0", "at most 10")
+    fails(lambda: bounded(wrong_filters.OneSided), "-1e+02")
     tukey = partial(RobustKalmanFilter, influence=TukeyBiweight(), scaling="innovation")
-    fails(lambda: assert_recovers_from_jump(tukey), "100 samples after a jump of the state by 30", "for an outlier")
-    fails(lambda: assert_recovers_from_jump(RobustKalmanFilter, within=2), "2 samples after")
+    fails(lambda: jump(tukey), "100 samples after a jump of the state by 30", "for an outlier")
+    text = fails(lambda: units(wrong_filters.PseudoInverse), "a unit of its own")
+    assert "in other units, update " in text
 
 
 def many(make, contamination, count=30):
@@ -83,32 +84,11 @@ def test_efficiency_is_the_ratio_of_squared_errors():
 
 def test_efficiency_of_just_the_limit_seldom_fails():
     """Errors of a filter with exactly the efficiency that is asked for; 5 standard errors of the binomial."""
-    from robust_filterpy.testing.assertions.robustness import ratio_of_errors
-
     rng, alarms = np.random.default_rng(0), 0
     for _ in range(2000):
         reference = rng.chisquare(8, 30)
         alarms += ratio_of_errors(2.0 * rng.chisquare(8, 30), reference, 0.5, 0.05) is not None
     assert alarms < 2000 * 0.05 + 5 * np.sqrt(2000 * 0.05 * 0.95)
-
-
-# Invariance
-
-
-def test_units_and_order_are_compared_with_inputs_too_and_what_differs_is_named():
-    scenario = draw(random_stable(4, 2, 1, rng=3), 15, rng=3)
-    for call, words in (
-        (lambda: assert_sensor_order_irrelevant(KalmanFilter, draw("level", 10, rng=0)), "at least two sensors"),
-        (lambda: assert_sensor_order_irrelevant(KalmanFilter, scenario, order=[0, 0]), "order"),
-        (lambda: assert_unit_equivariant(KalmanFilter, scenario, sensors=[1.0]), "sensors: expected 2 factors"),
-        (lambda: assert_unit_equivariant(KalmanFilter, scenario, state=[1, 2, 3, -4.0]), "state: expected 4 factors"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            call()
-    assert_unit_equivariant(KalmanFilter, scenario)
-    assert_missing_is_no_information(RobustKalmanFilter, scenario)
-    text = fails(lambda: assert_unit_equivariant(wrong_filters.PseudoInverse, scenario), "a unit of its own")
-    assert text.startswith("in other units, update ")
 
 
 # Contracts

@@ -11,8 +11,8 @@ from support import by_night
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.testing import assert_consistent, assert_innovations_white, assert_unbiased, draw, run_filter
-from robust_filterpy.testing.assertions.consistency import assert_covariance_stays_one
-from robust_filterpy.testing.scenarios.runs import FilterRun
+from robust_filterpy.testing.consistency import assert_covariance_stays_one
+from robust_filterpy.testing.runs import FilterRun
 
 
 def misfit(scenario, **factors):

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from robust_filterpy import testing
-from robust_filterpy.testing.scenarios import contamination, models, plants
+from robust_filterpy.testing import contamination, models, plants
 
 DOCS = Path(__file__).parents[2] / "docs"
 sys.path.insert(0, str(DOCS))

@@ -9,10 +9,10 @@ from filterpy.kalman import KalmanFilter
 from robust_filterpy.fusion import constant_velocity
 from robust_filterpy.identification import ARX
 from robust_filterpy.testing import assert_consistent, draw, run_filter
-from robust_filterpy.testing.scenarios.contamination import CONTAMINATIONS
-from robust_filterpy.testing.scenarios.models import MODELS, StateModel, random_stable
-from robust_filterpy.testing.scenarios.plants import PLANTS
-from robust_filterpy.testing.scenarios.runs import FilterRun, load
+from robust_filterpy.testing.contamination import CONTAMINATIONS
+from robust_filterpy.testing.models import MODELS, StateModel, random_stable
+from robust_filterpy.testing.plants import PLANTS
+from robust_filterpy.testing.runs import FilterRun, load
 
 KINDS = ["none", *CONTAMINATIONS, ("mixture", "missing"), {"bursts": {"length": 8}, "stuck": {}}]
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 from robust_filterpy import _checks
-from robust_filterpy.testing.assertions.contracts import probability
-from robust_filterpy.testing.checks import filter_contracts, filter_equations
-from robust_filterpy.testing.checks.bench import FILTER_TAGS, Check, CheckResult, ChecksFailed, FilterSubject, result_of
+from robust_filterpy.testing import filter_contracts, filter_data, filter_equations
+from robust_filterpy.testing.bench import FILTER_TAGS, Check, CheckResult, ChecksFailed, FilterSubject, result_of
+from robust_filterpy.testing.contracts import probability
 
 #: From what breaks everything to what only shows in the long run, so that the first failure is the one to look at.
-FILTER_PROMISES = (*filter_contracts.FIRST, *filter_equations.PROMISES, *filter_contracts.LATER)
+FILTER_PROMISES = (*filter_contracts.FIRST, *filter_equations.PROMISES, *filter_data.LATER)
 
 
 def filter_checks(

@@ -6,11 +6,11 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy._checks import Array, takes
-from robust_filterpy.testing.assertions.contracts import deviations, furthest
-from robust_filterpy.testing.checks.bench import OLD, Check, FilterSubject, not_applicable, promise
-from robust_filterpy.testing.scenarios import runs
-from robust_filterpy.testing.scenarios.models import StateModel, range_bearing
-from robust_filterpy.testing.scenarios.runs import state
+from robust_filterpy.testing import runs
+from robust_filterpy.testing.bench import OLD, Check, FilterSubject, not_applicable, promise
+from robust_filterpy.testing.contracts import deviations, furthest
+from robust_filterpy.testing.models import StateModel, range_bearing
+from robust_filterpy.testing.runs import state
 
 _SMALL = 1e-7
 

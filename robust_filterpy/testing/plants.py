@@ -30,8 +30,8 @@ from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 from robust_filterpy.plants.linear import linear_parameters, random_walk, stable
-from robust_filterpy.testing.scenarios.contamination import Kinds, Spoilt, objects, of_noise, spoilt
-from robust_filterpy.testing.scenarios.runs import TrackerRun, run_tracker
+from robust_filterpy.testing.contamination import Kinds, Spoilt, objects, of_noise, spoilt
+from robust_filterpy.testing.runs import TrackerRun, run_tracker
 
 if TYPE_CHECKING:
     import control

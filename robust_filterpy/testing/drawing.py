@@ -1,7 +1,7 @@
 """Problems with everything known: model, recording, truth, labels, and what a filter that has them gets.
 
-`draw` draws them all: state estimation (`robust_filterpy.testing.scenarios.models` lists the systems), identification
-(`robust_filterpy.testing.scenarios.plants`), spoiled in the ways of `robust_filterpy.testing.scenarios.contamination`.
+`draw` draws them all: state estimation (`robust_filterpy.testing.models` lists the systems), identification
+(`robust_filterpy.testing.plants`), spoiled in the ways of `robust_filterpy.testing.contamination`.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
-from robust_filterpy.testing.scenarios import runs
-from robust_filterpy.testing.scenarios.contamination import Kinds, objects, spoilt
-from robust_filterpy.testing.scenarios.models import MODELS, StateModel
-from robust_filterpy.testing.scenarios.plants import PLANTS, Plant, draw_plant, jump_rows
-from robust_filterpy.testing.scenarios.runs import FilterRun
+from robust_filterpy.testing import runs
+from robust_filterpy.testing.contamination import Kinds, objects, spoilt
+from robust_filterpy.testing.models import MODELS, StateModel
+from robust_filterpy.testing.plants import PLANTS, Plant, draw_plant, jump_rows
+from robust_filterpy.testing.runs import FilterRun
 
 __all__ = ["Scenario", "draw"]
 
@@ -94,8 +94,8 @@ def draw(
     Parameters
     ----------
     problem : str, StateModel or Plant
-        A name out of the tables of `robust_filterpy.testing.scenarios.models` and
-        `robust_filterpy.testing.scenarios.plants`, or a system of your own.
+        A name out of the tables of `robust_filterpy.testing.models` and
+        `robust_filterpy.testing.plants`, or a system of your own.
     steps : int, default 200
         Length N of the recording.
     contamination : str, mapping of str to options, callable, or sequence of these, default "none"

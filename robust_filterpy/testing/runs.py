@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -16,9 +16,9 @@ from robust_filterpy._checks import Array
 from robust_filterpy.diagnostics.recording import is_saver, of_saver
 
 if TYPE_CHECKING:
-    from robust_filterpy.testing.scenarios.drawing import Scenario
-    from robust_filterpy.testing.scenarios.models import StateModel
-    from robust_filterpy.testing.scenarios.plants import PlantScenario
+    from robust_filterpy.testing.drawing import Scenario
+    from robust_filterpy.testing.models import StateModel
+    from robust_filterpy.testing.plants import PlantScenario
 
 __all__ = ["FilterRun", "TrackerRun", "run_filter", "run_tracker"]
 
@@ -78,6 +78,13 @@ class FilterRun:
         if self.x is None or self.truth is None:
             raise ValueError("truth: expected a run with x and truth; run_filter(kf, scenario) returns one")
         return self.x - self.truth
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations of the states according to the filter, shape (N, n)."""
+        if self.P is None:
+            raise ValueError("P: expected a run with P; run_filter(kf, scenario) returns one")
+        return np.sqrt(np.einsum("kii->ki", self.P))
 
     @cached_property
     def whitened(self) -> Array:
@@ -172,10 +179,19 @@ def is_extended(kf: Any) -> bool:
     return code is not None and "HJacobian" in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
 
 
-def step(kf: Any, z: Any, model: StateModel, u: Array | None = None) -> None:
-    """Predict and correct once."""
-    predict(kf, u)
+def step(kf: Any, z: Any, model: StateModel) -> None:
+    """Predict and correct once, by just this z."""
+    predict(kf, None)
     measure(kf, z, model)
+
+
+def calls(kf: Any, zs: Array, model: StateModel, us: Array | None = None) -> Iterator[None]:
+    """Predict and correct along a recording, and stop after each call; a z that is all NaN is None."""
+    for k, z in enumerate(zs):
+        predict(kf, None if us is None else us[k])
+        yield
+        measure(kf, None if np.isnan(z).all() else z.copy(), model)
+        yield
 
 
 def predict(kf: Any, u: Array | None) -> None:
@@ -189,11 +205,6 @@ def predict(kf: Any, u: Array | None) -> None:
 def state(kf: Any) -> tuple[Array, Array]:
     """Return x, shape (n,), and P as copies."""
     return np.ravel(np.array(kf.x, dtype=float)), np.array(kf.P, dtype=float)
-
-
-def or_none(z: Array) -> Array | None:
-    """Return a copy of a measurement, or None if all of it is missing."""
-    return None if np.isnan(z).all() else z.copy()
 
 
 def run_filter(kf: Any, scenario: Scenario) -> FilterRun:
@@ -223,18 +234,19 @@ def run_filter(kf: Any, scenario: Scenario) -> FilterRun:
     N = len(scenario.z)
     x, P, x_prior, P_prior = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n)), np.empty((N, n, n))
     y, S = np.empty((N, m)), np.empty((N, m, m))
-    extended, missing = is_extended(kf), [bool(row.all()) for row in scenario.is_missing]
-    for k, z in enumerate(scenario.z):
-        predict(kf, None if scenario.u is None else scenario.u[k])
+    extended = is_extended(kf)
+    for call, _ in enumerate(calls(kf, scenario.z, model, scenario.u)):
+        k, corrected = divmod(call, 2)
+        if corrected:
+            x[k], P[k] = state(kf)
+            continue
         prior, P_prior[k] = state(kf)
         x_prior[k] = prior
         H, R = model.jacobian(prior), own(kf, "R", model.R)
         if not extended:
             H = own(kf, "H", H)
-        y[k] = z - (H @ prior if model.sensor is None else model.sensor(prior))
+        y[k] = scenario.z[k] - (H @ prior if model.sensor is None else model.sensor(prior))
         S[k] = H @ P_prior[k] @ H.T + R
-        measure(kf, None if missing[k] else z.copy(), model)
-        x[k], P[k] = state(kf)
     return FilterRun(y, S, x, P, x_prior, P_prior, scenario.x)
 
 

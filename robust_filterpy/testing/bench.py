@@ -18,11 +18,11 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.testing.scenarios import runs
-from robust_filterpy.testing.scenarios.contamination import Kinds
-from robust_filterpy.testing.scenarios.drawing import Scenario, draw
-from robust_filterpy.testing.scenarios.models import StateModel, random_stable
-from robust_filterpy.testing.scenarios.runs import FilterRun
+from robust_filterpy.testing import runs
+from robust_filterpy.testing.contamination import Kinds
+from robust_filterpy.testing.drawing import Scenario, draw
+from robust_filterpy.testing.models import StateModel, random_stable
+from robust_filterpy.testing.runs import FilterRun
 
 #: Samples after which a filter is old.
 OLD = 1200
@@ -279,8 +279,8 @@ class FilterSubject:
 
     def advance(self, kf: Any, zs: Array, model: StateModel) -> Any:
         """Predict and correct along a recording and return the filter."""
-        for z in zs:
-            runs.step(kf, runs.or_none(z), model)
+        for _ in runs.calls(kf, zs, model):
+            pass
         return kf
 
     def aged(self, model: StateModel, age: int) -> Any:

@@ -23,9 +23,8 @@ from scipy import stats
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.diagnostics.recording import bulk
-from robust_filterpy.testing.assertions.contracts import at_least_one, band, fail, probability, times
-from robust_filterpy.testing.assertions.robustness import ratio_of_errors
-from robust_filterpy.testing.scenarios.runs import FilterRun, Runs, TrackerRun, as_runs, as_tracker_runs
+from robust_filterpy.testing.contracts import at_least_one, band, fail, probability, times
+from robust_filterpy.testing.runs import FilterRun, Runs, TrackerRun, as_runs, as_tracker_runs
 
 # NEES is looked at so often along the runs.
 _INSTANTS = 5
@@ -92,8 +91,7 @@ def assert_unbiased(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-
         squared = float(np.sum(errors.sum(axis=0) ** 2) / M)
         if not squared <= factor * stats.chi2.isf(probability(false_alarm) / len(instants), n):
             raw = np.array([run.error[k] for run in tested])
-            deviation = np.mean([np.sqrt(run.P[k].diagonal()) for run in tested if run.P is not None], axis=0)
-            off = raw.mean(axis=0) / deviation
+            off = raw.mean(axis=0) / np.mean([run.deviation[k] for run in tested], axis=0)
             i = int(np.argmax(np.abs(off)))
             failures.append(
                 f"state {i} is off by {off[i]:+.2g} of its standard deviations on average over {M} run(s) at step {k}, "
@@ -261,6 +259,67 @@ def _instants(runs: list[FilterRun]) -> list[int]:
     """Return a few steps that every run has, the last one among them."""
     shortest = min(len(run) for run in runs)
     return sorted({round(k) for k in np.linspace(shortest / _INSTANTS, shortest, _INSTANTS) - 1.0})
+
+
+def assert_efficient(
+    runs: Runs, *, at_least: float, relative_to: Sequence[FilterRun] | FilterRun, false_alarm: float = 1e-6
+) -> None:
+    """Assert that the squared error is not much larger than that of a reference on the same recordings.
+
+    Parameters
+    ----------
+    runs : FilterRun or list of FilterRun
+        At least ten independent runs.
+    at_least : float
+        Efficiency, the reference's mean squared error over the filter's, that must not be missed; in (0, 1].
+    relative_to : list of FilterRun
+        The reference, such as ``[scenario.reference for scenario in scenarios]``: it knows every label.
+    false_alarm : float, default 1e-6
+        Probability that a filter of just this efficiency fails.
+
+    Raises
+    ------
+    AssertionError
+        If it is missed.
+
+    Notes
+    -----
+    Errors are squared in units of the reference's P, so that no state outweighs another. The test is Student's, on
+    at_least * error - reference over the runs, which share their noise.
+    """
+    tested, reference = as_runs(runs), as_runs(relative_to)
+    if len(tested) != len(reference) or [len(run) for run in tested] != [len(run) for run in reference]:
+        raise ValueError(
+            f"relative_to: expected a run of the same length for each of the {len(tested)} runs, got {len(reference)}"
+        )
+    errors, best = (
+        [
+            float(np.mean((run.error / np.where(known.deviation > 0, known.deviation, np.inf)) ** 2))
+            for run, known in zip(which, reference, strict=True)
+        ]
+        for which in (tested, reference)
+    )
+    fail([ratio_of_errors(np.array(errors), np.array(best), at_least, false_alarm)])
+
+
+def ratio_of_errors(errors: Array, reference: Array, at_least: float, false_alarm: float) -> str | None:
+    """Return what is wrong if squared errors are too large against those of a reference, run by run."""
+    M = len(errors)
+    if M < 10:
+        raise ValueError(f"runs: expected at least 10 independent runs for a mean and its deviation, got {M}")
+    if not 0.0 < _checks.real("at_least", at_least) <= 1.0:
+        raise ValueError(f"at_least: expected an efficiency in (0, 1], got {_checks.shown(at_least)}")
+    alpha = probability(false_alarm)
+    excess = at_least * errors - reference
+    deviation = float(excess.std(ddof=1) / np.sqrt(M))
+    limit = float(stats.t.isf(alpha, M - 1)) * deviation
+    if np.isfinite(errors).all() and float(excess.mean()) <= limit:
+        return None
+    efficiency = float(reference.mean() / errors.mean())
+    return (
+        f"efficiency {efficiency:.2g} over {M} runs, expected at least {at_least:g}: the mean squared error is "
+        f"{1 / efficiency:.3g} times the reference's"
+    )
 
 
 def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: float = 1e-6) -> None:
