@@ -246,7 +246,7 @@ def test_bad_arguments_are_refused_by_name():
     ("run", {"y": [1.0, 2.0], "u": [1.0, 2.0]}, {
         "y": [[], np.zeros((2, 2)), [1.0, np.inf]],
         "u": [[1.0], [1.0, np.nan], np.ones((2, 2)), None],
-        "R": [np.ones(3), np.ones((2, 1)), [1.0, 0.0], [1.0, np.nan], -1.0, np.inf],
+        "R": [np.ones(3), np.ones((2, 2)), [1.0, 0.0], [1.0, np.nan], -1.0, np.inf],
     }),
     ("update", {"y": 1.0, "u": 1.0}, {"y": [-np.inf], "u": [np.nan, 1e200, [1.0, 2.0], None], "R": [-1.0, np.inf]}),
     ("simulate", {"u": [1.0]}, {"u": [[], [np.inf]]}),

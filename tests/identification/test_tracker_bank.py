@@ -24,8 +24,7 @@ from robust_filterpy.identification import (
     TrackerBank,
 )
 from robust_filterpy.identification.models.regressor import GUARDS
-from robust_filterpy.identification.recursive import bank as bank_module
-from robust_filterpy.identification.recursive import track
+from robust_filterpy.identification.recursive import following, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
 from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.plants import simulate_output_error
@@ -300,11 +299,11 @@ def test_state_of_another_bank_is_refused(state):
 
 
 @pytest.mark.parametrize(("name", "value", "words"), [
-    ("R", 0.0, "R > 0.*: actuator 2$"),
-    ("alpha_sq", 0.0, "alpha_sq >= 1.*: actuator 2$"),
-    ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite.*: actuator 2$"),
-    ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric.*: actuator 2$"),
-    ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model.*: actuator 2$"),
+    ("R", 0.0, "R > 0, got"),
+    ("alpha_sq", 0.0, "alpha_sq >= 1, got"),
+    ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite"),
+    ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric"),
+    ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model"),
 ])  # fmt: skip
 def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
     y, u = recording(OutputError(2, 2))
@@ -323,7 +322,7 @@ def test_unstable_model_is_restored_where_no_guard_keeps_it_stable():
     theta = np.array([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]])
     bank.restore({**bank.state(), "theta": theta})
     same(bank.theta, theta)
-    with pytest.raises(ValueError, match=r"stable model.*: actuator 1$"):
+    with pytest.raises(ValueError, match="stable model"):
         bank.restore({**bank.state(), "theta": theta[::-1]})
 
 
@@ -389,7 +388,7 @@ def test_the_actuator_and_the_sample_are_named(call, words):
 
 @pytest.mark.parametrize(("name", "value", "words"), [
     ("R", [1.0, 1.0, -1.0, 1.0, 1.0], "R: expected.*actuator 2"),
-    ("Q", 1.0, "Q: expected shape"),
+    ("Q", np.ones(4), "Q: expected one for all or a list of 5"),
     ("Q", np.full((4, 4), np.nan), "Q: expected finite numbers"),
     ("F", 1e200 * np.eye(4), "finite"),
 ])  # fmt: skip
@@ -426,7 +425,7 @@ def test_an_interrupted_run_changes_nothing(monkeypatch):
     y, u = recording(ARX(2, 2))
     bank = support.told_bank(N, ARX(2, 2))
     bank.run(y[:20], u[:20])
-    monkeypatch.setattr(bank_module, "_CHUNK", 7 * N * 4)
+    monkeypatch.setattr(following, "_CHUNK", 7 * N * 4)
     before, advance, calls = bank.state(), track.advance, []
 
     def interrupted(*args):

@@ -117,7 +117,7 @@ class Columns(NamedTuple):
         return cls(theta, variance, prediction, residual, weights, np.zeros(shape[:-1], dtype=np.int64))
 
 
-class _Recorded(NamedTuple):
+class Recorded(NamedTuple):
     """The columns of a `TrackingResult`; see there."""
 
     theta: Array
@@ -128,7 +128,7 @@ class _Recorded(NamedTuple):
     guard: np.ndarray
 
 
-class TrackingResult(Pictured, _Recorded):
+class TrackingResult(Pictured, Recorded):
     """What a recording of N samples gave, row k after sample k; a tuple of its first six attributes.
 
     Attributes

@@ -19,34 +19,8 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import FillValues, fill_values
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.models.regressor import LARGEST, bounded
-from robust_filterpy.identification.models.structures import Structure, input_columns
-
-
-def one_output(y: Any) -> float:
-    """Return a measured output, NaN if it is missing, or raise."""
-    output = math.nan if y is None else _checks.real("y", y)
-    if math.isinf(output):
-        raise ValueError(f"y: expected a finite number or NaN (missing), got {output}")
-    return bounded(output) if output == output else output
-
-
-def one_input(structure: Structure, u: Any) -> Array:
-    """Return the input of one sample, shape (n_inputs,), or raise."""
-    n_inputs = structure.n_inputs
-    if u is None:
-        if n_inputs:
-            what = "phi" if structure.takes_phi else "input"
-            raise ValueError(f"u: expected the {what} of this sample, {n_inputs} number(s), got None")
-        return np.zeros(0)
-    if n_inputs == 1 and isinstance(u, float) and abs(u) <= LARGEST:
-        return np.array([u])
-    values = _checks.numbers("u", u)
-    if values.size != n_inputs or values.ndim > 2:
-        raise ValueError(f"u: expected {n_inputs} number(s) for {structure}, got {_checks.described(values)}")
-    values = values.ravel()
-    _require_finite(values)
-    return values
+from robust_filterpy.identification.models.regressor import LARGEST
+from robust_filterpy.identification.models.structures import input_columns
 
 
 def recorded_output(y: Any) -> Array:
@@ -164,18 +138,6 @@ def _require_size(name: str, signal: Array) -> None:
         raise ValueError(
             f"{name}: expected numbers of {1.0 / LARGEST:g} and more in size, got up to {size:.3g}; take another unit"
         )
-
-
-def recorded_variance(R: Any, length: int) -> Array:
-    """Return the variance of the noise in each sample, shape (N,), or raise."""
-    variances = _checks.numbers("R", R)
-    if variances.shape not in ((), (1,), (length,)):
-        raise ValueError(f"R: expected a variance or one for each of the {length} samples, got shape {variances.shape}")
-    good = (variances > 0.0) & (variances < np.inf)
-    if not good.all():
-        k = int(np.argmin(good.ravel()))
-        raise ValueError(f"R: expected variances > 0, got {variances.ravel()[k]} in sample {k}; NaN in y is a gap")
-    return np.array(np.broadcast_to(variances, length))
 
 
 def _require_finite(values: Array) -> None:

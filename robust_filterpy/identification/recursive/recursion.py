@@ -10,7 +10,7 @@ replaced, correct theta along the gradient, restrain an unstable step, follow R,
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -79,6 +79,10 @@ class Form(NamedTuple):
         flags[:, 0], flags[:, 1] = gradient == "filtered", [GUARDS.index(name) for name in guard]
         flags[:, 2], flags[:, 3], flags[:, 4] = cleans, True, judges
         return cls(structure, layout, own, has_offset, cleans, judges, gradient, guard, flags)
+
+    def rows(self, which: np.ndarray) -> Form:
+        """Return the form of some actuators."""
+        return self._replace(gradient=self.gradient[which], guard=self.guard[which], flags=self.flags[which])
 
     @property
     def n_signals(self) -> int:
@@ -202,6 +206,17 @@ class State(NamedTuple):
         starts = {j: self.starts[i] for j, i in those if i in self.starts}
         arrays = {name: taken(getattr(self, name)) for name in (*State._fields[:_STARTS], "followed", "windows")}
         return State(**arrays, starts=starts)
+
+    @classmethod
+    def joined(cls, states: Sequence[State]) -> State:
+        """Return the states of several actuators, of one each, as one."""
+
+        def whole(*parts: Any) -> Any:
+            return type(parts[0])(*map(whole, *parts)) if isinstance(parts[0], tuple) else np.concatenate(parts)
+
+        names = (*State._fields[:_STARTS], "followed", "windows")
+        starts = {i: state.starts[0] for i, state in enumerate(states) if state.starts}
+        return State(**{name: whole(*(getattr(state, name) for state in states)) for name in names}, starts=starts)
 
     def with_rows(self, which: np.ndarray, rows: State) -> State:
         """Return this with some actuators as another state has them; starts, what is followed and windows stay."""

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from robust_filterpy import _checks, _state
+from robust_filterpy import _checks
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
@@ -18,7 +18,7 @@ from robust_filterpy.filters.shell import leave_unwatched
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.recursion import Form, checked, told_variance
+from robust_filterpy.identification.recursive.recursion import told_variance
 from robust_filterpy.influence.functions import Linear
 
 _Made = TypeVar("_Made")
@@ -237,17 +237,10 @@ def of_each(n: int, given: Mapping[str, Any]) -> tuple[set[str], list[dict[str, 
     return set(own), rows
 
 
-def matrices(name: str, value: Any, n: int, d: int) -> Array:
-    """Return square matrices, shape (d, d) or (n, d, d), or raise."""
-    values = numbers(name, value)
-    if values.shape not in ((d, d), (n, d, d)):
-        raise ValueError(f"{name}: expected shape ({d}, {d}) or ({n}, {d}, {d}), got {described(values)}")
-    return finite(name, values)
-
-
 def variances(value: Any, n: int, length: int | None = None) -> Array:
     """Return R of each actuator, shape (n,), or (length, n) of each sample of a recording too; or raise."""
     values = numbers("R", value)
+    values = values.reshape(()) if values.shape == (n,) == (1,) else values
     shapes = [(), (n,)] if length is None else [(), (length,), (length, n)]
     if values.shape not in shapes:
         raise ValueError(f"R: expected shape {shapes[-1]}, or {shapes[-2]} for all, got {described(values)}")
@@ -255,8 +248,7 @@ def variances(value: Any, n: int, length: int | None = None) -> Array:
     good = (values > 0.0) & (values < np.inf)
     if not good.all():
         raise ValueError(
-            f"R: expected variances > 0 (NaN in y is for a sample that is missing), got {values[~good][0]}"
-            f"{_where(~good)}"
+            f"R: expected variances > 0, got {values[~good][0]}{_where(~good)}; NaN in y is for a missing sample"
         )
     return values
 
@@ -277,37 +269,15 @@ def for_each(make: Callable[[dict[str, Any]], _Made], rows: list[dict[str, Any]]
     return made
 
 
-def checked_state(state: Any, form: Form, n: int) -> dict[str, Array]:
-    """Return the arrays of a bank's state, copied, or raise; the message names the actuators."""
-    d = len(form.own)
-    own = {name: (n, d, d) if name in state and np.ndim(state[name]) == 3 else (d, d) for name in ("Q", "F")}
-    optional = {"kept": (n,)} if "kept" in state else {}
-    try:
-        return checked(state, form, (n,), {"R": (n,), "alpha_sq": (n,), **own}, optional)
-    except _state.StateError as error:
-        refused = np.array([not _is_state(state, form, i, n) for i in range(n)])
-        raise _state.StateError(f"{error}{'' if refused.all() else f': {actuators(refused)}'}") from None
-
-
-def _is_state(state: Any, form: Form, i: int, n: int) -> bool:
-    """Tell whether what a state holds of one actuator is that of a tracker."""
-    whole = {name: np.asarray(state[name]) for name in state if name not in ("Q", "F")}
-    rows = {name: value[i] for name, value in whole.items() if value.shape[:1] == (n,)}
-    try:
-        checked(rows, form._replace(guard=form.guard[i : i + 1]), (), {"R": (), "alpha_sq": ()}, {})
-    except _state.StateError:
-        return False
-    return True
-
-
 # Samples.
 
 
 def outputs(y: Any, n: int, recorded: bool) -> Array:
     """Return measured outputs, shape (n,) or (N, n), NaN where they are missing, or raise."""
     values = numbers("y", np.full(n, np.nan) if y is None and not recorded else y)
+    values = values.reshape(1) if n == values.size == 1 and not recorded else values
     if values.ndim != 1 + recorded or values.shape[-1] != n or values.size == 0:
-        shape = f"(N, {n}), N >= 1," if recorded else f"({n},)"
+        shape = f"(N, {n}), N >= 1," if recorded else f"({n},) or a number" if n == 1 else f"({n},)"
         raise ValueError(f"y: expected shape {shape} for n={n}, got {described(values)}")
     if _have_squares(values):
         return values
@@ -326,6 +296,8 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
             raise ValueError(f"u: expected the {what} of each sample, {width} number(s) for {structure}, got None")
         return np.zeros((*time, n, 0))
     signal = numbers("u", u)
+    if n == 1 and length is None and signal.size == width and signal.ndim < 3:
+        signal = signal.reshape(1, width)
     values = signal[..., None] if width == 1 and signal.shape in (time, (*time, n)) else signal
     if values.shape == (*time, width):
         values = values[..., None, :]
@@ -335,11 +307,11 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
             f"u: expected shape {forms[0]} for all or {forms[1]} for {structure} and n={n}, got {described(signal)}"
         )
     if not _have_squares(values):
-        bad = ~(np.abs(values) <= LARGEST).all(axis=-1)
+        bad = ~(np.abs(values) <= LARGEST)
+        where = np.asarray(np.broadcast_to(bad, (*time, n, width)).any(axis=-1))
         raise ValueError(
-            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; fill in what acted, "
-            f"u.ffill() for a valve that stayed where it was), got {values[bad][0]}"
-            f"{_where(np.broadcast_to(bad, (*time, n)))}"
+            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; the order is y, u), "
+            f"got {values[bad][0]}{_where(where)}; fill in what acted, u.ffill() for a valve that stayed where it was"
         )
     return values if values.shape == (*time, n, width) else np.broadcast_to(values, (*time, n, width))
 
@@ -352,8 +324,7 @@ def _have_squares(values: Array) -> bool:
 
 
 def _where(bad: np.ndarray) -> str:
-    """Name the first sample and its actuators, of a mask (n,) or (N, n)."""
-    if bad.ndim == 1:
-        return f" from {actuators(bad)}"
-    k = int(bad.any(axis=1).argmax())
-    return f" in sample {k} from {actuators(bad[k])}"
+    """Name the first sample and its actuators, if there are several, of a mask (n,) or (N, n)."""
+    k = int(bad.any(axis=1).argmax()) if bad.ndim > 1 else None
+    who = f" from {actuators(bad if k is None else bad[k])}" if bad.shape[-1] > 1 else ""
+    return who if k is None else f" in sample {k}{who}"

@@ -1,4 +1,4 @@
-"""Samples of n actuators through the recursion: the one driver of `ParameterTracker` and `TrackerBank`.
+"""Samples of n actuators through the recursion: the driver of `Following`.
 
 From one look to the next (at a start's samples, at residuals that may follow the inputs) by the kernel (``tracker.h``),
 by the definition where the kernel declines.
@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections import Counter
 from collections.abc import Callable
 from itertools import repeat
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import _checks, kernel
+from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.notices import StuckSensorWarning
 from robust_filterpy.identification.estimation.disturbances import Settled
@@ -29,7 +27,6 @@ from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import LARGEST, Memory, are_stable
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import operating_point
-from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.recursion import (
     READINGS,
@@ -37,7 +34,6 @@ from robust_filterpy.identification.recursive.recursion import (
     ColdStart,
     Form,
     Recursion,
-    Regressor,
     State,
     Unjudged,
     note,
@@ -52,106 +48,6 @@ _LEARNT = float(SCALINGS.index("learnt"))
 _SAID = ("step", "ramp", "input outliers")
 # With F(1) below this a constant before 1/F has no level.
 _INTEGRATES = 1e-9
-
-
-# What a user sets, by its name in a state, and as the user gave it.
-_BY_HAND = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
-
-
-class Following:
-    """n actuators whose parameters are followed, a tracker's with n = 1; they can go back to a state or the start."""
-
-    structure: Structure
-    form: Form
-    _name: ClassVar[str]
-    _now: State
-    _regressor: Regressor
-    _initial: dict[str, Array]
-    # Takes over a state, or raises, and nothing has changed then; what the user may have set of Q, F and forgetting.
-    _go_back: Callable[[Any], None]
-    _set_by_hand: Callable[[], dict[str, Any]]
-
-    def _standing(self) -> State:
-        """Return where they stand, samples that wait for a look among it."""
-        return self._now
-
-    def _named(self, which: list[int]) -> str:
-        """Return some actuators as a message begins with them."""
-        return ""
-
-    @property
-    def now(self) -> State:
-        """Everything that the recursion goes on from, with an axis of actuators in front."""
-        return settled(self.form, self._standing())[0]
-
-    @property
-    def regressor(self) -> Regressor:
-        """Which outputs phi holds: "measured" or "cleaned"."""
-        return self._regressor
-
-    @property
-    def kind(self) -> str:
-        """What a state belongs to."""
-        return f"{self._name} of {self.structure}"
-
-    def restore(self, state: Any) -> None:
-        """Go back to a state of this one, or of another with the same structure, number and kind of filter.
-
-        Parameters
-        ----------
-        state : mapping of str to ndarray
-            From `state`, or what ``numpy.load`` makes of a file that holds it.
-
-        Raises
-        ------
-        ValueError
-            If it is of another structure or a newer format, an array is missing, does not fit or is not finite, a
-            variance is not positive, P not positive semidefinite, or a model unstable that the guard keeps stable;
-            nothing has changed then.
-        TypeError
-            If state is no mapping.
-
-        Notes
-        -----
-        The continuation is the same to the last bit. What it has warned of is not in a state; a tracker's from before
-        there was a watch in it is watched from here on. Q, F and forgetting are the state's; a warning says which
-        values they replace where it was made with others.
-        """
-        before = self._set_by_hand()
-        self._go_back(state)
-        after = self._set_by_hand()
-        other = [
-            f"{word} of the state, {_given(key, after[key])}, took the place of what was set, "
-            f"{_given(key, before[key])}"
-            for key, word in _BY_HAND.items()
-            if key in before and not np.array_equal(before[key], after[key])
-        ]
-        if other:
-            warn(f"{self._name}.restore: {'; '.join(other)}; set it again after restore if yours is to hold")
-
-    def reset(self) -> None:
-        """Go back to the start: theta, P, Q, R, F and the memory as they were when it was made."""
-        self._go_back(self._initial)
-
-    def _say(self, news: News) -> None:
-        """Warn of what is wrong, once for all actuators of which it is the same, of each in the order of its news."""
-        if not news:
-            return
-        said: Counter[int] = Counter()
-        alike: dict[tuple[int, str, type[UserWarning]], list[int]] = {}
-        for one in news:
-            alike.setdefault((said[one.actuator], one.said, one.category), []).append(one.actuator)
-            said[one.actuator] += 1
-        for (_, text, category), which in sorted(alike.items(), key=lambda item: item[0][0]):
-            warn(f"{self._name}: {self._named(sorted(which))}{text}", category)
-
-
-def _given(key: str, value: Any) -> str:
-    """Return a setting on a line as a user gives it: a number, which may multiply the unit matrix, or an array."""
-    number = 1.0 / np.asarray(value) if key == "alpha_sq" else np.asarray(value)
-    if number.ndim == 2 and np.array_equal(number, number[0, 0] * np.eye(len(number))):
-        number = number[0, 0]
-    return f"{number:.6g}" if number.ndim == 0 else " ".join(_checks.shown(number).split())
 
 
 class Settings(NamedTuple):
@@ -192,8 +88,8 @@ def settled(form: Form, now: State) -> tuple[State, News]:
 
 def step(
     form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None
-) -> tuple[State, Columns, News, bool]:
-    """Return what `advance` does of one sample, N = 1, and whether the kernel has taken it for all actuators."""
+) -> tuple[State, Columns, News]:
+    """Return what `advance` does of one sample, N = 1."""
     # What is looked at from time to time waits until that is due.
     news: News = []
     waiting = now.unjudged
@@ -202,7 +98,7 @@ def step(
         waiting = now.unjudged
     if using.rules is None or (now.starts and not now.begun.all()):
         now, out, more = advance(form, using, now, y, u, R)
-        return now, out, news + more, False
+        return now, out, news + more
     if not waiting.samples:
         waiting = _begun(form, using, now)
     u = u.copy()
@@ -212,8 +108,7 @@ def step(
     out = Columns._make((*numbers, np.empty(narrow, dtype=np.int64)))
     moved = now.copied()
     done = _by_kernel(form, using, moved, (y, u, R), out)
-    by_kernel = 0 not in done.tolist()
-    if not by_kernel:
+    if 0 in done.tolist():
         moved = _Stretch(form, using, now, (y, u, R), out).through(slice(0, 1))
     samples = (*waiting.samples, (y, u, *out[2:]))
     now = State(*moved[:-1], Unjudged(samples, *waiting[1:]))
@@ -221,7 +116,7 @@ def step(
     if len(samples) >= waiting.due or (form.judges and any(now.readings[:, -1].tolist())):
         now, more = settled(form, now)
         news += more
-    return now, out, news, by_kernel
+    return now, out, news
 
 
 def shown(form: Form, using: Settings, now: State, signals: Any) -> None:

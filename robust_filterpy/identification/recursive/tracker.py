@@ -10,31 +10,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks, _state
+from robust_filterpy import _checks
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
-from robust_filterpy._progress import stages
-from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
-from robust_filterpy.filters.snapshot import put_back, snapshot
-from robust_filterpy.filters.states import go_on_beside, kept_beside, moved_shapes
+from robust_filterpy.filters.states import kept_beside, moved_shapes
 from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import Columns, Sample, TrackingResult
-from robust_filterpy.identification.models.signals import (
-    TimeAxis,
-    filled_output,
-    one_input,
-    one_output,
-    recorded_input,
-    recorded_variance,
-    recording,
-)
+from robust_filterpy.identification.models.signals import filled_output, recorded_input, recording
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup, track
+from robust_filterpy.identification.recursive.following import Following
 from robust_filterpy.identification.recursive.recursion import (
     GRADIENTS,
     REGRESSORS,
@@ -45,7 +35,6 @@ from robust_filterpy.identification.recursive.recursion import (
     apart,
     at_rest,
     checked,
-    noise_variance,
     ordinary_mean,
     padded,
     told_variance,
@@ -53,33 +42,15 @@ from robust_filterpy.identification.recursive.recursion import (
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
 from robust_filterpy.identification.recursive.watch import SPAN
 from robust_filterpy.influence.functions import Influence
-from robust_filterpy.kernel.series import plain
-
-
-def _matrix(name: str, doc: str) -> Any:
-    """Return a property that reads and writes the part of one of the filter's matrices that is theta's."""
-
-    def read(self: ParameterTracker) -> Array:
-        return np.array(getattr(self._filter, name), dtype=float)[np.ix_(self.form.own, self.form.own)]
-
-    def write(self: ParameterTracker, value: ArrayLike) -> None:
-        own, kf = self.form.own, self._shown()
-        whole = setup.embedded(getattr(kf, name), own, setup.checked_values(len(own), **{name: value})[name])
-        setattr(kf, name, whole)
-        self._used = None
-
-    return property(read, write, doc=doc)
-
 
 #: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
 START = 400
 
-_NONE: Final = np.empty(0)
 # So many parameters are printed with a line for each.
 _SHOWN: Final = 12
 
 
-class ParameterTracker(track.Following, PolynomialSystem):
+class ParameterTracker(Following, PolynomialSystem):
     """Follow the parameters of a linear model, sample by sample, through outliers.
 
     A filter with the parameters as its state, F = I and H = phi'(k) (paper 53 and Table 1)::
@@ -255,7 +226,7 @@ class ParameterTracker(track.Following, PolynomialSystem):
         """Set up the filter and a memory at rest; so many arguments, since each is one of a model's or a filter's."""
         self._given = {name: value for name, value in locals().items() if name != "self"}
         model = structure if isinstance(structure, Model) else None
-        structure = setup.structure_of(structure)
+        self.structure = structure = setup.structure_of(structure)
         _checks.option("gradient", gradient, GRADIENTS)
         _checks.option("guard", guard, GUARDS)
         ready = filter is not None and not isinstance(filter, type)
@@ -269,25 +240,20 @@ class ParameterTracker(track.Following, PolynomialSystem):
         layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
         judges = self._regressor == "cleaned"
         cleans = judges and structure.na + structure.nd > 0
-        self.structure = structure
         self.form = Form.of(structure, layout, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
         own = self.form.own
         choices = {"influence": influence, "scaling": scaling, "information": information}
-        self._filter = kf = setup.make_filter(layout.n, filter, choices)
+        kf = setup.make_filter(layout.n, filter, choices)
         setup.configure(kf, structure, own, self._given)
         if ready and Q is None:
             setup.warn_of_default_noise(kf)
-        self.enabled = True
+        self.n, self._filters, self._enabled = 1, [kf], np.array([True])
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
         scale = np.array([[told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
         x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
-        self.dt: float | None = None
-        # A program that has the filter, its own or because it asked for it, may read and write in it without asking.
+        self.dt, self._time, self._used, self._unshown = None, None, None, []
         self._asked = kf is filter
-        # Samples that the kernel has taken and the filter does not show yet.
-        self._unshown: list[tuple[Any, ...]] = []
-        self._used: tuple[Any, track.Settings] | None = None
         if model is not None:
             self._now = track.gone_on(self.form, self._now, 0, model)
             self._load()
@@ -295,12 +261,6 @@ class ParameterTracker(track.Following, PolynomialSystem):
             setup.configure(kf, structure, own, {"theta": theta, "P": P})
             self._now, self.dt = self._pulled(), model.dt
         self._initial = self.state()
-        # The last time that a recording had, and how many samples came after it.
-        self._time: tuple[Any, int] | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is made anew, which holds functions."""
-        return {**vars(self), "_used": None}
 
     def __repr__(self) -> str:
         """Show the model as it stands."""
@@ -334,8 +294,19 @@ class ParameterTracker(track.Following, PolynomialSystem):
 
     # The model as it stands.
 
-    Q = _matrix("Q", "Covariance of a step of theta (paper 8), shape (n, n); may be set, to a number q for q I.")
-    F = _matrix("F", "Transition matrix C of (9), shape (n, n); may be set.")
+    def _alone(self, values: Any) -> Any:
+        """Return what its one actuator has."""
+        return values.item() if values.ndim == 1 else values[0]
+
+    @property
+    def _axes(self) -> tuple[int, ...]:
+        """A state has no axis of actuators."""
+        return ()
+
+    @property
+    def _filter(self) -> Any:
+        """The filter, which may not show where the tracker stands."""
+        return self._filters[0]
 
     @property
     def gradient(self) -> Gradient:
@@ -346,51 +317,6 @@ class ParameterTracker(track.Following, PolynomialSystem):
     def guard(self) -> Guard:
         """What happens to an unstable step: "halve", "reject" or "none"."""
         return str(self.form.guard[0])  # type: ignore[return-value]
-
-    @property
-    def theta(self) -> Array:
-        """Parameters, shape (n,)."""
-        return self._standing().theta[0][self.form.own]
-
-    @property
-    def offset(self) -> float:
-        """Constant of the equation: what an OutputError, FIR or LinearRegression adds to the output; 0 without one."""
-        a, f = self._rest_gains
-        return float(self._now.centre[0]) * a + (self._constant / f if abs(f) > 1e-9 else 0.0)
-
-    @property
-    def level(self) -> float:
-        """What the output is at rest; the center that was taken off y if the model integrates."""
-        a, f = self._rest_gains
-        return float(self._now.centre[0]) + (self._constant / (a * f) if abs(a * f) > 1e-9 else 0.0)
-
-    @property
-    def _constant(self) -> float:
-        """Constant in phi' theta, for outputs from the center."""
-        return float(self._standing().theta[0, self.structure.constant_place]) if self.form.has_offset else 0.0
-
-    @property
-    def _rest_gains(self) -> tuple[float, float]:
-        """A(1) and F(1)."""
-        theta, places = self.theta, self.structure.polynomials
-        return 1.0 + float(theta[places.a].sum()), 1.0 + float(theta[places.f].sum())
-
-    @property
-    def P(self) -> Array:
-        """Covariance of the parameters, shape (n, n)."""
-        return self._standing().P[0][np.ix_(self.form.own, self.form.own)]
-
-    @property
-    def R(self) -> float:
-        """Variance of the ordinary noise, as it is followed; may be set, and is then no longer followed."""
-        return noise_variance(self._filter) if self._asked else float(self._now.scale[0, 0])
-
-    @R.setter
-    def R(self, value: float) -> None:
-        self._filter.R = setup.checked_values(self.form.layout.n, R=value)["R"]
-        scale = self._now.scale.copy()
-        scale[0, [0, 3]] = self._filter.R.item(), 0.0
-        self._now = self._now._replace(scale=scale)
 
     @property
     def _noise_samples(self) -> float:
@@ -404,13 +330,9 @@ class ParameterTracker(track.Following, PolynomialSystem):
 
     @forgetting.setter
     def forgetting(self, value: float) -> None:
-        setup.forget(self._shown(), value)
+        self._show()
+        setup.forget(self._filter, value)
         self._used = None
-
-    @property
-    def std(self) -> Array:
-        """Standard deviations of the parameters, shape (n,); infinite until the start has found a model."""
-        return super().std if self._now.begun[0] else np.full(len(self.form.own), np.inf)
 
     @property
     def _facts(self) -> dict[str, str]:
@@ -421,28 +343,6 @@ class ParameterTracker(track.Following, PolynomialSystem):
     def _doubt(self) -> str:
         """That there is no model yet."""
         return "" if self._now.begun[0] else "the start has not found a model yet"
-
-    def predict(self, u: ArrayLike | None = None) -> float:
-        """Predict the next output, phi(k+1)' theta (paper 22), and change nothing.
-
-        Parameters
-        ----------
-        u : array_like, shape (n_inputs,), or float, optional
-            The next input; needed if it acts at once (nk = 0).
-
-        Returns
-        -------
-        float
-
-        Raises
-        ------
-        ValueError
-            If the next input is needed and not given.
-        """
-        setup.require_next_input(self.structure, u)
-        values = np.zeros(self.structure.n_inputs) if u is None else one_input(self.structure, u)
-        using = self._using()._replace(F=np.asarray(self._filter.F, dtype=float)[None, None])
-        return float(track.predicted(self.form, using, self.now, values[None])[0])
 
     def simulate(self, u: ArrayLike, *, continued: bool = False) -> Array:
         """Run the model as it stands on inputs alone, without measurements: y = B/A u.
@@ -526,16 +426,7 @@ class ParameterTracker(track.Following, PolynomialSystem):
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        variance = None if R is None else np.array([[_checks.positive("R", R)]])
-        output, values = np.array([[one_output(y)]]), one_input(self.structure, u)[None, None]
-        before = self._held()
-        try:
-            out, time = self._taken(None, output, values, variance), self._time
-            self._time = None if time is None else (time[0], time[1] + 1)
-            return Sample(*map(np.ndarray.item, out[2:]))  # type: ignore[arg-type]
-        except BaseException:
-            self._put_back(before)
-            raise
+        return Sample(*self._updated(y, u, R))
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, progress: bool | None = None
@@ -583,28 +474,10 @@ class ParameterTracker(track.Following, PolynomialSystem):
         `update` to the last bit.
         """
         axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
-        axis.require_period(self.dt)
         fills = filled_output(y)
-        output = fills.signal
-        signal = recorded_input(self.structure, u, output.size)
-        variances = None if R is None else recorded_variance(R, output.size)
-        time = self._time_after(axis, output.size)
-        before = self._held()
-        try:
-            with stages("ParameterTracker", progress):
-                out = self.advance(output, signal, variances)
-            theta, variance = out[:2]
-            if self.form.has_offset:
-                theta, variance = theta[:, self.form.own], variance[:, self.form.own]
-            std = np.sqrt(np.maximum(variance, 0.0))
-            result = TrackingResult(theta, std, *out[2:]).labelled(self.structure.names, axis.index)
-            self.dt, self._time = axis.dt if self.dt is None else self.dt, time
-            if fills.values:
-                warn(f"ParameterTracker: y has {fills.said}", UserWarning)
-            return result
-        except BaseException:
-            self._put_back(before)
-            raise
+        signal = recorded_input(self.structure, u, fills.signal.size)[:, None]
+        columns, _ = self._recorded(axis, [fills], signal, R, progress)
+        return TrackingResult(*(column[:, 0] for column in columns)).labelled(self.structure.names, axis.index)
 
     def tuned(
         self, y: ArrayLike, u: ArrayLike | None = None, *, over: Mapping[str, Any], leave_out: int | None = None
@@ -657,37 +530,6 @@ class ParameterTracker(track.Following, PolynomialSystem):
         """
         return tuned(self, y, u, over, leave_out)
 
-    def _time_after(self, axis: TimeAxis, samples: int) -> tuple[Any, int] | None:
-        """Return the time after a recording; warn if samples are missing before it, and raise if it goes back."""
-        last = None if self.structure.takes_phi else axis.last
-        before = self._time
-        if last is None:
-            return None if before is None else (before[0], before[1] + samples)
-        dt = axis.dt if self.dt is None else self.dt
-        missing = 0 if before is None else axis.missing_after(before, dt)
-        if missing > 0:
-            warn(
-                f"y: {missing} missing sample(s) between {before[0]} and {axis.index[0]}, which "  # type: ignore[index]
-                f"the tracker takes for successive ones; give it the gap first, tracker.run(numpy.full({missing}, "
-                "numpy.nan), u) with the u of the gap",
-                UserWarning,
-            )
-        return last, 0
-
-    def _using(self, first: int | None = None) -> track.Settings:
-        """Return what may have been changed since the last call; first: number of a recording's first sample."""
-        kf, enabled = self._filter, bool(self.enabled)
-        if self._used is not None and self._used[0] == (first, enabled) and not self._asked:
-            return self._used[1]
-        rules = track.rules_of((kf.choices,)) if setup.is_plain(kf, self.form.layout.n) else None
-        F, Q = (_NONE if rules is None else plain(getattr(kf, name))[None, None] for name in "FQ")
-        using = track.Settings(
-            rules, F, Q, np.array([float(vars(kf)["_alpha_sq"])]), np.array([enabled]), lambda i: kf,
-            lambda k, i: "" if first is None else f"sample {first + k}: ",
-        )  # fmt: skip
-        self._used = (first, enabled), using
-        return using
-
     def advance(self, y: Array, u: Array, R: Array | None) -> Columns:
         """Take the checked samples of a recording; the caller undoes what is refused or interrupted.
 
@@ -704,30 +546,28 @@ class ParameterTracker(track.Following, PolynomialSystem):
         -------
         Columns
         """
-        # The filter shows the last measured sample, and the last.
-        measured = np.flatnonzero(y == y)[-1:].tolist()
-        stops = sorted({0, *measured, *(k + 1 for k in measured), y.size - 1, y.size})
-        parts = [
-            self._taken(k, y[None, k:stop], u[None, k:stop], None if R is None else R[None, k:stop])
-            for k, stop in pairwise(stops)
-        ]
-        return Columns(*(np.concatenate(column, axis=1)[0] for column in zip(*parts, strict=True)))
+        out = self._taken(0, y[None], u[None], None if R is None else R[None])
+        return Columns(*(column[0] for column in out))
 
     def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Columns:
-        """Take checked samples; the caller undoes what is refused or interrupted."""
-        before, using, by_kernel = self._standing(), self._using(first), False
+        """Take checked samples, the last measured one and the last by themselves: these the filter shows."""
         if y.size == 1:
-            self._now, out, news, by_kernel = track.step(self.form, using, before, y, u, R)
-        else:
-            self._now, out, news = track.advance(self.form, using, before, y, u, R)
+            return super()._taken(first, y, u, R)
+        measured = np.flatnonzero(y[0] == y[0])[-1:].tolist()
+        stops = sorted({0, *measured, *(k + 1 for k in measured), y.size - 1, y.size})
+        parts = [
+            super(ParameterTracker, self)._taken(
+                None if first is None else first + k, y[:, k:stop], u[:, k:stop], None if R is None else R[:, k:stop]
+            )
+            for k, stop in pairwise(stops)
+        ]
+        return Columns(*(np.concatenate(column, axis=1) for column in zip(*parts, strict=True)))
+
+    def _still_unshown(self, before: State, using: track.Settings, *signals: Any) -> list[tuple[Any, ...]]:
+        """Return the samples by which the filter would show where the tracker stands."""
         # S and K stay what the last measured sample made them.
-        measured = y[0, 0] == y[0, 0] if y.size == 1 else not np.isnan(y).all()
-        unshown = [] if measured else self._unshown[:1]
-        self._unshown = [*unshown, (before, using.enabled, y, u, R)] if by_kernel else unshown
-        if self._asked:
-            self._show()
-        self._say(news)
-        return out
+        unshown = self._unshown[:1] if np.isnan(signals[0]).all() else []
+        return unshown if using.rules is None else [*unshown, (before, using.enabled, *signals)]
 
     @property
     def is_one_of_many(self) -> bool:
@@ -757,13 +597,12 @@ class ParameterTracker(track.Following, PolynomialSystem):
         n = len(y)
         sizes = np.array([len(one) for one in states["start"]])
         stored = {**states, "kept": sizes, **{name: padded(states[name]) for name in ("start", "followed")}}
-        flags = np.tile(self.form.flags, (n, 1))
-        form = self.form._replace(gradient=self.form.gradient.repeat(n), guard=self.form.guard.repeat(n), flags=flags)
+        many = self._like(Following, np.zeros(n, dtype=int))
         settings = {name: value.shape for name, value in setup.settings(self._filter).items() if name != "R"}
-        stored = checked(stored, form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
-        now = self._now.rows(np.zeros(n, dtype=int)).restored(stored, stored["R"].ravel())
+        stored = checked(stored, many.form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
+        now = many._now.restored(stored, stored["R"].ravel())
         using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), enabled=stored["enabled"])
-        now, out, news = track.advance(form, using, now, y, u, None)
+        now, out, news = track.advance(many.form, using, now, y, u, None)
         self._say(news)
         after = now.arrays() | {"enabled": stored["enabled"], "R": now.scale[:, :1, None]}
         lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.followed.seen, SPAN)}
@@ -772,14 +611,9 @@ class ParameterTracker(track.Following, PolynomialSystem):
     @property
     def filter(self) -> Any:
         """The filter. From the first time that it is asked for it shows each correction (y, S, K, weights, ..)."""
-        kf = self._shown()
-        self._asked = True
-        return kf
-
-    def _shown(self) -> Any:
-        """Return the filter, which shows its last correction."""
         if not self._asked:
             self._show()
+        self._asked = True
         return self._filter
 
     def _show(self) -> None:
@@ -795,12 +629,8 @@ class ParameterTracker(track.Following, PolynomialSystem):
         if pending:
             kf.x_post, kf.P_post = kf.x.copy(), kf.P.copy()
 
-    def _load(self) -> None:
-        """Let the filter hold theta, P and R."""
-        setup.load(self._filter, self._now.theta[0], self._now.P[0], float(self._now.scale[0, 0]))
-
     def _loaded(self) -> Any:
-        """Return the filter, which holds them."""
+        """Return the filter, which holds theta, P and R."""
         if not self._asked:
             self._load()
         return self._filter
@@ -815,18 +645,6 @@ class ParameterTracker(track.Following, PolynomialSystem):
         scale[0, 0] = told_variance(kf)
         x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         return self._now._replace(theta=x, P=P, scale=scale)
-
-    def _held(self) -> tuple[Any, ...]:
-        """Return what a call changes."""
-        # A filter that nobody has seen is written over when it is asked for.
-        state = snapshot(self._filter) if self._asked or self._using().rules is None else None
-        return state, self._now, self._time, self.dt, self._unshown
-
-    def _put_back(self, before: tuple[Any, ...]) -> None:
-        """Undo what was refused, or interrupted."""
-        state, self._now, self._time, self.dt, self._unshown = before
-        if state is not None:
-            put_back(self._filter, state)
 
     # Interruption.
 
@@ -848,44 +666,12 @@ class ParameterTracker(track.Following, PolynomialSystem):
             ``format``: version, and name of tracker and structure as character codes. All of float64.
             ``numpy.savez(file, **state)`` stores it.
         """
-        arrays = {name: value[0] for name, value in self.now.arrays().items() if name != "kept"}
+        return super().state()
+
+    def _settings(self) -> dict[str, Any]:
+        """Return what may be set of the filter, and what it keeps of its sensor."""
         kf = self._loaded()
-        arrays |= {"enabled": np.array(bool(self.enabled)), **setup.settings(kf), **kept_beside(kf)}
-        return _state.labelled(self.kind, arrays)
-
-    def _set_by_hand(self) -> dict[str, Any]:
-        """Return what the user may have set of the filter."""
-        return setup.settings(self._loaded())
-
-    def _go_back(self, state: Any) -> None:
-        """Take over a state, or raise; nothing has changed then."""
-        _state.require_kind(state, self.kind)
-        settings = {name: value.shape for name, value in setup.settings(self._loaded()).items()}
-        stored = checked(state, self.form, (), {}, settings)
-        kf = self._loaded()
-        go_on_beside(kf, stored["theta"], stored["P"], state)
-        setup.apply_settings(kf, stored)
-        arrays = {name: value[None] for name, value in stored.items()}
-        self._now = self._now.restored(arrays, np.array([told_variance(kf)]))
-        self._load()
-        self.enabled, self._time, self._used, self._unshown = bool(stored["enabled"]), None, None, []
-
-    def go_on(self, settings: Mapping[str, Array], initial: State, now: State, enabled: bool) -> None:
-        """Go on from now, and back to initial when it is reset.
-
-        Parameters
-        ----------
-        settings : mapping of str to ndarray
-            Q, F and alpha_sq of the filter in both.
-        initial, now : State
-            Of one actuator.
-        enabled : bool
-            Whether it adapts.
-        """
-        setup.apply_settings(self._loaded(), settings)
-        self._now, self._used, self._unshown = initial, None, []
-        self._initial = self.state()
-        self._now, self.enabled = now, enabled
+        return {**setup.settings(kf), **kept_beside(kf)}
 
     def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
         """Return a copy with another Q or forgetting, which it has after a reset, too.
