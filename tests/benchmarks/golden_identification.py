@@ -83,8 +83,7 @@ def of_model(model: Any, y: Any, u: Any, new: int = 40) -> dict[str, Any]:
         "frequency": lambda: model.frequency_response(np.linspace(0.01, 3.0, 15)),
         "spectrum": lambda: model.noise_spectrum(np.linspace(0.01, 3.0, 15)),
         "tf": lambda: model.transfer_function(),
-        "continuous": lambda: model.to_continuous(0.1),
-        "reduced": lambda: model.reduced(1),
+        "continuous": lambda: model.poles(dt=0.1),
         "validate": lambda: shown(validate(model, *signals)),
         "compare": lambda: shown(compare({"it": model}, *signals)),
     }

@@ -182,7 +182,7 @@ POLYNOMIALS = {
     "frequency response": lambda name: found(name)[0].frequency_response(OMEGA).magnitude_upper,
     "step response": lambda name: found(name)[0].step_response(10).upper,
     "poles": lambda name: np.abs(found(name)[0].poles().values),
-    "to continuous": lambda name: str(found(name)[0].to_continuous(dt=1.0)),
+    "continuous poles": lambda name: str(found(name)[0].poles(dt=1.0)),
 }
 # What takes minutes of a physical model is tried of one recording; its level step has a test of its own.
 COSTLY = {"level step", "gaps", "fill values", "operating point", "gap in u", "line", "several", "no trend"}

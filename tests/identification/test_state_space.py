@@ -149,7 +149,7 @@ def test_arguments_of_other_structures_are_refused():
         StateSpace("most")
 
 
-def test_responses_are_drawn_and_tabled_and_the_model_reduced():
+def test_responses_are_drawn_and_tabled():
     import matplotlib
 
     matplotlib.use("Agg")
@@ -160,9 +160,6 @@ def test_responses_are_drawn_and_tabled_and_the_model_reduced():
     assert list(step.to_frame().columns[:2]) == ["response[0]", "response[1]"]
     assert model.frequency_response([0.1, 1.0]).to_frame().shape == (2, 12)
     assert model.poles().to_frame().shape == (3, 4)
-    assert model.reduced(2).nstates == 2
-    with pytest.raises(ValueError, match="1 to 3 states"):
-        model.reduced(4)
 
 
 @pytest.mark.parametrize(

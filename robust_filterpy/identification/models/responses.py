@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import cholesky, logm, solve_discrete_lyapunov, svd
+from scipy.linalg import cholesky, solve_discrete_lyapunov, svd
 from scipy.signal import lfilter
 
 from robust_filterpy import _checks
@@ -22,7 +22,6 @@ from robust_filterpy.identification.models.regressor import are_stable
 from robust_filterpy.identification.models.results import Estimated
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.models.uncertainty import (
-    ContinuousModel,
     FrequencyResponse,
     NoiseSpectrum,
     Regions,
@@ -36,8 +35,11 @@ if TYPE_CHECKING:
 
 # A pole this near to the negative real axis, or to 0, is on it.
 _ON: Final = 1e-9
-# The matrices A, B, C, D of a system.
-Realization = tuple[Array, Array, Array, Array]
+# What had a method, and what does the same.
+_GONE: Final = {
+    "to_continuous": "poles(dt=..) are in continuous time; the matrices are scipy.linalg.logm([[A, B], [0, I]])/dt",
+    "reduced": "identify(y, u, StateSpace(n)) finds fewer states, control.balred(system, n) leaves some out",
+}
 
 
 class System(Estimated):
@@ -57,8 +59,6 @@ class System(Estimated):
     _zeros: Callable[..., Any]
     #: Whether the way from the inputs to y is stable for other parameters.
     _stable: Callable[[Array], bool]
-    #: (what, dead): the matrices, with dead times as states or these apart in samples, or raise if there are none.
-    _realized: Callable[..., tuple[Realization, Any]]
 
     def _require(self, what: str) -> None:
         """Raise unless there is an input to what is asked for."""
@@ -191,7 +191,7 @@ class System(Estimated):
         low, high, sampled = bands(self._stable, whole, joint, of, level, rng)
         return NoiseSpectrum(w, center, center * np.exp(low), center * np.exp(high), float(level), period, sampled)
 
-    def poles(self, level: float = 0.95, rng: Any = None) -> Regions:
+    def poles(self, level: float = 0.95, rng: Any = None, dt: float | None = None) -> Regions:
         """Return the poles, the roots of A or F or the eigenvalues of A, with regions.
 
         Parameters
@@ -200,6 +200,8 @@ class System(Estimated):
             Probability of each region.
         rng : numpy.random.Generator or int, optional
             For regions by sampling, where the delta method fails.
+        dt : float, optional
+            Sampling period in s: poles in continuous time, log(z)/dt in 1/s; 1 over their size is a time constant.
 
         Returns
         -------
@@ -208,10 +210,20 @@ class System(Estimated):
         Raises
         ------
         ValueError
-            If the regressor is the caller's, or level is no probability.
+            If the regressor is the caller's, level is no probability, or of poles in continuous time one is at 0 or on
+            the negative real axis, where nothing in continuous time has its samples.
         """
-        part = self._of_poles
-        return regions(np.asarray(self.theta)[part], np.asarray(self.P)[part, part], self._poles, level, rng)
+        part, theta, of = self._of_poles, np.asarray(self.theta), self._poles
+        if dt is not None:
+            period = self._period(dt)
+            for pole in of(theta[part]):
+                if abs(pole.imag) <= _ON and pole.real <= _ON:
+                    raise ValueError(
+                        f"poles: expected none at 0 or on the negative real axis in continuous time, got "
+                        f"{pole.real:.4g}; take a smaller order, or sample faster"
+                    )
+            of = lambda row: np.log(self._poles(row).astype(complex)) / period  # noqa: E731
+        return regions(theta[part], np.asarray(self.P)[part, part], of, level, rng)
 
     def zeros(
         self, level: float = 0.95, rng: Any = None, input: int | None = None, output: int | None = None
@@ -244,68 +256,12 @@ class System(Estimated):
         of = partial(self._zeros, input=one, output=other)
         return regions(np.asarray(self.theta), np.asarray(self.P), of, level, rng)
 
-    def to_continuous(self, dt: float | None = None, level: float = 0.95) -> ContinuousModel:
-        """Return the system in continuous time whose samples this model gives, with inputs held between them.
+    if not TYPE_CHECKING:
 
-        Parameters
-        ----------
-        dt : float, optional
-            Sampling period in s. Default: as the index has it.
-        level : float, default 0.95
-            Probability of the region of each pole.
-
-        Returns
-        -------
-        ContinuousModel
-
-        Raises
-        ------
-        ValueError
-            If there is no input or no dt, or a pole is at 0 or on the negative real axis, where nothing in continuous
-            time has its samples.
-        """
-        ((A, B, C, D), delays), dt = self._realized("way from u to y", dead=False), self.dt if dt is None else dt
-        if dt is None:
-            raise ValueError("dt: expected the sampling period in s, since the index of the recording did not tell it")
-        period = _checks.positive("dt", dt)
-        for pole in np.linalg.eigvals(A):
-            if abs(pole.imag) <= _ON and pole.real <= _ON:
-                raise ValueError(
-                    f"poles: expected none at 0 or on the negative real axis, where nothing in continuous time has its "
-                    f"samples, got {pole.real:.4g}; take a smaller order, or sample faster"
-                )
-        n, m = B.shape
-        whole = np.real(logm(np.block([[A, B], [np.zeros((m, n)), np.eye(m)]]))) / period
-        part = self._of_poles
-        poles = regions(
-            self.theta[part], self.P[part, part], lambda row: np.log(self._poles(row).astype(complex)) / period, level,
-            None,
-        )  # fmt: skip
-        return ContinuousModel(whole[:n, :n], whole[:n, n:], C, D, period * np.asarray(delays, float), poles, period)
-
-    def reduced(self, n: int) -> control.StateSpace:
-        """Return a system with fewer states: the basis is balanced, and those that do least are left out.
-
-        Parameters
-        ----------
-        n : int
-            How many states are left, 1 to those that there are; each sample of dead time is one.
-
-        Returns
-        -------
-        control.StateSpace
-
-        Raises
-        ------
-        ValueError
-            If there are not so many, there is no input, or polynomials are unstable.
-        """
-        import control
-
-        A, B, C, D = self._realized("states to be left out")[0]
-        if _checks.count("n", n, 1) > len(A):
-            raise ValueError(f"n: expected 1 to {len(A)} states, got {n}")
-        return control.ss(A[:n, :n], B[:n], C[:, :n], D, regressor.period("recorded", self.dt))
+        def __getattr__(self, name: str) -> Any:
+            """Refuse what a system has not, or has no more."""
+            more = f": {_GONE[name]}" if name in _GONE else ""
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}{more}")
 
     def _period(self, dt: Any) -> float:
         """Return the sampling period that was asked for, else that of the recording, else 1."""
@@ -435,31 +391,6 @@ class PolynomialSystem(System):
     def _zeros(self, theta: Array, input: int | None, output: int | None) -> Any:
         """Return the roots of the B of an input."""
         return np.roots(theta[self.structure.polynomials.b[input or 0]])
-
-    def _realized(self, what: str, dead: bool = True) -> tuple[Realization, Any]:
-        """Return the matrices in observer form; with dead times as states these are balanced, or raise."""
-        self._require(what)
-        a, structure = regressor.denominator(self.structure, self.theta)[1:], self.structure
-        if dead and not self._stable(self.theta):
-            raise ValueError("theta: expected a stable model, whose states can be balanced")
-        delays = [0 if dead else max(nk - 1, 0) for _, nk in structure.inputs]
-        numerators = [b[delay:] for b, delay in zip(_numerators(structure, self.theta), delays, strict=True)]
-        n = max(a.size, *(b.size - 1 for b in numerators)) if dead else a.size
-        for i, (b, (nb, nk)) in enumerate(zip(numerators, structure.inputs, strict=True)):
-            if b.size > n + 1:
-                raise ValueError(
-                    f"nb: expected at most {n + 1 - min(nk, 1)} b's with {n} poles, got {nb} for input {i}: more have "
-                    "poles at 0, which nothing in continuous time has; identify one with more poles or fewer b's"
-                )
-        a, rows = np.pad(a, (0, n - a.size)), np.array([np.pad(b, (0, n + 1 - b.size)) for b in numerators])
-        A, C = np.zeros((n, n)), np.zeros((1, n))
-        if n:
-            A[:, 0], A[: n - 1, 1:], C[0, 0] = -a, np.eye(n - 1), 1.0
-        B, D = (rows[:, 1:] - rows[:, :1] * a).T, rows[:, :1].T
-        if not dead:
-            return (A, B, C, D), delays
-        T = balancing(A, B, C)
-        return (np.asarray(np.linalg.solve(T, A @ T)), np.asarray(np.linalg.solve(T, B)), C @ T, D), delays
 
 
 def balancing(A: Array, B: Array, C: Array) -> Array:

@@ -22,7 +22,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import period
-from robust_filterpy.identification.models.responses import Realization, System
+from robust_filterpy.identification.models.responses import System
 from robust_filterpy.identification.models.results import Finding, Identified, signals_of
 from robust_filterpy.identification.models.signals import (
     Signals,
@@ -422,10 +422,6 @@ class StateSpaceModel(System, Identified):
     def _stable(self, theta: Array) -> bool:
         """Tell whether the model is stable for other parameters."""
         return bool(np.abs(self._poles(theta[self._of_poles])).max() < 1.0)
-
-    def _realized(self, what: str, dead: bool = True) -> tuple[Realization, Any]:
-        """Return the matrices, whose basis is balanced."""
-        return (self.A, self.B, self.C, self.D), np.zeros(self.B.shape[1])
 
     # Its outputs.
 

@@ -82,12 +82,8 @@ class Regions:
         ImportError
             If pandas is not installed.
         """
-        return table(self.columns())
-
-    def columns(self) -> dict[str, Array]:
-        """Return the columns of `to_frame` by name."""
         real, imag = self.std.T
-        return {"real": self.values.real, "imag": self.values.imag, "std_real": real, "std_imag": imag}
+        return table({"real": self.values.real, "imag": self.values.imag, "std_real": real, "std_imag": imag})
 
     def ellipses(self, points: int = 73) -> Any:
         """Return the boundaries of the regions.
@@ -313,69 +309,6 @@ def _frame(response: Any, names: tuple[str, ...], index: Array, label: str) -> A
 def _percent(level: float) -> str:
     """Return a probability as a message shows it."""
     return f"{100.0 * level:.4g} %"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ContinuousModel:
-    """x' = A x + B u(t - dead_time), y = C x + D u, which holds for inputs that are held between the samples.
-
-    Attributes
-    ----------
-    A, B, C, D : ndarray, shape (n, n), (n, m), (p, n), (p, m)
-        The matrices, in units of s.
-    dead_time : ndarray, shape (m,)
-        Of each input, in s, besides the delay of one sample that sampling itself makes.
-    poles : Regions
-        In 1/s, with regions.
-    dt : float
-        Sampling period that it was found at, in s.
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    dead_time: Array
-    poles: Regions
-    dt: float
-
-    def __repr__(self) -> str:
-        """Show poles and dead times."""
-        dead = ", ".join(f"{value:.4g}" for value in self.dead_time)
-        return f"ContinuousModel(poles in 1/s: {self.poles!r}, dead time {dead} s)"
-
-    @property
-    def time_constants(self) -> Array:
-        """1 over the size of each pole, s, shape (n,): the time constant, of a pair one over its natural frequency."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(1.0 / np.abs(self.poles.values))
-
-    def to_control(self) -> control.StateSpace:
-        """Return the system without its dead times, which no rational system has.
-
-        Returns
-        -------
-        control.StateSpace
-        """
-        import control
-
-        return control.ss(self.A, self.B, self.C, self.D)
-
-    def to_frame(self) -> Any:
-        """Return poles and time constants as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each pole: real, imag, std_real, std_imag, time_constant.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        columns = self.poles.columns() | {"time_constant": self.time_constants}
-        return table(columns, range(1, len(self.A) + 1), "pole")
 
 
 def bands(
