@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.signal import cont2discrete, ss2tf
 
 from robust_filterpy._checks import Array, option, positive
 
-from .equations import INPUTS, STATES, dry_friction, port_flow, reduced_flow, servo_derivatives
+from .equations import INPUTS, STATES, dry_friction, servo_derivatives
 from .parameters import (
     ALPHA_RANGE,
     BETA_RANGE,
@@ -98,6 +98,8 @@ def operating_point(
     >>> print(f"{point.P_a:.2e} {point.P_b:.2e} {point.valve:.4f}")
     3.84e+05 3.95e+05 0.0279
     """
+    from scipy.optimize import brentq
+
     p = as_parameters(parameters)
     for name, value in (("velocity", velocity), ("load", load)):
         if not math.isfinite(value):
@@ -106,20 +108,53 @@ def operating_point(
         raise ValueError(f"position: expected within +-{p.stroke / 2:g} m, got {position}")
     alpha, beta = coefficients_at(p, alpha, beta)
     force = load + p.spring * position + p.viscous_friction * velocity + dry_friction(p)(velocity)
-    pressures = _steady_pressures(p, force, velocity)
+    push = force + (p.area_a - p.area_b) * p.atmospheric_pressure
+    # Without leakage the pressures are those of any speed.
+    forward, speed = velocity >= 0, velocity or 1.0
+    derivatives = servo_derivatives(p if velocity else replace(p, leakage_area=0.0))
 
-    through = port_flow(reduced_flow(p.kappa, p.laminar_ratio))
-    speed = math.sqrt(p.gas_constant * p.temperature)
-    filled = p.supply_pressure if velocity >= 0 else p.atmospheric_pressure
-    full_flow = beta * speed * p.valve_area * through(filled, pressures[0])
-    flow = alpha * (pressures[0] * p.area_a * velocity + speed * p.leakage_area * through(*pressures))
-    opening = flow / full_flow if velocity else 0.0
+    def balanced(P_b: float) -> float:
+        return (p.area_b * P_b + push) / p.area_a
+
+    def rates(P_a: float) -> Array:
+        """Return the derivatives of filled and vented pressure with the valve closed, and what a full opening adds."""
+        P_b = (p.area_a * P_a - push) / p.area_b
+        closed, full = (
+            np.array(derivatives(position, speed, P_a, P_b, math.copysign(opening, speed), load, alpha, beta)[2:])
+            for opening in (0.0, 1.0)
+        )
+        return np.array([closed, full - closed])[:, :: 1 if forward else -1]
+
+    def imbalance(P_a: float) -> float:
+        return float(np.linalg.det(rates(P_a)))
+
+    # The chamber that is filled is not empty and below the supply, the other one above the atmosphere.
+    filled, vented, supply, atmosphere = p.area_a, p.area_b, p.supply_pressure, p.atmospheric_pressure
+    least, most = max(balanced(atmosphere), 1e-3 * atmosphere), supply
+    if not forward:
+        filled, vented, least, most = vented, filled, max(balanced(1e-3 * atmosphere), atmosphere), balanced(supply)
+    if least >= most:
+        limit = filled * supply - vented * atmosphere - abs(push - force)
+        raise ValueError(
+            f"load: expected forces that the piston can overcome, up to {limit:.4g} N with friction and spring, got "
+            f"{force:.4g} N"
+        )
+    solvable = imbalance(least) < 0 < imbalance(most)
+    P_a = float(brentq(imbalance, least, most, xtol=1e-6, rtol=1e-13)) if solvable else least
+    (filling, venting), (added, _) = rates(P_a)
+    if not solvable or not filling < 0 < venting:
+        raise ValueError(
+            f"velocity: expected faster than the leakage moves air, got {velocity} m/s with leakage_area = "
+            f"{p.leakage_area:g} m^2"
+        )
+    opening = -filling / added if velocity else 0.0
     if opening > 1:
         raise ValueError(
             f"velocity: expected what the valve can feed, up to {abs(velocity / opening):.3g} m/s, got {velocity}"
         )
     valve = math.copysign(p.dead_band + (1 - p.dead_band) * opening, velocity)
-    return ServoOperatingPoint(float(position), float(velocity), *pressures, valve, float(load))
+    P_b = (p.area_a * P_a - push) / p.area_b
+    return ServoOperatingPoint(float(position), float(velocity), P_a, P_b, valve, float(load))
 
 
 def coefficients_at(p: PneumaticParameters, alpha: float, beta: float | None) -> tuple[float, float]:
@@ -144,51 +179,6 @@ def state_matrices(
 
     jacobian = approx_fprime(np.array(point) / scales, rates, _STEP)
     return jacobian[:, :4], jacobian[:, 4:]
-
-
-def _steady_pressures(p: PneumaticParameters, force: float, velocity: float) -> tuple[float, float]:
-    """Solve force balance and flow balance for the two pressures."""
-    from scipy.optimize import brentq
-
-    reduced = reduced_flow(p.kappa, p.laminar_ratio)
-    through = port_flow(reduced)
-    supply, atmosphere, forward = p.supply_pressure, p.atmospheric_pressure, velocity >= 0
-    # Seen from the chamber that is filled, both directions are the same problem.
-    filled, vented = (p.area_a, p.area_b) if forward else (p.area_b, p.area_a)
-    rod_force = (p.area_a - p.area_b) * atmosphere
-    push = force + rod_force if forward else -force - rod_force
-    # What leaks past the seal per m/s of the piston, as a volume at unit pressure.
-    gap = math.sqrt(p.gas_constant * p.temperature) * p.leakage_area / abs(velocity) if velocity else 0.0
-
-    def vented_pressure(pressure: float) -> float:
-        return (filled * pressure - push) / vented
-
-    def flows(pressure: float) -> tuple[float, float]:
-        """Return what enters one chamber and leaves the other, over the velocity."""
-        other = vented_pressure(pressure)
-        leak = gap * through(pressure, other)
-        return filled * pressure + leak, vented * other + leak
-
-    def imbalance(pressure: float) -> float:
-        (entering, leaving), other = flows(pressure), vented_pressure(pressure)
-        return supply * reduced(pressure / supply) * leaving - other * reduced(min(atmosphere / other, 1.0)) * entering
-
-    lowest = max((vented * atmosphere + push) / filled, 1e-3 * atmosphere)
-    if lowest >= supply or vented_pressure(supply) <= atmosphere:
-        limit = filled * supply - vented * atmosphere
-        raise ValueError(
-            f"load: expected forces that the piston can overcome, up to {limit - abs(rod_force):.4g} N with "
-            f"friction and spring, got {force:.4g} N"
-        )
-    solvable = imbalance(lowest) > 0 > imbalance(supply)
-    pressure = float(brentq(imbalance, lowest, supply, xtol=1e-6, rtol=1e-13)) if solvable else lowest
-    if not solvable or min(flows(pressure)) <= 0:
-        raise ValueError(
-            f"velocity: expected faster than the leakage moves air, got {velocity} m/s with leakage_area = "
-            f"{p.leakage_area:g} m^2"
-        )
-    other = vented_pressure(pressure)
-    return (pressure, other) if forward else (other, pressure)
 
 
 #: Bandwidth of the loop, and damping ratio that the feedback of acceleration adds: our choice.
@@ -280,10 +270,7 @@ def without_dry_friction(p: PneumaticParameters) -> PneumaticParameters:
 def sampled(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     """Return A and B with the inputs held over dt."""
     n, m = B.shape
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = A, B
-    both = expm(block * dt)
-    return both[:n, :n], both[:n, n:]
+    return cont2discrete((A, B, np.eye(n), np.zeros((n, m))), dt)[:2]
 
 
 def feedback(A: Array, gains: PositionGains) -> Array:
@@ -419,9 +406,8 @@ def _in_si_units(system: control.StateSpace) -> control.StateSpace:
 
 
 def _transfer_function(a: Any, b: Any, c: Any, dt: float) -> control.TransferFunction:
-    """Return c (z I - a)^-1 b, by the rank-one identity det(zI - a + b c) - det(zI - a)."""
+    """Return c (z I - a)^-1 b."""
     import control
 
-    denominator = np.poly(a)
-    numerator = (np.poly(a - b @ c) - denominator)[1:]
-    return control.tf(numerator, denominator, dt)
+    numerator, denominator = ss2tf(a, b, c, np.zeros((1, 1)))
+    return control.tf(numerator[0, 1:], denominator, dt)
