@@ -76,7 +76,7 @@ def models_of_a_stretch(data: Signals, say: Progress) -> dict[str, Identified]:
             # The servo is no constant linear model, which `identify` says: the tracked model is for that.
             warnings.filterwarnings("ignore", "identify: ", UserWarning)
             structure = OutputError(ORDER, ORDER)
-            model = identify(y[part], data.u[part], structure, influence=influence, progress=False, sampled=False)
+            model = identify(y[part], data.u[part], structure, influence=influence, progress=False)
         run = np.asarray(model.simulate(data.u[part]))
         fitted[name] = Identified(model, float(fit_percent(data.truth[part], run)))
     return fitted

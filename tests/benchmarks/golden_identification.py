@@ -110,7 +110,7 @@ def single_cases():
     """Yield models of one output."""
 
     def of(y, u, structure, **options):
-        return lambda: of_model(identify(y, u, structure, sampled=False, **options), y, u)
+        return lambda: of_model(identify(y, u, structure, **options), y, u)
 
     y, u = output_error(1)
     yield "output error", of(y, u, OutputError(2, 2))
@@ -153,7 +153,7 @@ def single_cases():
 
 def several(recordings, structure):
     """Return a model of several recordings, tried on the last."""
-    model = identify([y for y, _ in recordings], [u for _, u in recordings], structure, sampled=False)
+    model = identify([y for y, _ in recordings], [u for _, u in recordings], structure)
     return of_model(model, *recordings[-1])
 
 
@@ -212,8 +212,8 @@ def judged():
     y, u = output_error(11, 400)
 
     def reports():
-        models = {"right": identify(y, u, OutputError(2, 2), sampled=False),
-                  "small": identify(y, u, OutputError(1, 1), sampled=False)}  # fmt: skip
+        models = {"right": identify(y, u, OutputError(2, 2)),
+                  "small": identify(y, u, OutputError(1, 1))}  # fmt: skip
         other, acted = output_error(12, 400)
         both = compare(models | {"tf": models["right"].transfer_function()}, other, acted)
         told = {name: shown(validate(model, *pair))
@@ -227,7 +227,7 @@ def judged():
     yield "select_structure, no input", lambda: shown(select_structure(y, None, AR, na=(1, 2, 3)))
     yield "refusals", lambda: {name: tried(call) for name, call in {
         "validate": lambda: validate(3, y, u), "compare": lambda: compare([], y, u),
-        "short": lambda: validate(identify(y, u, FIR(1), sampled=False), y[:20], u[:20]),
+        "short": lambda: validate(identify(y, u, FIR(1)), y[:20], u[:20]),
         "structure": lambda: identify(y, u, "ARX"), "u": lambda: identify(y, u[:-1], ARX(1, 1)),
         "nothing": lambda: identify(np.zeros(50), u[:50], ARX(1, 1)),
         "trend": lambda: identify(y, u, ARX(1, 1), trend=1),
@@ -284,7 +284,7 @@ def tracked():
     yield (
         "tracker, from a model",
         lambda: of_tracker(
-            ParameterTracker(identify(y[:200], u[:200], OutputError(2, 2), sampled=False)), y[200:], u[200:], 100
+            ParameterTracker(identify(y[:200], u[:200], OutputError(2, 2))), y[200:], u[200:], 100
         ),
     )
     yield (

@@ -442,7 +442,7 @@ def intervals(arguments):
     """How often intervals of 95 % hold a parameter, and bands the magnitude; how many are found in which way."""
     omega = np.linspace(0.05, 3.0, 40)
     for order, share in ((order, share) for order in arguments.orders for share in arguments.shares):
-        inside, banded, walls, bent, drawn = [], [], [], 0, 0
+        inside, banded, walls, bent = [], [], [], 0
         for plant in range(arguments.plants):
             truth, y, u, _, _ = recording(arguments.seed, order, plant, share)
             wall = time.perf_counter()
@@ -452,11 +452,11 @@ def intervals(arguments):
             whole = np.append(0.0, truth[order:]), np.append(1.0, truth[:order])
             magnitude, found = np.abs(scipy.signal.freqz(*whole, omega)[1]), model.frequency_response(omega, dt=1.0)
             banded.append(np.mean((found.magnitude_lower <= magnitude) & (magnitude <= found.magnitude_upper)))
-            bent, drawn = bent + model.profiled, drawn + model.sampled
+            bent += model.profiled
         means = [f"{np.mean(each):.3f} +- {np.std(each) / len(each) ** 0.5:.3f}" for each in (inside, banded)]
         print(
-            f"order {order}, contamination {share}: parameters {means[0]}, bands {means[1]}; sampled {drawn}, "
-            f"profile {bent - drawn} of {len(inside)}; median time {np.median(walls):.1f} s",
+            f"order {order}, contamination {share}: parameters {means[0]}, bands {means[1]}; "
+            f"profile {bent} of {len(inside)}; median time {np.median(walls):.1f} s",
             flush=True,
         )
 

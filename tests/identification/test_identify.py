@@ -256,7 +256,7 @@ def test_models_that_differ_but_explain_as_much_are_reported():
     u = rng.choice([-1.0, 1.0], 60)
     y = lfilter(B, A, u) + 3.0 * rng.normal(size=60)
     with pytest.warns(UserWarning, match="almost equally well"):
-        model = identify(y, u, OutputError(3, 3), sampled=False)
+        model = identify(y, u, OutputError(3, 3))
     assert "a longer recording" in model.warning
     assert any(e.excess < 3.0 and e.difference > 5.0 for e in model.endings[1:])
 
@@ -275,7 +275,6 @@ def test_bad_arguments_are_refused_by_name():
         "u": [None, U[:50], np.zeros(100)],
         "y": [np.full(100, np.nan), np.full(100, 3.0), np.where(NOISE > 9, 0, np.inf), [1.0] * 99 + [10**400]],
         "trend": ["quadratic"],
-        "sampled": [None, 1, "yes"],
         "fixed": [{"a3": 1.0}, {"offset": 1.0}, {"a1": np.nan}, {"a1": "x"}, ["a1"],
                   dict.fromkeys(("a1", "a2", "b1", "b2"), 0.1)],
         "bounds": [{"a1": (1.0, 0.0)}, {"a1": 3.0}, {"a1": (None, "x")}],

@@ -276,13 +276,13 @@ def test_structures_next_to_the_best_begin_at_it_and_are_as_likely_as_from_every
     for row in near:
         first = 3 - max(row.structure.nf, sum(row.structure.inputs[0]) - 1)
         anywhere = identify(
-            Y[max(first, 0) :], U[max(first, 0) :, 0], row.structure, trend="constant", sampled=False, progress=False
+            Y[max(first, 0) :], U[max(first, 0) :, 0], row.structure, trend="constant", progress=False
         )
         assert row.log_likelihood > anywhere.log_likelihood - 3.0
 
 
 def test_a_model_as_the_beginning_of_another_structure_has_its_output():
-    model = identify(Y, U, OutputError(2, (2, 1)), trend="constant", sampled=False)
+    model = identify(Y, U, OutputError(2, (2, 1)), trend="constant")
     structure = BoxJenkins(nb=(3, 2), nc=1, nd=1, nf=3)
     p, places = _as_begin(model, structure), structure.polynomials
     inputs = zip(places.b, U.T, model.operating_point, strict=True)

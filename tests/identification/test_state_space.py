@@ -291,7 +291,7 @@ def test_only_the_output_that_is_wrong_is_named(states):
     verdict = validate(states, y, u).verdict
     assert verdict.startswith("output 1: dynamics are missing") and "output 0" not in verdict
     # Of a model that is far off all residuals are large, and large is not wild.
-    one = identify(judged(0)[0][:, 0], judged(0)[1], OutputError(4, (4, 4)), sampled=False)
+    one = identify(judged(0)[0][:, 0], judged(0)[1], OutputError(4, (4, 4)))
     assert validate(one, 1.5 * (y[:, 0] - 5.0) + 5.0, u).verdict.startswith("dynamics are missing")
 
 

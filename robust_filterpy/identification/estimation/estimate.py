@@ -64,8 +64,6 @@ class Problem(NamedTuple):
         First sample of each recording, for several that follow each other.
     limits : Limits or None
         Where theta may be.
-    sampled : bool
-        Whether models may be drawn from the likelihood, for their covariance.
     """
 
     structure: Structure
@@ -78,7 +76,6 @@ class Problem(NamedTuple):
     moving: bool = True
     begins: tuple[int, ...] = (0,)
     limits: Limits | None = None
-    sampled: bool = True
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -284,9 +281,9 @@ def _as_model(
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
     P, colour = sandwich(jacobian, shown, noise, n)
-    P, way = np.where(held | held[:, None], 0.0, P), ""
+    P, bent = np.where(held | held[:, None], 0.0, P), False
     if not (end.outliers.wrong.any() and response(model, p).size > 1):
-        P, way = profiled(model, p, noise, rows, P, held, others, problem.sampled, colour)
+        P, bent = profiled(model, p, noise, rows, P, held, others, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
@@ -302,8 +299,7 @@ def _as_model(
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights, log_likelihood=noise.log_likelihood(residual[rows]), endings=(), warning="",
         memory=filled_memory(*(inner.of(-1, q) if isinstance(inner, SeveralRecordings) else (inner, q))),
-        profiled=way != "", colour=colour, evidence=evidence(noise, residual, rows),
-        sampled=way == "sampled likelihood",
+        profiled=bent, colour=colour, evidence=evidence(noise, residual, rows),
     )  # fmt: skip
 
 

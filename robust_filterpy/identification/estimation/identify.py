@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Final, overload
@@ -72,7 +73,7 @@ def identified_polynomials(
         acted = problem.of_inputs(u)
         if _is_slow(plain, len(y)) and len(spans) == 1:
             try:
-                differences = acted._replace(u=np.diff(u, axis=0), rest=np.zeros(u.shape[1]), sampled=False)
+                differences = acted._replace(u=np.diff(u, axis=0), rest=np.zeros(u.shape[1]))
                 model = estimated(differences, np.diff(own)).model
             except ValueError:
                 return
@@ -230,7 +231,7 @@ def _without_leverage(problem: Problem, y: Array) -> Explanation:
 def identify(
     y: ArrayLike, u: ArrayLike | None, structure: Structure, *, influence: Influence | None = None, offset: bool = True,
     R: float | None = None, trend: str | None = None, groups: ArrayLike | None = None,
-    fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None, sampled: bool = True,
+    fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None,
     progress: bool | None = None,
 ) -> Model: ...  # fmt: skip
 @overload
@@ -247,7 +248,7 @@ def identify(
     y: Any, u: Any, structure: Structure | StateSpace | GreyBox, *, influence: Influence | None = None,
     offset: bool = True, R: float | None = None, trend: str | None = None, groups: ArrayLike | None = None,
     t: ArrayLike | None = None, fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None,
-    sampled: bool = True, progress: bool | None = None,
+    sampled: bool | None = None, progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:  # fmt: skip
     """Find the model of a recording with outliers, from nothing but the recording.
 
@@ -287,10 +288,8 @@ def identify(
     bounds : dict of str to (float, float), optional
         Between which numbers others are, None or inf for no limit: ``{"b1": (0, None)}``. A parameter that ends at a
         bound is named by ``warning``.
-    sampled : bool, default True
-        Whether P comes from models with poles at all places where the loss is not quadratic and a pole that a zero
-        nearly cancels may be at others, which takes a second; False: from its profile, for a model that is one of many.
-        For structures of polynomials.
+    sampled : bool, optional
+        Has no effect any more: P is that of the profile likelihood where the loss is not quadratic.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -345,10 +344,12 @@ def identify(
     model: Model | StateSpaceModel | GreyBoxModel
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
+    if sampled is not None:
+        warnings.warn("identify: sampled has no effect, leave it out", DeprecationWarning, stacklevel=2)
     with stages("identify", progress):
         if isinstance(structure, (StateSpace, GreyBox)):
             model = _of_outputs(y, u, structure, influence, trend, groups, t, {
-                "offset": offset, "R": R, "fixed": fixed, "bounds": bounds, "sampled": sampled
+                "offset": offset, "R": R, "fixed": fixed, "bounds": bounds
             })  # fmt: skip
         else:
             if t is not None:
@@ -357,11 +358,10 @@ def identify(
                 )
             if not isinstance(structure, Structure):
                 raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
-            for name, value in (("offset", offset), ("sampled", sampled)):
-                if not isinstance(value, (bool, np.bool_)):
-                    raise TypeError(f"{name}: expected True or False, got {_checks.shown(value)}")
+            if not isinstance(offset, (bool, np.bool_)):
+                raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
             limits = Limits.of(structure, fixed, bounds)
-            model = _of_polynomials(y, u, structure, influence, bool(offset), R, trend, groups, limits, bool(sampled))
+            model = _of_polynomials(y, u, structure, influence, bool(offset), R, trend, groups, limits)
     for words in (said(model.findings), model.warning):
         if words:
             warn(f"identify: {words}")
@@ -369,8 +369,7 @@ def identify(
 
 
 def _of_polynomials(
-    y: Any, u: Any, structure: Structure, influence: Any, offset: bool, R: Any, trend: Any, groups: Any, limits: Limits,
-    sampled: bool,
+    y: Any, u: Any, structure: Structure, influence: Any, offset: bool, R: Any, trend: Any, groups: Any, limits: Limits
 ) -> Model:  # fmt: skip
     """Return a model of one output."""
     if trend is not None and not isinstance(trend, Settled):
@@ -385,7 +384,7 @@ def _of_polynomials(
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), influence, offset,
         None if R is None else _checks.positive("R", R), recording.axis.dt, limits=limits if limits.any else None,
-        begins=tuple(part.start for part in recording.spans), sampled=sampled,
+        begins=tuple(part.start for part in recording.spans),
     )  # fmt: skip
     begin = trend.begin if isinstance(trend, Settled) else None
     if isinstance(trend, Settled) and not trend.trend.values.size:
@@ -404,7 +403,7 @@ def _of_outputs(
     own = "GreyBox(.., fixed=, bounds=) has its own" if physical else "its matrices have no names"
     only = {
         "offset": (True, "it says itself what y has"), "R": (None, "it learns the noise of each output"),
-        "fixed": (None, own), "bounds": (None, own), "sampled": (True, "its P is the curvature at the minimum"),
+        "fixed": (None, own), "bounds": (None, own),
     }  # fmt: skip
     for name, value in given.items():
         if value is not only[name][0]:

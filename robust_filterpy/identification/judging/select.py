@@ -446,7 +446,7 @@ def select_structure(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         inputs = signal[:compared] if largest.n_inputs else None
-        settled = Settled.of(identify(measured[:compared], inputs, largest, sampled=False, progress=False), compared)
+        settled = Settled.of(identify(measured[:compared], inputs, largest, progress=False), compared)
     comparison = _Comparison(grid, measured, signal, criterion, compared, bar, settled)
     confirmed = share > 0.0 and held_out is None
     sizes = {grid.structure(orders).n_theta for orders in beginning} if confirmed else ()
@@ -543,7 +543,7 @@ class _Comparison:
             # A structure with too many parameters leaves the model open; the best one warns again.
             warnings.simplefilter("ignore", UserWarning)
             trend: Any = self.settled.after(first - before)._replace(begin=self.beginning(structure))
-            model = identify(y, u, structure, trend=trend, sampled=False, progress=False)
+            model = identify(y, u, structure, trend=trend, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         if structure.na + structure.nd:
             # Of residuals of the cleaned output, less what the outliers cost.

@@ -232,9 +232,6 @@ class Model(PolynomialSystem, Identified):
     profiled : bool
         Whether P is that of the likelihood: the loss is not quadratic within two standard deviations, or another end is
         nearly as likely.
-    sampled : bool
-        Whether P is then that of the likelihood at all places, rather than of its profile: two pairs of poles or
-        more, where one that nearly cancels may be at other places.
     colour : float
         How many times as large standard deviations are as those of white residuals: what is left follows itself, and
         P counts that.
@@ -269,7 +266,6 @@ class Model(PolynomialSystem, Identified):
     levels: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[tuple[int, Array], ...] = ()
     profiled: bool = False
-    sampled: bool = False
     colour: float = 1.0
     evidence: float = float("nan")
 
@@ -315,7 +311,9 @@ class Model(PolynomialSystem, Identified):
             facts["Scale ratio"] = f"{self.noise.influence.scale_ratio:.3g}"
         facts |= {"Log-likelihood": f"{self.log_likelihood:.1f}", "Fit, 1 step": f"{self.own_fit:.2f} %"}
         if self.profiled:
-            facts["Intervals"] = "sampled likelihood" if self.sampled else "profile likelihood"
+            # Two pairs of poles may cancel zeros at other places too, of which no profile tells.
+            more = self.structure.nf + self.structure.nc + self.structure.nd > 2
+            facts["Intervals"] = "profile likelihood" + ", at least" * more
         several = {"Recordings": f"{self.levels.size}, each with a level"} if self.levels.size else {}
         return facts | coloured(self.colour) | several
 

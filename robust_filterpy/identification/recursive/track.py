@@ -261,9 +261,7 @@ def _identified(form: Form, now: State, i: int, start: ColdStart, begin: Array |
         # A short recording leaves several models open, and those to come decide.
         warnings.simplefilter("ignore", UserWarning)
         # The samples to come wait, and `run` says itself what it is at.
-        return identify(
-            start.y, u, form.structure, offset=form.has_offset, R=R, trend=trend, sampled=False, progress=False
-        )
+        return identify(start.y, u, form.structure, offset=form.has_offset, R=R, trend=trend, progress=False)
 
 
 def _near(form: Form, now: State, i: int, start: ColdStart) -> Model | None:
