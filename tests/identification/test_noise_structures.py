@@ -126,7 +126,7 @@ def model():
 
 def test_simulation_and_transfer_function_are_those_of_b_over_f(model):
     u = np.random.default_rng(5).normal(size=60)
-    b, f, c, d = model.coefficients
+    _, b, c, d, f = model.coefficients
     np.testing.assert_array_equal(np.concatenate((b, f, c, d)), model.theta)
     expected = lfilter([0.0, *b], [1.0, *f], u)
     np.testing.assert_allclose(model.simulate(u) - model.level, expected, rtol=1e-9, atol=1e-12)
@@ -139,7 +139,7 @@ def test_simulation_and_transfer_function_are_those_of_b_over_f(model):
 
 def test_predictions_are_those_of_the_innovations_form(model):
     y, u = recorded(share=0.0, level=3.0)
-    _, _, c, d = model.coefficients
+    _, _, c, d, _ = model.coefficients
     w = model.free_run(y, u)[2:]
     residual = lfilter([1.0, *d], [1.0, *c], y[2:] - w)
     # Ordinary samples: the others have a part in the regressor that is less than 1.

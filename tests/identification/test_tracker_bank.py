@@ -214,7 +214,7 @@ def test_each_sample_may_have_its_own_variance():
 def test_coefficients_split_theta():
     theta = np.arange(N * 5, dtype=float).reshape(N, 5) / 100
     bank = support.told_bank(N, ARMAX(1, (2, 1), 1), theta=theta)
-    a, b, c = bank.coefficients
+    a, b, c, *_ = bank.coefficients
     same([a, *b, c], [theta[:, :1], theta[:, 1:3], theta[:, 3:4], theta[:, 4:]])
     same(support.told_bank(N, OutputError(1, 1), theta=[0.5, 2.0]).coefficients.b, np.full((N, 1), 2.0))
     with pytest.raises(ValueError, match="your regressor"):

@@ -26,69 +26,24 @@ LARGEST: Final = 1e100
 CLEANED_FROM: Final = 3.0
 
 
-class PolynomialCoefficients(NamedTuple):
-    """Coefficients of a `Structure` that is none of the usual ones.
-
-    Attributes
-    ----------
-    a, f, c, d : ndarray
-        Without the leading 1s.
-    b : ndarray, or tuple of ndarray with several inputs
-        Coefficients of B.
-    """
-
-    a: Array
-    b: Any
-    f: Array
-    c: Array
-    d: Array
-
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
-
-
-class BoxJenkinsCoefficients(NamedTuple):
-    """Coefficients of y = B(q)/F(q) u + C(q)/D(q) v without the leading 1 of F, C and D.
-
-    Attributes
-    ----------
-    b : ndarray, shape (nb,), or tuple of ndarray
-        b_1 .. b_nb; with several inputs one array for each.
-    f : ndarray, shape (nf,)
-        f_1 .. f_nf.
-    c : ndarray, shape (nc,)
-        c_1 .. c_nc.
-    d : ndarray, shape (nd,)
-        d_1 .. d_nd.
-    """
-
-    b: Array | tuple[Array, ...]
-    f: Array
-    c: Array
-    d: Array
-
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
-
-
 class Coefficients(NamedTuple):
-    """Coefficients of A(q) y = B(q) u + C(q) v without the leading 1 of A and C.
+    """Coefficients of A(q) y = B(q)/F(q) u + C(q)/D(q) v without the leading 1s, empty where there are none.
 
     Attributes
     ----------
     a : ndarray, shape (na,)
-        a_1 .. a_na.
+        a_1 .. a_na; of an `OutputError`, which calls them so, those of F.
     b : ndarray, shape (nb,), or tuple of ndarray
         b_1 .. b_nb; with several inputs one array for each.
-    c : ndarray, shape (nc,)
-        c_1 .. c_nc.
+    c, d, f : ndarray, shape (nc,), (nd,), (nf,)
+        Those of C, D and F.
     """
 
     a: Array
     b: Array | tuple[Array, ...]
     c: Array
+    d: Array
+    f: Array
 
     def __str__(self) -> str:
         """Return a line for each part."""
@@ -322,11 +277,7 @@ def coefficients(structure: Structure, theta: Array) -> Any:
     b = tuple(theta[place] for place in places.b)
     first = b[0] if len(b) == 1 else b or theta[:0]
     a, f, c, d = (theta[place] for place in (places.a, places.f, places.c, places.d))
-    if structure.form == "Structure" and structure.nf + structure.nd:
-        return PolynomialCoefficients(a, first, f, c, d)
-    if structure.form == "BoxJenkins":
-        return BoxJenkinsCoefficients(first, f, c, d)
-    return Coefficients(f if structure.form == "OutputError" else a, first, c)
+    return Coefficients(f if structure.form == "OutputError" else a, first, c, d, f)
 
 
 def denominator(structure: Structure, theta: Array) -> Array:

@@ -295,7 +295,7 @@ class PolynomialSystem(System):
 
     @property
     def coefficients(self) -> Any:
-        """a, b and c as `Coefficients`, or of a BoxJenkins b, f, c and d as `BoxJenkinsCoefficients`."""
+        """Those of the polynomials, as `Coefficients`."""
         return regressor.coefficients(self.structure, self.theta)
 
     def transfer_function(self, dt: float | bool | Literal["recorded"] = "recorded") -> control.TransferFunction:

@@ -250,7 +250,7 @@ class TrackerBank(Following):
 
     @property
     def coefficients(self) -> Any:
-        """a, b and c of the models, or b, f, c and d, each with a leading axis of n; see `ParameterTracker`."""
+        """Those of the polynomials, each with a leading axis of n; see `ParameterTracker`."""
         values = coefficients.coefficients(self.structure, self.theta.T)
         return type(values)(*(tuple(p.T for p in part) if isinstance(part, tuple) else part.T for part in values))
 
