@@ -10,19 +10,20 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import SMALL, STOPPED, RobustFilterWarning, pointer, warn, was_said
 from robust_filterpy.correction.options import Choices
+from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import FILLED, HELD
-from robust_filterpy.filters.policies import lags
 from robust_filterpy.influence.information import clipping_point
+from robust_filterpy.kernel.moments import judged_of
 
 __all__ = ["CorrelatedInnovationsWarning", "OutlierShareWarning", "StuckSensorWarning"]
 
-#: Only every so many updates are looked at, so that it costs nothing.
-EVERY = 3
-# Innovations, and updates, that a window needs at least; half of it tells when nearly all of them are clipped.
-_NUMBERS, _UPDATES = 64, 16
-_NEARLY_ALL = 0.8
-# More than this of what psi expects unclipped is too much; half a window is only sure of more.
-_HALF, _SURER = 0.5, 0.7
+# Corrections are looked at in periods of so many, from the ninth on, when a start is over: how many, and every which.
+# Where noise is learned they are few, so that a short recording is judged too; what psi clips moves slowly.
+_PERIOD, _FIRST, _SIGNS, _CLIPS = 240, 9, (49, 1), (64, 3)
+# So many of 48 signs must be kept: a fair coin does that once in six hundred thousand periods.
+_KEPT = 40
+# More than this of what psi expects unclipped is too much.
+_CLIPPED = 0.5
 
 
 class OutlierShareWarning(RobustFilterWarning):
@@ -33,66 +34,77 @@ class OutlierShareWarning(RobustFilterWarning):
     """
 
 
-class Share:
-    """Keep which innovations of a window of updates were clipped, and their signs."""
+class CorrelatedInnovationsWarning(RobustFilterWarning):
+    """Say that the innovations of a filter under ``noise=`` keep their sign.
 
-    def __init__(self) -> None:
-        """Start an empty window."""
-        # As `_clipped` writes them; small, since a Saver copies them at each step.
-        self.window = np.zeros((_NUMBERS, 0), np.int8)
-        # How many updates and numbers there are, and of how many it is judged next.
-        self.updates, self.numbers, self.due = 0, 0, _NUMBERS // 2
-
-    def fills(self, m: int) -> bool:
-        """Return whether the window may be judged after one more correction, by m sensors at most."""
-        return self.updates + 1 >= _UPDATES and self.numbers + m >= self.due
-
-    def look(self, kf: Any, weights: Array, y: Array) -> None:
-        """Count one correction, and judge the window when it is full, or half full and nearly all of it clipped."""
-        numbers = int(np.count_nonzero(weights == weights))
-        if not numbers:
-            return
-        if self.window.shape[1] != len(weights):
-            self.__init__()  # type: ignore[misc]
-            self.window = np.zeros((_NUMBERS, len(weights)), np.int8)
-        self.window[self.updates] = _clipped(kf, weights, y)
-        self.updates, self.numbers = self.updates + 1, self.numbers + numbers
-        if self.updates < _UPDATES or self.numbers < self.due:
-            return
-        window, least = self.window[: self.updates], _NEARLY_ALL
-        self.due = _NUMBERS
-        if self.numbers >= _NUMBERS:
-            least = _HALF
-            self.__init__()  # type: ignore[misc]
-        _judge_share(kf, window, least)
+    Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
+    its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise is colored.
+    Given once for each kind of filter (class and sizes) in a process. To switch it off:
+    ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
+    """
 
 
-def look_at_weights(kf: Any, weights: Array, y: Array) -> None:
-    """Judge windows of a recording's corrections, shape (N, m), each of as many as `Share` takes."""
-    seen = ~np.isnan(weights).all(axis=1)
-    judged = _clipped(kf, weights[seen][::EVERY], y[seen][::EVERY])
-    length = max(_UPDATES, -(-_NUMBERS // judged.shape[1]))
-    for first in range(0, len(judged) - length + 1, length):
-        window = judged[first : first + length]
-        numbers = np.count_nonzero(window)
-        if numbers >= _NUMBERS // 2:
-            _judge_share(kf, window, _HALF if numbers >= _NUMBERS else _SURER)
-
-
-def _clipped(kf: Any, weights: Array, y: Array) -> Any:
-    """Return 2 for a clipped innovation and 1 for another, with its sign; 0 for a missing one."""
-    size = np.where(weights < _weight_at_clip(kf.choices), 2, 1) * (weights == weights)
-    return np.where(y < 0.0, -size, size).astype(np.int8)
-
-
-def _judge_share(kf: Any, window: Any, least: float) -> None:
-    """Warn, once for each class, if too much of what psi expects unclipped is: more than one jump or run clips."""
-    name, m, numbers = type(kf).__name__, window.shape[1], np.count_nonzero(window)
-    share = np.count_nonzero(np.abs(window) == 2) / numbers
-    if not share > least or was_said(OutlierShareWarning, name):
+def look(kf: Any, last: Any) -> None:
+    """Note a correction where it is looked at, and judge the period's corrections with the last of them."""
+    count, stride = _looks(kf)
+    place, rest = divmod(kf._updates % _PERIOD - _FIRST, stride)
+    if rest or not 0 <= place < count:
         return
-    expected = _expected(kf.influence, kf.grouping, m)
-    if share > expected + least * (1.0 - expected):
+    row = noted(kf, last.weights, last.lags) if hasattr(last, "lags") else noted(kf, *_weights_and_innovations(last))
+    if place == 0 or kf._window.shape != (count, len(row)):
+        kf._window = np.zeros((count, len(row)), np.int8)
+    kf._window[place] = row
+    if place == count - 1:
+        _judge(kf, kf._window, "")
+
+
+def is_judged_next(kf: Any) -> bool:
+    """Return whether something may be said of the next correction."""
+    count, stride = _looks(kf)
+    return bool((kf._updates + 1) % _PERIOD == _FIRST + (count - 1) * stride)
+
+
+def look_at_recording(kf: Any, weights: Array, y: Array, first: int, lagging: Callable[[list[int]], Array]) -> None:
+    """Look at a recording's corrections, shape (N, m), as `look` does; lagging: the innovations of some steps."""
+    seen, (count, stride) = np.flatnonzero(~np.isnan(y).all(axis=1)), _looks(kf)
+    for begin in range(_FIRST - 1, len(seen), _PERIOD):
+        window = seen[begin : begin + count * stride : stride].tolist()
+        if len(window) == count:
+            _judge(kf, noted(kf, weights[window], lagging(window)), f": step {first + window[-1]}")
+
+
+def _looks(kf: Any) -> tuple[int, int]:
+    """Return how many corrections of a period are looked at, and how far apart."""
+    return _CLIPS if kf.noise is None else _SIGNS
+
+
+def noted(kf: Any, weights: Array, y: Array) -> Array:
+    """Return 2 for a clipped innovation and 1 for another, with its sign; 0 for one that is missing, or 0."""
+    clipped = False if kf.noise is not None else weights < _weight_at_clip(kf.choices)
+    return (np.where(clipped, 2, 1) * np.sign(np.where(np.isnan(weights), 0.0, y))).astype(np.int8)
+
+
+def _weights_and_innovations(last: Any) -> tuple[Array, Array]:
+    """Return weights and innovations of a correction, the kernel's record or another."""
+    if type(last) is np.ndarray:
+        return judged_of(last)
+    arrays = last if isinstance(last, Correction) else last.as_arrays()
+    return arrays.weights, arrays.y
+
+
+def _judge(kf: Any, window: Array, where: str) -> None:
+    """Warn of a filter under ``noise=`` by the signs of its innovations, of another by how many were clipped."""
+    _judge_share(kf, window, where) if kf.noise is None else _judge_signs(kf, window, where)
+
+
+def _judge_share(kf: Any, window: Array, where: str) -> None:
+    """Warn, once for each class, if too much of what psi expects unclipped is: more than one jump or run clips."""
+    name, numbers = type(kf).__name__, np.count_nonzero(window)
+    if not numbers or was_said(OutlierShareWarning, name):
+        return
+    share = np.count_nonzero(np.abs(window) == 2) / numbers
+    expected = _expected(kf.influence, kf.grouping, window.shape[1])
+    if share > expected + _CLIPPED * (1.0 - expected):
         signs = np.sign(np.sign(window).sum(axis=1))
         keeps = (signs[1:] * signs[:-1] > 0.0).sum() > 0.75 * len(signs)
         cause = (
@@ -101,7 +113,7 @@ def _judge_share(kf: Any, window: Any, least: float) -> None:
             else "R is too small, or most measurements hold an outlier"
         )
         warn(
-            f"{name}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
+            f"{name}{where}: clipped {share:.0%} of the last {numbers} innovations looked at, where its psi expects "
             f"{expected:.0%}; most likely {cause}: robust_filterpy.diagnose tells, and "
             f"{pointer(STOPPED if keeps else SMALL)}. Switch this off with "
             f'warnings.simplefilter("ignore", robust_filterpy.filters.OutlierShareWarning)',
@@ -129,92 +141,24 @@ def _expected(influence: Any, grouping: str, m: int) -> float:
     return ordinary + contamination * (1.0 - ordinary)
 
 
-#: Updates of a period, those of them that are looked at (when a start is over, before a short recording is), and how
-#: many signs must be kept: a fair coin does that once in six hundred thousand periods.
-PERIOD, _FIRST, LAST, _KEPT = 240, 9, 57, 40
-
-
-class CorrelatedInnovationsWarning(RobustFilterWarning):
-    """Say that the innovations of a filter under ``noise=`` keep their sign.
-
-    Most often the state moves as neither the model nor Q foresees, and the estimate lags behind: a filter that learns
-    its noise may take that for a noisy sensor, and lag more than the Kalman filter does. Else the noise is colored.
-    Given once for each kind of filter (class and sizes) in a process. To switch it off:
-    ``warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)``.
-    """
-
-
-class Signs:
-    """Count for each sensor how often its innovation has the sign of the one before."""
-
-    def __init__(self, m: int) -> None:
-        """Start without any."""
-        self.last, self.same, self.pairs = [0.0] * m, [0] * m, [0] * m
-
-    def count(self, y: list[float]) -> None:
-        """Count an innovation; NaN and 0 have no sign."""
-        for i, (now, before) in enumerate(zip(y, self.last, strict=True)):
-            if now > 0.0 or now < 0.0:
-                self.pairs[i] += before != 0.0
-                self.same[i] += now * before > 0.0
-                self.last[i] = 1.0 if now > 0.0 else -1.0
-
-    def is_decided(self) -> bool:
-        """Return whether too many have changed, of each sensor, for the rest of a period to tell anything."""
-        return all(pairs - same > LAST - _FIRST - _KEPT for same, pairs in zip(self.same, self.pairs, strict=True))
-
-    def keeper(self) -> int | None:
-        """Return a sensor whose innovations nearly all keep their sign, None if there is none."""
-        return next((i for i, count in enumerate(self.same) if count >= _KEPT), None)
-
-
-def look_at_signs(kf: Any, signs: Signs | None, last: Any, updates: int) -> Signs | None:
-    """Count the signs of a correction's innovations now and then, and warn if they hardly ever change."""
-    place = updates % PERIOD
-    if not _FIRST <= place <= LAST or (signs is not None and place != _FIRST and signs.is_decided()):
-        return signs
-    y = _lags_of(last).tolist()
-    if signs is None or place == _FIRST or len(signs.last) != len(y):
-        signs = Signs(len(y))
-    signs.count(y)
-    if place == LAST:
-        _judge(kf, signs, "")
-    return signs
-
-
-def look_at_recording(kf: Any, y: Array, first: int, variances: Callable[[list[int]], Array]) -> None:
-    """Look at a recording as `look_at_signs` does."""
-    seen = np.flatnonzero(~np.isnan(y).all(axis=1))
-    for begin in range(0, len(seen), PERIOD):
-        signs = Signs(y.shape[1])
-        window = seen[begin + _FIRST - 1 : begin + LAST].tolist()
-        if len(window) > LAST - _FIRST:
-            for one in lags(y[window], variances(window)).tolist():
-                signs.count(one)
-            _judge(kf, signs, f": step {first + window[-1]}")
-
-
-def _lags_of(last: Any) -> Array:
-    """Return the innovations of a correction, NaN where missing, 0 where one is no lag."""
-    if hasattr(last, "lags"):
-        return last.lags  # type: ignore[no-any-return]
-    return lags(np.where(np.isnan(last.weights), np.nan, last.y), last.S.diagonal())
-
-
-def _judge(kf: Any, signs: Signs, where: str) -> None:
+def _judge_signs(kf: Any, window: Array, where: str) -> None:
     """Warn, once for each kind of filter, if the signs of a sensor's innovations hardly ever change."""
-    kind, sensor = (type(kf).__name__, int(kf.dim_x), int(kf.dim_z)), signs.keeper()
-    if sensor is None:
+    kind = (type(kf).__name__, int(kf.dim_x), int(kf.dim_z))
+    for sensor, column in enumerate(window.T):
+        signs = column[column != 0]
+        same = np.count_nonzero(signs[1:] == signs[:-1])
+        if same < _KEPT:
+            continue
+        warn(
+            f"{kind[0]}{where}: {same} of {len(signs) - 1} innovations of sensor {sensor} have the sign of the one "
+            f"before (half is usual): the estimate lags behind, since the state moves as neither the model nor Q "
+            f"foresees (a level on a slope, say), or the noise is colored; give the model that motion, or a larger Q; "
+            f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "
+            f'warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)',
+            CorrelatedInnovationsWarning,
+            of=kind,
+        )
         return
-    warn(
-        f"{kind[0]}{where}: {signs.same[sensor]} of {signs.pairs[sensor]} innovations of sensor {sensor} have the sign "
-        f"of the one before (half is usual): the estimate lags behind, since the state moves as neither the model nor "
-        f"Q foresees (a level on a slope, say), or the noise is colored; give the model that motion, or a larger Q; "
-        f"robust_filterpy.diagnose tells, and {pointer(STOPPED)}. Switch this off with "
-        f'warnings.simplefilter("ignore", robust_filterpy.filters.CorrelatedInnovationsWarning)',
-        CorrelatedInnovationsWarning,
-        of=kind,
-    )
 
 
 class StuckSensorWarning(RobustFilterWarning):

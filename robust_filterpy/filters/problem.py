@@ -10,8 +10,8 @@ import numpy as np
 from robust_filterpy._arrays import control_term, measurement_rows, process_noise, stack, state_of
 from robust_filterpy._checks import Array, all_covariances, entries
 from robust_filterpy.filters.driver import columns_of, require_entries, run, take_steps
-from robust_filterpy.filters.notices import look_at_recording, look_at_weights, look_for_repeats, look_for_stuck
-from robust_filterpy.filters.policies import ordinary_noise
+from robust_filterpy.filters.notices import look_at_recording, look_for_repeats, look_for_stuck
+from robust_filterpy.filters.policies import lags, ordinary_noise
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.kernel.series import Rows
 
@@ -182,23 +182,24 @@ class RecordingMixin(Shell):
         if policy.noise is None and policy.learns:
             look_for_repeats(self, state.learnt, memory)
         self._learn(state.learnt, len(state.learnt))
-        weights: Any = shown.weights
-        if policy.noise is None:
-            if self._choices.scaling == "innovation" and self._counts_clipped:
-                look_at_weights(self, weights[first:last], _innovations(rows, shown, update_first, first, last))
+        weights: Any = shown.weights[first:last]  # type: ignore[index]
+        if policy.noise is not None:
+            look_for_stuck(self, weights, first)
+        if not self._counts_clipped or (policy.noise is None and self._choices.scaling != "innovation"):
             return
-        look_for_stuck(self, weights[first:last], first)
-        if self._counts_clipped:
-            H, R = (np.broadcast_to(a, (len(rows.zs), *a.shape[1:]))[first:last] for a in (rows.H, rows.R))
-            covariances: Any = shown.covariances_p
+        y = _innovations(rows, shown, update_first, first, last)
+        H, R = (np.broadcast_to(a, (len(rows.zs), *a.shape[1:]))[first:last] for a in (rows.H, rows.R))
+        covariances: Any = shown.covariances_p
 
-            def variances(some: list[int]) -> Array:
-                """Return those of the innovations of some steps, with the noise as it is learned at the end."""
-                P = covariances[first:last][some].reshape(-1, *self.P.shape)
-                noise = ordinary_noise(R[some], state.learnt)
-                return np.diagonal(H[some] @ P @ H[some].swapaxes(1, 2) + noise, axis1=1, axis2=2)
+        def lagging(some: list[int]) -> Array:
+            """Return the innovations of some steps; under noise those that tell, as it is learned at the end."""
+            if policy.noise is None:
+                return y[some]
+            P = covariances[first:last][some].reshape(-1, *self.P.shape)
+            S = H[some] @ P @ H[some].swapaxes(1, 2) + ordinary_noise(R[some], state.learnt)
+            return lags(y[some], np.diagonal(S, axis1=1, axis2=2))
 
-            look_at_recording(self, _innovations(rows, shown, update_first, first, last), first, variances)
+        look_at_recording(self, weights, y, first, lagging)
 
 
 def _innovations(rows: Problem, shown: Rows, update_first: bool, first: int, last: int) -> Array:

@@ -19,11 +19,11 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._insistence import jump_of, watched
 from robust_filterpy.filters._parts import Parts, as_arrays, log_density
 from robust_filterpy.filters.driver import require_finite_correction
-from robust_filterpy.filters.notices import EVERY, LAST, PERIOD, Share, look_at_signs, look_for_repeats, look_for_stuck
+from robust_filterpy.filters.notices import is_judged_next, look, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
-from robust_filterpy.kernel.moments import Taken, correction_of, judged_of, moments_of, weights_of
+from robust_filterpy.kernel.moments import Taken, correction_of, moments_of, weights_of
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
@@ -112,7 +112,7 @@ class Shell(StateMixin):
         self._policy = policy_of(**options)
         self._require_possible(self._policy)
         self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
-        self._share, self._signs, self._updates, self._process_scales = Share(), None, 0, None
+        self._window, self._updates, self._process_scales = np.zeros((0, 0), np.int8), 0, None
         self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
         self._keep_sensors(Memories(self._policy.begin(dims["dim_z"]), {}))
@@ -264,12 +264,9 @@ class Shell(StateMixin):
 
     def _is_refusable(self) -> bool:
         """Return whether something may be said of the next correction, or raised behind its back."""
-        if self._policy.noise is not None:
-            return self._updates % PERIOD == LAST - 1
         # Psi of the user's may write into anything before it raises.
-        if self._policy.patience is not None or self._choices.kernel_psi is None:
-            return True
-        return (self._updates + 1) % EVERY == 0 and self._share.fills(self.dim_z)
+        calls = self._policy.noise is None and (self._policy.patience is not None or self._choices.kernel_psi is None)
+        return calls or is_judged_next(self)
 
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
         """Count a correction that the kernel took, and widen P where enough refused ones agreed."""
@@ -307,13 +304,9 @@ class Shell(StateMixin):
     def _look(self, last: Any) -> None:
         """Count a correction, and look now and then whether most of them clip or all innovations keep their sign."""
         self._updates += 1
-        if not self._counts_clipped:
-            return
-        if self._policy.noise is not None:
-            self._signs = look_at_signs(self, self._signs, last, self._updates)
         # Under "learnt" psi follows from what is typical, and expects no share.
-        elif self._choices.scaling == "innovation" and self._updates % EVERY == 0:
-            self._share.look(self, *(judged_of(last) if type(last) is np.ndarray else _judged(last)))
+        if self._counts_clipped and (self._policy.noise is not None or self._choices.scaling == "innovation"):
+            look(self, last)
 
     def _keep(self, last: Any, carried: Any, z: Array, passed: Array | None = None) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
@@ -428,12 +421,6 @@ class Shell(StateMixin):
             length = math.sqrt(max(float(y / peak @ SI @ (y / peak)), 0.0))
             self._mahalanobis = min(peak * length, sys.float_info.max)
         return self._mahalanobis
-
-
-def _judged(last: Any) -> tuple[Array, Array]:
-    """Return weights and innovations of a correction."""
-    arrays = last if isinstance(last, Correction) else last.as_arrays()
-    return arrays.weights, arrays.y
 
 
 def _judgement(kf: Any) -> dict[str, Any]:

@@ -109,8 +109,7 @@ class StateMixin:
     _S: Any
     _SI: Any
     _K: Any
-    _share: Any
-    _signs: Any
+    _window: Any
     _updates: int
     #: One number for each step of the last recording, None before one.
     _process_scales: Array | None

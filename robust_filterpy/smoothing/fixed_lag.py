@@ -99,13 +99,13 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
         """Start a window, and a list of estimates, without a step."""
         n = self.dim_x
         self.count, self.xSmooth, self.x_s = 0, [], np.zeros(np.shape(self.x))
-        self._window, self._regressions = np.empty((0, n)), np.empty((0, n, n))
+        self._lagged, self._regressions = np.empty((0, n)), np.empty((0, n, n))
 
     def __str__(self) -> str:
         """Show where the smoother stands; `repr` shows every matrix."""
         lines = super().__str__().split("\n")
         lag = "N is not set" if self.N is None else f"lag {self.N}"
-        steps = len(self._window)
+        steps = len(self._lagged)
         more = lines_of({f"x, {steps - 1} steps before": np.ravel(self.x_s)}) if steps else []
         return "\n".join([lines[0].replace("measured;", f"measured, {lag};"), *lines[1:], *more])
 
@@ -129,14 +129,14 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
             raise ValueError("N: expected a lag, got None; use FixedLagSmoother(dim_x, dim_z, N=..)")
         before = state_of(self)[1]
         self.predict(u)
-        prior, kept = np.ravel(self.x), slice(max(len(self._window) - self.N, 0), None)
+        prior, kept = np.ravel(self.x), slice(max(len(self._lagged) - self.N, 0), None)
         A = self._regressions[kept] @ _gain(self.F @ before, self.P)
         self.update(z)
         x = np.ravel(self.x)
-        self._window = np.concatenate([self._window[kept] + A @ (x - prior), x[None]])
+        self._lagged = np.concatenate([self._lagged[kept] + A @ (x - prior), x[None]])
         self._regressions = np.concatenate([A, np.eye(len(x))[None]])
         self.count += 1
-        estimates = [state.reshape(self.x.shape) for state in self._window]
+        estimates = [state.reshape(self.x.shape) for state in self._lagged]
         self.x_s = estimates[0].copy()
         # The last line, since what an interrupt undoes is no list's contents.
         self.xSmooth[max(len(self.xSmooth) - len(A), 0) :] = estimates
@@ -178,7 +178,7 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves, the window among it."""
-        window = {"window": self._window, "regressions": self._regressions, "count": self.count}
+        window = {"window": self._lagged, "regressions": self._regressions, "count": self.count}
         return {**super()._moving(), **window}
 
     def _go_on(self, entries: dict[str, Array]) -> None:
@@ -187,8 +187,8 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
             raise _state.StateError("state: expected as many regressions as states in the window, got others")
         super()._go_on(entries)
         self._empty()
-        self._window, self._regressions, self.count = entries["window"], entries["regressions"], int(entries["count"])
-        self.xSmooth = [state.reshape(self.x.shape) for state in self._window.copy()]
+        self._lagged, self._regressions, self.count = entries["window"], entries["regressions"], int(entries["count"])
+        self.xSmooth = [state.reshape(self.x.shape) for state in self._lagged.copy()]
         self.x_s = self.xSmooth[0].copy() if self.xSmooth else self.x_s
 
 
