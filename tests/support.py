@@ -171,15 +171,20 @@ class Extended(RobustExtendedKalmanFilter):
         super().update(z, lambda x: self.H, lambda x: self.H @ x, **named)
 
 
-def of_matrices(kind, F, H, **options):
-    """A filter of any kind for a linear model; that of sigma points has functions that take its F and H."""
+def of_matrices(kind, F, H, Q=None, R=None, P=None, x=None, **options):
+    """A filter of any kind for a linear model (a number: times I); one of sigma points has functions of F and H."""
     (m, n), functions = np.shape(H), {}
     if issubclass(getattr(kind, "func", kind), (UnscentedKalmanFilter, CubatureKalmanFilter)):
         functions = {"dt": 1.0, "hx": lambda x: kf.H @ x, "fx": lambda x, dt: kf.F @ x}
         if issubclass(getattr(kind, "func", kind), UnscentedKalmanFilter):
             functions["points"] = MerweScaledSigmaPoints(n, 1.0, 2.0, 3.0 - n)
     kf = kind(dim_x=n, dim_z=m, **functions, **options)
-    kf.F, kf.H = np.array(F, dtype=float), np.array(H, dtype=float)
+    kf.H = np.array(H, dtype=float)
+    for name, value, size in (("F", F, n), ("Q", Q, n), ("R", R, m), ("P", P, n)):
+        if value is not None:
+            setattr(kf, name, value * np.eye(size) if np.ndim(value) == 0 else np.array(value, dtype=float))
+    if x is not None:
+        kf.x = np.array(x, dtype=float)
     return kf
 
 
@@ -353,6 +358,21 @@ def through(kf, zs):
         predict_and_update(kf, z)
         path.append(np.ravel(kf.x).copy())
     return np.array(path)
+
+
+def by_loop(kf, zs, update_first=False, **per_step):
+    """The loop that batch_filter stands for, matrices of each step by their names there: Fs, Qs, Hs, Rs, Bs, us."""
+    shown = ([], [], [], [])
+    for k, z in enumerate(zs):
+        now = {name[:-1]: values[k] for name, values in per_step.items()}
+        for step in ("update", "predict") if update_first else ("predict", "update"):
+            if step == "predict":
+                kf.predict(**{name: value for name, value in now.items() if name in "uBFQ"})
+            else:
+                kf.update(z, **{name: value for name, value in now.items() if name in "RH"})
+            for column, value in zip(shown[2:] if step == "predict" else shown[:2], (kf.x, kf.P), strict=True):
+                column.append(value.copy())
+    return tuple(map(np.array, shown))
 
 
 def assert_same_along(robust, plain, zs, step=predict_and_update, names=(*STATE, "y", "K", "S", "SI"), rtol=1e-10):

@@ -72,14 +72,9 @@ OPTIONS = {
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_series_are_a_loop_over_filters(options, form):
     problem, zs = problem_and_series()
-    assert_same(filter_series(zs, *arguments(problem), **options), by_filters(problem, zs, **options))
-
-
-@EITHER
-def test_so_are_sensors_whose_noises_are_correlated(options, form):
-    problem, zs = problem_and_series()
-    problem = support.with_(problem, R=problem.R + 0.1)
-    assert_same(filter_series(zs, *arguments(problem), **options), by_filters(problem, zs, **options))
+    correlated = support.with_(problem, R=problem.R + 0.1)
+    for one in (problem, correlated) if options in ({}, LEARNING) else (problem,):
+        assert_same(filter_series(zs, *arguments(one), **options), by_filters(one, zs, **options))
 
 
 @EITHER
@@ -101,14 +96,18 @@ def test_each_series_may_have_its_own_matrices_at_each_step(options, form):
             np.testing.assert_allclose(getattr(found, name)[s], expected[name][0], rtol=1e-8, atol=1e-10, err_msg=name)
 
 
-def test_what_was_learnt_is_passed_on():
+def test_what_was_learnt_is_passed_on_and_arguments_are_left_alone():
     problem, zs = problem_and_series()
-    first = filter_series(zs, *arguments(problem), **LEARNING)
-    again = filter_series(zs, *arguments(problem), learnt=first.state["learnt"], **LEARNING)
-    assert_same(again, by_filters(problem, zs, learnt=first.state["learnt"], **LEARNING))
-    shared = filter_series(zs, *arguments(problem), learnt=first.state["learnt"][1], **LEARNING)
-    assert_same(shared, by_filters(problem, zs, learnt=[first.state["learnt"][1]] * SERIES, **LEARNING))
-    assert np.abs(again.x - first.x).max() > 1e-3
+    learnt = filter_series(zs, *arguments(problem), **LEARNING).state["learnt"]
+    given = [zs, *arguments(problem), learnt]
+    before = [array.copy() for array in given]
+    again = filter_series(zs, *arguments(problem), learnt=learnt, **LEARNING)
+    assert_same(again, by_filters(problem, zs, learnt=learnt, **LEARNING))
+    shared = filter_series(zs, *arguments(problem), learnt=learnt[1], **LEARNING)
+    assert_same(shared, by_filters(problem, zs, learnt=[learnt[1]] * SERIES, **LEARNING))
+    assert np.abs(again.x - by_filters(problem, zs, **LEARNING)["x"]).max() > 1e-3
+    for one, other in zip(given, before, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_state_is_not_written_into_and_a_refused_series_stays_refused():
@@ -158,15 +157,6 @@ def test_threads_and_what_is_kept_change_nothing(options, form):
         np.testing.assert_array_equal(some.state[name], values)
 
 
-def test_arguments_are_left_alone():
-    problem, zs = problem_and_series()
-    given = [zs, *arguments(problem), filter_series(zs, *arguments(problem), **LEARNING).state["learnt"]]
-    copies = [a.copy() for a in given]
-    filter_series(*given[:-1], learnt=given[-1], **LEARNING)
-    for one, other in zip(given, copies, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 @EITHER
 def test_a_series_that_is_refused_is_nan_from_there_on_and_leaves_the_others_alone(options, form):
     problem, zs = problem_and_series((2, 1, 0))
@@ -210,15 +200,15 @@ def test_a_series_whose_covariance_would_be_indefinite_is_named(form):
 
 
 @EITHER
-@pytest.mark.parametrize("spoil", ["x0", "P0"])
-def test_a_start_that_is_not_finite_is_refused(spoil, options, form):
+def test_a_start_that_is_not_finite_is_refused(options, form):
     problem, zs = problem_and_series()
-    start = {"x0": np.tile(problem.x[:, 0], (SERIES, 1)), "P0": np.tile(problem.P, (SERIES, 1, 1))}
-    start[spoil][2] = np.nan
-    with pytest.raises(ValueError, match="step 0: "):
-        filter_series(zs, *arguments(problem)[:4], **start, **options)
-    found = filter_series(zs, *arguments(problem)[:4], **start, refused="nan", **options)
-    assert np.isnan(found.x[2]).all() and not np.isnan(found.x[:2]).any()
+    for spoil in ("x0", "P0"):
+        start = {"x0": np.tile(problem.x[:, 0], (SERIES, 1)), "P0": np.tile(problem.P, (SERIES, 1, 1))}
+        start[spoil][2] = np.nan
+        with pytest.raises(ValueError, match="step 0: "):
+            filter_series(zs, *arguments(problem)[:4], **start, **options)
+        found = filter_series(zs, *arguments(problem)[:4], **start, refused="nan", **options)
+        assert np.isnan(found.x[2]).all() and not np.isnan(found.x[:2]).any()
 
 
 @pytest.mark.parametrize("change, match", [

@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.hypotheses import corrected
-from robust_filterpy.correction.spread import _charges, _ratio
 from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
@@ -224,25 +223,6 @@ def test_information_is_gained_and_never_more_than_kalmans(data, problem, option
     tolerance = 1e-8 * np.abs(problem.P).max()
     assert np.linalg.eigvalsh(problem.P - kf.P).min() >= -tolerance
     assert np.linalg.eigvalsh(kf.P - kalman).min() >= -tolerance
-
-
-def test_what_a_sensor_is_noisier_than_its_witnesses_does_not_depend_on_units():
-    y, unit, here = np.array([0.2, 0.3, 0.25, 40.0]), np.array([1.0, 1e-3, 1e3, 30.0]), np.ones(4, dtype=bool)
-    B = np.ones((4, 4)) + 0.1 * np.eye(4)
-    plain, other = (
-        _charges(y * u, np.ones(4), u, B * np.outer(u, u), here) / u**2
-        for u in (np.ones(4), unit)
-    )
-    assert plain[3] > 10.0 * plain[:3].max() and plain[3] > 0.0
-    np.testing.assert_allclose(other, plain, rtol=1e-9)
-
-
-def test_how_much_a_prediction_is_worth_to_a_sensor_does_not_depend_on_units():
-    """Also of one without noise, beside which all but rounding of S is the prediction's."""
-    unit, seen, R, S = np.array([1.0, 1e-4, 1e4]), np.array([1.0, 2.0, 3.0]), np.diag([0.0, 0.0, 1.0]), np.eye(3) + 1.0
-    plain, other = (_ratio(seen * u**2, R * np.outer(u, u), S * np.outer(u, u)) for u in (np.ones(3), unit))
-    np.testing.assert_allclose(plain, [0.5e12, 1e12, 3.0])
-    np.testing.assert_allclose(other, plain)
 
 
 def test_many_models_are_corrected_by_the_posterior_over_the_scales_of_a_sensors_noise():

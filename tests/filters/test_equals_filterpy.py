@@ -313,21 +313,6 @@ def batches(problem, n, rng, ndim):
     return {"plain": {}, "update_first": {"update_first": True}, "control": us, "lists": {**us, **lists}}
 
 
-def batch_by_definition(kf, zs, us=None, update_first=False, **lists):
-    """The loop that batch_filter stands for; filterpy 1.4.5's refuses None beside columns."""
-    out = ([], [], [], [])
-    for k, z in enumerate(zs):
-        one = {name[0]: values[k] for name, values in lists.items()}
-        for step in ("update", "predict") if update_first else ("predict", "update"):
-            if step == "predict":
-                kf.predict(None if us is None else us[k], **{n: v for n, v in one.items() if n in "FQB"})
-            else:
-                kf.update(z, **{n: v for n, v in one.items() if n in "HR"})
-            for series, value in zip(out[2:] if step == "predict" else out[:2], (kf.x, kf.P), strict=True):
-                series.append(value.copy())
-    return tuple(map(np.array, out))
-
-
 @pytest.mark.parametrize("ndim", NDIMS)
 @pytest.mark.parametrize("case", ["plain", "update_first", "control", "lists"])
 @pytest.mark.parametrize("missing", [False, True])
@@ -343,7 +328,7 @@ def test_batch_filter_and_smoother(ndim, case, missing):
         zs[3] = zs[20] = zs[21] = None
     saver = Saver(robust)
     ours = robust.batch_filter(zs, saver=saver if case == "control" else None, **arguments)
-    theirs = plain.batch_filter(zs, **arguments) if support.FILTERPY_2 else batch_by_definition(plain, zs, **arguments)
+    theirs = plain.batch_filter(zs, **arguments) if support.FILTERPY_2 else support.by_loop(plain, zs, **arguments)
     for a, b in zip(ours, theirs, strict=True):
         support.assert_close(a, b)
     support.assert_same_state(robust, plain, (*support.STATE, "K", "S", "SI"))

@@ -12,7 +12,7 @@ import pytest
 import support
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose
-from support import mover, through
+from support import mover, of_matrices, through
 
 from robust_filterpy import AdaptiveKalmanFilter, Huber, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
 from robust_filterpy.influence import Hampel
@@ -23,14 +23,7 @@ STEPS, SPEED = 120, np.array([[1.0, 1.0], [0.0, 1.0]])
 
 def levels(n, q, r):
     """A function that builds a filter of n levels, each with a sensor."""
-    return lambda kind: matrices(kind, np.eye(n), np.eye(n), q * np.eye(n), r * np.eye(n), 10.0 * np.eye(n))
-
-
-def matrices(kind, F, H, Q, R, P, x=None):
-    kf = kind(len(F), len(H))
-    kf.F, kf.H, kf.Q, kf.R, kf.P = F, H, Q, R, P
-    kf.x = np.zeros((len(F), 1)) if x is None else x
-    return kf
+    return lambda kind: of_matrices(kind, 1.0, np.eye(n), q, r, 10.0)
 
 
 # What cannot matter.
@@ -57,9 +50,9 @@ def sensors_of(m):
 
 def built(m, factor=1.0, order=slice(None), unit=1.0, **options):
     unit = unit * np.ones(m)
-    return matrices(
-        lambda n, m: RobustKalmanFilter(n, m, **options), SPEED, (unit[:, None] * sensors_of(m))[order],
-        factor * 0.01 * np.eye(2), factor * np.diag(unit[order] ** 2), factor * 10.0 * np.eye(2), np.zeros(2),
+    return of_matrices(
+        RobustKalmanFilter, SPEED, (unit[:, None] * sensors_of(m))[order], factor * 0.01,
+        factor * np.diag(unit[order] ** 2), factor * 10.0, np.zeros(2), **options,
     )  # fmt: skip
 
 
@@ -148,7 +141,7 @@ def test_sensors_that_are_equal_but_for_a_sign_may_stand_in_any_order(path):
     """What is typical of them is the same; whoever stands first must not win when both are clipped."""
     found, size = [], np.r_[np.random.default_rng(6).normal(size=20), 30.0]
     for signs in ([1.0, -1.0], [-1.0, 1.0]):
-        kf = matrices(RobustKalmanFilter, np.eye(1), np.ones((2, 1)), np.eye(1), np.eye(2), np.eye(1))
+        kf = of_matrices(RobustKalmanFilter, 1.0, np.ones((2, 1)))
         through(kf, np.outer(size, signs))
         found.append(kf.x[0, 0])
     assert found[0] == found[1] != 0.0
@@ -157,7 +150,7 @@ def test_sensors_that_are_equal_but_for_a_sign_may_stand_in_any_order(path):
 def test_sensors_that_take_turns_are_told_apart_by_their_rows(path):
     """One is fifty times as noisy as the other; each is judged by what is typical of it."""
     rng, rows, sigma = np.random.default_rng(3), (np.array([[1.0, 0.0]]), np.array([[1.0, 1e-9]])), (5.0, 0.1)
-    kf = matrices(RobustKalmanFilter, np.eye(2), np.array([[0.0, 1.0]]), 1e-6 * np.eye(2), np.eye(1), np.eye(2))
+    kf = of_matrices(RobustKalmanFilter, 1.0, [[0.0, 1.0]], 1e-6)
     for k in range(400):
         kf.predict()
         kf.update(sigma[k % 2] * rng.normal(), H=rows[k % 2])
@@ -181,7 +174,7 @@ def coarse(g, step=2.0):
 
 def with_speed(kind, unit=1.0):
     Q, R = np.outer([0.05, 0.1], [0.05, 0.1]), np.diag([unit**2, 0.09])
-    return matrices(kind, SPEED, np.diag([unit, 1.0]), Q, R, 10.0 * np.eye(2))
+    return of_matrices(kind, SPEED, np.diag([unit, 1.0]), Q, R, 10.0)
 
 
 def test_repeats_and_steps_are_learnt_alike_on_every_way_and_in_other_units(monkeypatch):
@@ -211,7 +204,7 @@ def bouncing(g):
     truth = 100.0 + 200.0 * t + 300.0 * t**2 - 1150.0 * np.maximum(t - 1.0, 0.0)
     F, P = np.array([[1.0, dt, dt * dt / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]), np.diag([10.0, 10.0, 1.0])
     zs = truth + 1.5 * g.normal(size=60)
-    return lambda kind: matrices(kind, F, np.eye(1, 3), np.outer(w, w), 5.0 * np.eye(1), P), truth[:, None], zs
+    return lambda kind: of_matrices(kind, F, np.eye(1, 3), np.outer(w, w), 5.0, P), truth[:, None], zs
 
 
 def box(g):
@@ -222,7 +215,8 @@ def box(g):
     truth = np.column_stack((500.0 + np.cumsum(speed, axis=0), np.tile([3000.0, 0.4], (400, 1))))
     zs = truth + g.normal(size=(400, 4)) * [2.0, 2.0, 150.0, 0.01]
     Q, R, P = np.diag([1.0, 1, 1, 1, 0.01, 0.01, 1e-4]), np.diag([1.0, 1, 10, 10]), np.diag([10.0] * 4 + [1e4] * 3)
-    return lambda kind: matrices(kind, F, np.eye(4, 7), Q, R, P, np.r_[zs[0], np.zeros(3)][:, None]), truth[:, :2], zs
+    x = np.r_[zs[0], np.zeros(3)][:, None]
+    return lambda kind: of_matrices(kind, F, np.eye(4, 7), Q, R, P, x), truth[:, :2], zs
 
 
 def ramp(slope):
@@ -378,7 +372,7 @@ def test_one_bad_sensor_among_those_that_see_the_same_costs_little_in_any_units(
         zs = truth[:, None] + rng.normal(size=(400, m))
         zs[:, 0] += 10.0 if fault == "offset" else 30.0 * rng.normal(size=400)
         with_it, without = (
-            matrices(RobustKalmanFilter, np.eye(1), unit[:, None], 0.01 * np.eye(1), np.diag(unit**2), 10.0 * np.eye(1))
+            of_matrices(RobustKalmanFilter, 1.0, unit[:, None], 0.01, np.diag(unit**2), 10.0)
             for unit in (units, np.ones(m - 1))
         )
         paths = with_it.batch_filter(zs * units)[0], without.batch_filter(zs[:, 1:])[0]
@@ -393,8 +387,7 @@ def test_one_bad_sensor_among_those_that_see_the_same_costs_little_in_any_units(
 def level_and_cycle():
     c, s = np.cos(2 * np.pi / 24), np.sin(2 * np.pi / 24)
     F, Q = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]), np.diag([0.06, 1e-8, 1e-8])
-    x, H = np.array([[100.0], [0.0], [0.0]]), np.array([[1.0, 1.0, 0.0]])
-    return matrices(RobustKalmanFilter, F, H, Q, 0.25 * np.eye(1), 25.0 * np.eye(3), x)
+    return of_matrices(RobustKalmanFilter, F, [[1.0, 1.0, 0.0]], Q, 0.25, 25.0, [[100.0], [0.0], [0.0]])
 
 
 def hours(steps, first, after):

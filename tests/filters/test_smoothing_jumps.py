@@ -47,6 +47,8 @@ def test_it_is_filterpys_smoother_with_Q_times_the_scale_of_each_step(kind):
     saver = Saver(kf)
     means, covariances, _, _ = kf.batch_filter(list(zs), Rs=Rs, saver=saver)
     assert len(saver.x) == STEPS
+    by_kernel = doubting(kind)
+    without = by_kernel.rts_smoother(*by_kernel.batch_filter(list(zs), Rs=Rs)[:2])
     scales, states, spreads = [], [], []
     for z, R in zip(zs, Rs, strict=True):
         loop.predict()
@@ -58,8 +60,9 @@ def test_it_is_filterpys_smoother_with_Q_times_the_scale_of_each_step(kind):
     by_hand = KalmanFilter.rts_smoother(
         loop, np.array(states), np.array(spreads), Qs=[np.outer(s, s) * LEVEL.Q for s in np.sqrt(scales)]
     )
-    for one, other in zip(kf.rts_smoother(means, covariances), by_hand, strict=True):
+    for one, other, kernels in zip(kf.rts_smoother(means, covariances), by_hand, without, strict=True):
         np.testing.assert_array_equal(one, other)
+        np.testing.assert_allclose(kernels, other, rtol=1e-9, atol=1e-10)
     # Nominal Qs of each step are scaled as well.
     for one, other in zip(kf.rts_smoother(means, covariances, Qs=[LEVEL.Q] * STEPS), by_hand, strict=True):
         np.testing.assert_array_equal(one, other)
