@@ -16,12 +16,6 @@ pytestmark = pytest.mark.core
 NDIMS = [1, 2]
 
 
-def travel(kf, zs):
-    """Predict and update along zs."""
-    support.through(kf, zs)
-    return kf
-
-
 def recording(n=40, dim_z=2, seed=2):
     return support.simulate(support.random_problem(51, 4, dim_z), n, seed, contamination=0.2)[0]
 
@@ -42,9 +36,9 @@ def test_saver(ndim, gaps):
     if gaps:
         zs[5, 0] = zs[9] = np.nan
     saver = Saver(kf)
-    travel(kf, zs[:1])
+    support.through(kf, zs[:1])
     for z in zs:
-        travel(kf, [z])
+        support.through(kf, [z])
         saver.save()
     if gaps:
         kf.predict()
@@ -70,33 +64,17 @@ def test_what_the_class_adds_is_small():
     ours = support.make(RobustKalmanFilter, support.random_problem(51, 4, 2))
     theirs = support.make(KalmanFilter, support.random_problem(51, 4, 2))
     for kf in (ours, theirs):
-        travel(kf, recording(5))
+        support.through(kf, recording(5))
     assert len(pickle.dumps(ours)) < 2 * len(pickle.dumps(theirs))
 
 
 def bank(cls, ndim=2, **choices):
     """Two models of the same cart, one of them restless."""
-    filters = []
-    for factor in (1.0, 25.0):
-        problem = support.cart()
-        filters.append(support.make(cls, support.with_(problem, Q=factor * problem.Q), ndim, **choices))
-    return filters
+    problems = (support.with_(support.cart(), Q=factor * support.cart().Q) for factor in (1.0, 25.0))
+    return [support.make(cls, problem, ndim, **choices) for problem in problems]
 
 
 TRANSITION = np.array([[0.97, 0.03], [0.03, 0.97]])
-
-
-def test_imm_with_an_infinite_threshold_is_filterpys():
-    banks = [
-        IMMEstimator(filters, (0.5, 0.5), TRANSITION)
-        for filters in (bank(RobustKalmanFilter, influence=Linear()), bank(KalmanFilter))
-    ]
-    for z in support.simulate(support.cart(), 60, seed=4)[0]:
-        for imm in banks:
-            imm.predict()
-            imm.update(z)
-        for name in ("x", "P", "mu", "likelihood", "x_prior", "P_prior"):
-            support.assert_close(getattr(banks[0], name), getattr(banks[1], name), 1e-9, name)
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
@@ -123,19 +101,20 @@ def test_imm_forgets_nothing_at_a_missing_sample():
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
-def test_mmae(ndim):
-    """Its update passes z, R and H by position."""
-    H = support.cart().H
-    banks = [
-        MMAEFilterBank(filters, np.array([0.5, 0.5]), dim_x=2, H=H)
-        for filters in (bank(RobustKalmanFilter, ndim, influence=Linear()), bank(KalmanFilter, ndim))
-    ]
-    for z in support.simulate(support.cart(), 40, seed=4)[0]:
-        for mmae in banks:
-            mmae.predict()
-            mmae.update(np.reshape(z, (1, 1) if ndim == 2 else (1,)), R=np.array([[1.5]]))
-        for name in ("x", "P", "p"):
-            support.assert_close(getattr(banks[0], name), getattr(banks[1], name), 1e-9, name)
+def test_banks_of_filters_with_an_infinite_threshold_are_filterpys(ndim):
+    """The update of an MMAE passes z, R and H by position."""
+    filters = [bank(RobustKalmanFilter, ndim, influence=Linear()), bank(KalmanFilter, ndim)]
+    imms = [IMMEstimator(two, (0.5, 0.5), TRANSITION) for two in filters]
+    zs = support.simulate(support.cart(), 60, seed=4)[0]
+    support.assert_same_along(*imms, zs, names=("x", "P", "mu", "likelihood", "x_prior", "P_prior"), rtol=1e-9)
+    filters = [bank(RobustKalmanFilter, ndim, influence=Linear()), bank(KalmanFilter, ndim)]
+    mmaes = [MMAEFilterBank(two, np.array([0.5, 0.5]), dim_x=2, H=support.cart().H) for two in filters]
+
+    def step(mmae, z):
+        mmae.predict()
+        mmae.update(np.reshape(z, (1, 1) if ndim == 2 else (1,)), R=np.array([[1.5]]))
+
+    support.assert_same_along(*mmaes, zs, step=step, names=("x", "P", "p"), rtol=1e-9)
 
 
 def test_a_program_that_changes_the_class_only():
