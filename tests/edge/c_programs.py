@@ -41,43 +41,32 @@ $calls
     return 0;
 }
 """)
-FILTER = Template("""
+RUN = Template("""
 static void run_$name(void)
 {
     ${name}_state state = ${name}_start;
-    ${name}_shown shown = {{0}};
+    ${name}_$shown;
     ${name}_real u[$inputs + 1], z[$m];
     for (int k = 0; k < $steps; k++) {
         for (int i = 0; i < $inputs; i++) { u[i] = (${name}_real)get(); }
         for (int i = 0; i < $m; i++) { z[i] = (${name}_real)get(); }
         (void)u;
-        put(${name}_predict(&${name}_default, &state$u));
-        put(${name}_update(&${name}_default, &state, z, &shown));
-        for (int i = 0; i < $n; i++) { put(state.x[i]); }
+        put($first);
+        put(${name}_update(&${name}_default, &state, $second, &shown));
+        for (int i = 0; i < $n; i++) { put(state.$x[i]); }
         for (int i = 0; i < $n * $n; i++) { put(state.P[i]); }
-        for (int i = 0; i < $m; i++) { put(shown.e[i]); put(shown.weight[i]); }
+        $seen
     }
 }
 """)
-TRACKER = Template("""
-static void run_$name(void)
-{
-    ${name}_state state = ${name}_start;
-    ${name}_sample sample = {0};
-    ${name}_real u[$inputs + 1], y;
-    for (int k = 0; k < $steps; k++) {
-        for (int i = 0; i < $inputs; i++) { u[i] = (${name}_real)get(); }
-        y = (${name}_real)get();
-        put(0.0);
-        put(${name}_update(&${name}_default, &state, y, u, &sample));
-        for (int i = 0; i < $n; i++) { put(state.theta[i]); }
-        for (int i = 0; i < $n * $n; i++) { put(state.P[i]); }
-        put(sample.prediction); put(sample.residual); put(sample.weight); put(sample.guard);
-    }
-}
-""")
-
-
+OF_FILTER = {
+    "shown": "shown shown = {{0}}", "second": "z", "x": "x",
+    "seen": "for (int i = 0; i < $m; i++) { put(shown.e[i]); put(shown.weight[i]); }",
+}  # fmt: skip
+OF_TRACKER = {
+    "first": "0.0", "shown": "sample shown = {0}", "second": "z[0], u", "x": "theta",
+    "seen": "put(shown.prediction); put(shown.residual); put(shown.weight); put(shown.guard);",
+}  # fmt: skip
 FUZZED = Template("""
 static void run_$name(void)
 {
@@ -127,8 +116,11 @@ class Case:
     def body(self):
         steps, width = self.samples.shape
         values = {"name": self.name, "n": self.n, "inputs": self.inputs, "steps": steps, "m": width - self.inputs}
-        is_filter = isinstance(self.model, RobustKalmanFilter)
-        return (FILTER if is_filter else TRACKER).substitute(values, u=", u" if self.inputs else "")
+        if not isinstance(self.model, RobustKalmanFilter):
+            return RUN.substitute(values, **OF_TRACKER)
+        predict = f"{self.name}_predict(&{self.name}_default, &state{', u' if self.inputs else ''})"
+        seen = Template(OF_FILTER["seen"]).substitute(values)
+        return RUN.substitute({**OF_FILTER, **values, "first": predict, "seen": seen})
 
 
 def status(call, *arguments):
@@ -409,6 +401,16 @@ class InC:
         z = np.atleast_1d(z)
         given = (ctypes.c_double * len(z))(*z)
         return self.library.one_update(ctypes.byref(self.model), self.state, *map(self.of, sensor), given, self.shown)
+
+    def assert_shows(self, kf, z, **close):
+        """Hold x, P and what is shown of a reading, unless it is missing, together with a filter's under a noise."""
+        np.testing.assert_allclose(self.x, np.ravel(kf.x), **close)
+        np.testing.assert_allclose(self.P, kf.P, **close)
+        if not np.isnan(z).all():
+            y, outlying, weights = np.reshape(self.shown, (3, -1))
+            np.testing.assert_allclose(y, np.where(np.isnan(z), 0.0, np.ravel(kf.y)), atol=1e-12)
+            np.testing.assert_allclose(weights, np.ravel(kf.weights), **close)
+            np.testing.assert_allclose(1.0 - np.prod(1.0 - outlying), kf.outlier_probability, atol=1e-9)
 
     @property
     def x(self):
