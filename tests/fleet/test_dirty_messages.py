@@ -195,18 +195,6 @@ def test_whatever_comes_nothing_raises_and_clean_devices_do_not_notice(name, rou
             equal(output[column], mine[column])
 
 
-def test_a_message_before_which_the_stream_failed_for_ever_is_one_message():
-    model = MODELS["filter"]
-    store, taken = Store(), StreamStep(model)
-    rng = np.random.default_rng(0)
-    for k, odd in enumerate([10**400, None, [1.0], "a", np.zeros(3), {}, nothing_like_it()]):
-        assert taken({"t": 2.0 * k, "z": odd}, store) is not None
-        assert taken({"t": 2.0 * k + 1.0, "z": rng.normal()}, store)["x0"] is not None
-    for odd in (None, "tombstone", [1, 2], 3.0, b"bytes"):
-        assert "expected a mapping" in taken(odd, store)["error"]
-    assert taken({"t": 100.0, "z": 0.0}, store)["error"] == "refused before this sample: 5, in the batches before"
-
-
 def test_a_shuffled_table_a_column_of_text_and_a_path_are_said():
     table = pd.DataFrame({"device": "a", "t": np.arange(50.0)[::-1], "z": 1.0})
     with pytest.warns(UserWarning, match=r"49 of 50 rows .* late; sort=True puts"):

@@ -65,15 +65,6 @@ def ensemble(seed=3):
     return kf
 
 
-def lagged(**options):
-    def make():
-        kf = FixedLagSmoother(2, 1, N=4, **options)
-        kf.x, kf.F, kf.H, kf.Q, kf.R = np.zeros(2), F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.eye(1)
-        return kf
-
-    return make
-
-
 COMES_BACK = {**RECOVERING, "patience": 3}
 FILTERS = {
     "linear": linear(RobustKalmanFilter),
@@ -92,8 +83,8 @@ FILTERS = {
     "recovering unscented": sigma_points(RobustUnscentedKalmanFilter, **COMES_BACK),
     "recovering cubature": sigma_points(RobustCubatureKalmanFilter, **COMES_BACK),
     "ensemble": ensemble,
-    "fixed lag": lagged(),
-    "fixed lag, adaptive": lagged(noise="learnt", process="scales"),
+    "fixed lag": linear(FixedLagSmoother, N=4),
+    "fixed lag, adaptive": linear(FixedLagSmoother, N=4, noise="learnt", process="scales"),
 }
 
 

@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from support import two_sided
-from test_engines import Store
 from test_state import FILTERS, F, extended, observe, recording, signals
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
-from robust_filterpy.fleet.states import _ragged
-from robust_filterpy.fleet.stream import StreamStep
 from robust_filterpy.identification import ARMA, FIR
 
 pd = pytest.importorskip("pandas")
@@ -114,15 +111,16 @@ def test_a_linear_filter_gives_its_own_numbers():
     np.testing.assert_allclose(other.P, kf.P, rtol=1e-9)
 
 
-def test_a_filter_with_inputs_gives_its_own_numbers():
-    def make():
-        kf = RobustKalmanFilter(2, 1, dim_u=2)
-        kf.F, kf.H, kf.Q, kf.B = F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.array([[0.5, 0.1], [0.0, 1.0]])
-        return kf
+def driven():
+    kf = RobustKalmanFilter(2, 1, dim_u=2)
+    kf.F, kf.H, kf.Q, kf.B = F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.array([[0.5, 0.1], [0.0, 1.0]])
+    return kf
 
-    rng, kf = np.random.default_rng(1), make()
+
+def test_a_filter_with_inputs_gives_its_own_numbers():
+    rng, kf = np.random.default_rng(1), driven()
     batch = rng.normal(size=(30, 3))
-    state, _ = step(FilterModel(make(), inputs=["u", "v"]), None, batch)
+    state, _ = step(FilterModel(driven(), inputs=["u", "v"]), None, batch)
     for row in batch:
         kf.predict(u=row[1:])
         kf.update(row[0])
@@ -402,14 +400,11 @@ def fleet(keys=40, seed=2):
     return table
 
 
-@pytest.mark.parametrize("model", [
-    FilterModel(FILTERS["linear"](), measurements=["z"]),
-    FilterModel(FILTERS["two-sided"](), measurements=["z"]),
-    TrackerModel(FIR(2), {"start": 0}, measurements=["z"], inputs=["u"]),
-], ids=["linear", "two-sided", "FIR"])  # fmt: skip
-def test_a_table_is_a_step_for_each_key(model):
-    table = fleet()
-    model = replace(model, time="t")
+@pytest.mark.parametrize("name", ["linear", "two-sided", "FIR"])
+def test_a_table_is_a_step_for_each_key_and_its_states_go_on_from_arrow_too(name):
+    own = {"measurements": ["z"], "time": "t"}
+    model, table = TrackerModel(FIR(2), {"start": 0}, inputs=["u"], **own), fleet()
+    model = model if name == "FIR" else FilterModel(FILTERS[name](), **own)
     found = filter_table(model, table)
     assert found.index.equals(table.index) and found["error"].isna().all()
     assert list(found) == ["device", "t", *model.columns, "error"]
@@ -419,40 +414,12 @@ def test_a_table_is_a_step_for_each_key(model):
     half = len(table) // 2
     states, first = step(model, None, table[:half], key="device")
     before = copy.deepcopy(states)
-    again, second = step(model, states, table[half:], key="device")
-    pd.testing.assert_frame_equal(pd.concat([first, second]), found)
-    for name in before:
-        same(before[name], states[name])
-    assert set(again) == set(table["device"])
-
-
-def test_a_bad_row_costs_one_row_and_a_bad_state_one_key():
-    model = FilterModel(FILTERS["linear"](), measurements=["z"], dt=1.0, time="t")
-    table = fleet().astype({"z": object})
-    row = {name: table.index[table["device"] == name][-1] for name in ("d1", "d2", "d3", "d4")}
-    table.loc[row["d1"], "z"] = "text"
-    table.loc[row["d2"], "z"] = np.inf
-    table.loc[row["d3"], "t"] += 0.5
-    table.loc[row["d4"], "t"] = np.nan
-    table.loc[len(table)] = [None, 1.0, 1.0, 0.0]
-    given = {"d5": {"x": np.zeros(7)}, "d6": 3.0, "d7": {**step(model, None, [[0.0, 1.0]])[0], "P": "text"}}
-    states, found = step(model, given, table, key="device")
-    damaged = table["device"].isin(list(given))
-    bad = damaged | table.index.isin([*row.values(), len(table) - 1])
-    assert found.loc[bad, "error"].notna().all() and found.loc[~bad, "error"].isna().all()
-    refused = damaged | table.index.isin([row["d3"], row["d4"], len(table) - 1])
-    assert found.loc[refused, "x0"].isna().all() and found.loc[~refused, "x0"].notna().all()
-    for name in (*row, *given):
-        said = found.loc[(table["device"] == name) & bad, "error"]
-        assert said.str.startswith(f"device {name!r}: ").all() and len(said)
-    for name, state in given.items():
-        assert states[name] is state
-    # A measurement that is no number is missing; a row that is refused might not have come.
-    good = fleet()
-    good.loc[[row["d1"], row["d2"]], "z"] = np.nan
-    good = good[~good["device"].isin(list(given))].drop(index=[row["d3"], row["d4"]])
-    expected = filter_table(model, good)
-    pd.testing.assert_frame_equal(expected[["x0", "std0"]], found.loc[good.index, ["x0", "std0"]])
+    for given in (states, states.to_arrow()):
+        again, second = step(model, given, table[half:], key="device")
+        pd.testing.assert_frame_equal(pd.concat([first, second]), found)
+        assert set(again) == set(table["device"])
+    for key in before:
+        same(before[key], states[key])
 
 
 def test_a_table_may_be_shuffled_and_have_rows_without_a_time():
@@ -478,27 +445,21 @@ def test_an_error_names_instants_as_instants(zone):
 
 
 def test_states_of_devices_that_are_gone_can_be_left_out():
-    """And what goes on from the others is the same; of keys without times all stay."""
-    described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
-    table = pd.DataFrame({"device": ["a", "b", "a", "c"], "t": [0.0, 1.0, 2.0, 5.0], "z": [0.1, 0.2, 0.3, 0.4]})
+    """And what goes on from the others is the same; an instant tells the time as its seconds do."""
+    described = timed(measurements=["z"])
+    when = pd.to_datetime([0, 1, 2, 5], unit="s", utc=True)
+    table = pd.DataFrame({"device": ["a", "b", "a", "c"], "t": when, "z": [0.1, 0.2, 0.3, 0.4]})
     states, _ = step(described, None, table, key="device")
-    kept = states.newer(2.0)
-    assert list(kept) == ["a", "c"] and list(states) == ["a", "b", "c"] and list(states.newer(6.0)) == []
-    later = table.assign(t=table["t"] + 10.0)
+    for since in (when[2], when[2].to_datetime64(), when[2].to_pydatetime(), 2.0):
+        assert list(states.newer(since)) == ["a", "c"] and list(states) == ["a", "b", "c"]
+    kept, later = states.newer(2.0), table.assign(t=when + pd.Timedelta(seconds=10))
     one, other = (step(described, before, later, key="device")[1].set_index("device") for before in (kept, states))
     pd.testing.assert_frame_equal(one.loc[["a", "c"]], other.loc[["a", "c"]], check_exact=True)
-    assert not one.loc["b"].equals(other.loc["b"])
+    assert not one.loc["b"].equals(other.loc["b"]) and list(states.newer(6.0)) == []
+    # Of keys without times all stay.
     untimed = FilterModel(FILTERS["linear"](), measurements=["z"])
     assert len(step(untimed, None, table, key="device")[0].newer(1e9)) == 3
-
-
-def test_states_of_devices_that_are_gone_are_told_by_an_instant_as_by_its_seconds():
-    described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
-    when = pd.to_datetime([0, 10, 20], unit="s", utc=True)
-    states, _ = step(described, None, pd.DataFrame({"device": list("abc"), "t": when, "z": 0.1}), key="device")
-    for since in (when[1], when[1].to_datetime64(), when[1].to_pydatetime(), 10.0):
-        assert list(states.newer(since)) == ["b", "c"]
-    for wrong in ("yesterday", when[1].tz_localize(None).to_pydatetime(), None):
+    for wrong in ("yesterday", when[2].tz_localize(None).to_pydatetime(), None):
         with pytest.raises(ValueError, match="time: expected a time"):
             states.newer(wrong)
 
@@ -530,31 +491,6 @@ def test_a_state_that_expired_starts_its_key_anew_wherever_the_batch_is_cut(desc
     name = model.columns[0]
     on = step(replace(model, expires=None), one, timed[21:])[1][name]
     assert not np.array_equal(on, second[name], equal_nan=True)
-
-
-@pytest.mark.parametrize("stored", [False, True], ids=["states", "arrow"])
-@pytest.mark.parametrize("dt", [None, 1.0])
-def test_in_a_table_the_keys_that_expired_start_anew_and_no_others_notice(stored, dt):
-    described = FilterModel(FILTERS["linear"](), measurements=["z"], time="t", dt=dt)
-    early = pd.DataFrame({"device": ["a", "b", "c"] * 4, "t": np.repeat(np.arange(4.0), 3), "z": np.arange(12.0)})
-    late = pd.DataFrame({"device": ["b", "a", "new", "b", "a", "b"], "t": [8.0, 9.0, 9.0, 9.0, 10.0, 99.0], "z": 1.0})
-    states, _ = step(described, None, early, key="device")
-    before = copy.deepcopy(states)
-    given = states.to_arrow() if stored else states
-    after, found = step(replace(described, expires=5.5), given, late, key="device")
-    expected = step(described, before, late[:-1], key="device")[1]
-    plain = step(described, None, late[late["device"] == "a"], key="device")
-    pd.testing.assert_frame_equal(found[late["device"] == "a"].drop(columns="error"), plain[1].drop(columns="error"))
-    same(after["a"], plain[0]["a"])
-    for row in (0, 2, 3):
-        assert found.loc[row, "x0"] == expected.loc[row, "x0"] and pd.isna(found.loc[row, "error"])
-    assert found["error"][1] == "device 'a': state: expected one at most expires=5.5 old, got 6; started anew"
-    assert found["error"][5] == "device 'b': state: expected one at most expires=5.5 old, got 90; started anew"
-    same(after["b"], step(described, None, late[-1:], key="device")[0]["b"])
-    # A key of which nothing came stays as it is, and nothing is written into.
-    same(after["c"], before["c"])
-    for name in before:
-        same(before[name], states[name])
 
 
 def test_silence_is_measured_from_the_latest_sample_and_late_ones_start_nothing():
@@ -599,16 +535,6 @@ def test_what_never_had_times_cannot_expire_and_is_refused():
     assert step(timed(expires=5.0), state, [[4.0, 1.0]])[1]["error"][0] is None
 
 
-def test_in_a_stream_a_key_that_was_silent_for_long_starts_anew():
-    store, taken = Store(), StreamStep(timed(measurements=["z"], expires=10.0))
-    for t in (0.0, 1.0, 2.0):
-        assert taken({"t": t, "z": 5.0}, store)["error"] is None
-    found = taken({"t": 12.5, "z": 1.0}, store)
-    assert found.pop("error") == "state: expected one at most expires=10 old, got 10.5; started anew"
-    fresh = taken({"t": 12.5, "z": 1.0}, Store())
-    assert fresh.pop("error") is None and fresh == found
-
-
 def test_an_empty_table_and_missing_columns():
     model = FilterModel(FILTERS["linear"](), measurements=["z"], time="t")
     assert filter_table(model, fleet()[:0]).shape == (0, 8)
@@ -626,21 +552,6 @@ def test_states_of_a_fleet_print_on_a_line_and_a_missing_column_says_who_names_i
     assert repr(states) == "States(9 keys: T0, T1, T2, ..)"
     with pytest.raises(ValueError, match=r"got .'tank', 'z'.; key= names that of the device"):
         step(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="device")
-
-
-def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
-    pa = pytest.importorskip("pyarrow")
-    lists = pa.array([[1.0, 2.0, 3.0, 4.0], [], [5.0, None], None], pa.list_(pa.float64()))
-    rows = [np.array([[1.0, 2.0], [3.0, 4.0]]), np.zeros((0, 2)), np.array([[5.0, np.nan]]), np.zeros((0, 2))]
-    for part in (slice(0, 4), slice(1, 3), slice(0, 0)):
-        found = _ragged(lists[part], [2])
-        assert len(found) == len(rows[part])
-        for mine, theirs in zip(found, rows[part], strict=True):
-            np.testing.assert_array_equal(mine, theirs)
-    assert _ragged(pa.array([[1.0, 2.0, 3.0], [4.0, 5.0]], pa.list_(pa.float64())), [])[1].tolist() == [4.0, 5.0]
-    # Four numbers are two rows of two, but not as three and one.
-    with pytest.raises(ValueError, match="reshape"):
-        _ragged(pa.array([[1.0, 2.0, 3.0], [4.0]], pa.list_(pa.float64())), [2])
 
 
 def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
@@ -698,11 +609,9 @@ def test_an_arrow_table_of_states_that_lacks_a_column_is_refused_by_its_name(nam
 
 def test_a_flat_batch_is_a_column_and_inputs_may_be_absent():
     model, z = MODELS["linear"](), [0.1, -0.2, 0.3]
-    flat, column = step(model, None, z), step(model, None, [[one] for one in z])
-    same(flat[0], column[0])
-    same(flat[1], column[1])
-    kf = RobustKalmanFilter(2, 1, dim_u=2)
-    kf.F, kf.H, kf.Q, kf.B = F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.eye(2)
+    for flat, column in zip(step(model, None, z), step(model, None, [[one] for one in z]), strict=True):
+        same(flat, column)
+    kf = driven()
     state, _ = step(FilterModel(kf), None, z)
     for one in z:
         kf.predict()
