@@ -43,24 +43,17 @@ def test_delays_are_found_and_then_there_are_none(seed):
 
 
 @pytest.mark.nightly
-def test_an_offset_is_no_delay_and_instants_are_as_good():
-    table = recording(3)
-    table["value"] = table["value"] + np.where(np.array(table["sensor"]) == "b", 5.0, 0.0)
-    table["time"] = np.datetime64("2026-01-01", "ns") + (1e9 * table["time"]).astype("m8[ns]")
-    found = made().delays(table)
-    for name, late in LATE.items():
-        assert found[name] == pytest.approx(late, abs=0.02)
-
-
-@pytest.mark.nightly
-def test_a_sensor_by_function_is_compared_with_the_others():
-    table = recording(4)
-    curved = Sensor(h=lambda x: [x[0] ** 3], jacobian=lambda x: [[3.0 * x[0] ** 2, 0.0]], R=0.09)
+@pytest.mark.parametrize("curved", [False, True])
+def test_an_offset_is_no_delay_instants_are_as_good_and_a_sensor_may_be_a_function(curved):
+    table, sensors = recording(4 if curved else 3), {name: Sensor([1.0, 0.0], R=0.09) for name in LATE}
     mine = np.array(table["sensor"]) == "b"
-    table["value"] = np.where(mine, table["value"] ** 3, table["value"])
-    sensors = {name: curved if name == "b" else Sensor([1.0, 0.0], R=0.09) for name in LATE}
+    if curved:
+        sensors["b"] = Sensor(h=lambda x: [x[0] ** 3], jacobian=lambda x: [[3.0 * x[0] ** 2, 0.0]], R=0.09)
+    table["value"] = np.where(mine, table["value"] ** 3 if curved else table["value"] + 5.0, table["value"])
+    table["time"] = np.datetime64("2026-01-01", "ns") + (1e9 * table["time"]).astype("m8[ns]")
     found = Fusion(MOTION, sensors, 1.0).delays(table)
-    assert found["b"] - found["a"] == pytest.approx(0.25, abs=0.06)
+    for name, late in LATE.items():
+        assert found[name] - found["a"] * curved == pytest.approx(late, abs=0.06 if curved else 0.02)
 
 
 @pytest.mark.nightly

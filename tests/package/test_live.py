@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browsing import BROWSER, after_scripts, served
 from filterpy.kalman import KalmanFilter
 
 from robust_filterpy import AdaptiveKalmanFilter, Huber, RobustKalmanFilter
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCRIPT = DOCS / "_static" / "live_filter.js"
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 
 
 @pytest.fixture(scope="module")
@@ -85,42 +85,12 @@ def test_the_pages_c_finds_the_errors_that_python_finds(build, tmp_path, spoilt)
     assert [f"{error:.2f}" for error in found] == errors(build, readings)
 
 
-def shown(folder, script=""):
-    """Return the page as it is after its scripts and another one."""
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="no browser")
+def test_the_page_shows_the_errors_that_python_finds(build):
     html = re.search(r"```\{raw\} html\n(.*?)```", (DOCS / "live.md").read_text(), flags=re.S).group(1)
-    shutil.copytree(DOCS / "_static", folder / "_static")
-    page = f'<!doctype html><meta charset="utf-8"><body>{html}<script>{script}</script></body>'
-    (folder / "live.html").write_text(page)
-    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000", "--dump-dom"]
-    return subprocess.run([*command, f"file://{folder}/live.html"], capture_output=True, text=True, timeout=120).stdout
-
-
-def said(build, readings):
-    """Return what the page says of such readings."""
-    kalman, default, learnt = errors(build, readings)
-    return f"Root-mean-square error: Kalman {kalman} m, default {default} m, learnt noise {learnt} m"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no browser")
-def test_the_page_shows_the_errors_that_python_finds(build, tmp_path):
-    assert said(build, build.recording()[2]) in shown(tmp_path)
-
-
-DRAG = """setTimeout(() => {
-  document.getElementById("live-none").click();
-  const canvas = document.querySelector("#live canvas"), box = canvas.getBoundingClientRect();
-  for (const [kind, k, x] of [["pointerdown", 20, 10], ["pointermove", 40, 15]]) {
-    const clientX = box.left + 34 + (k * (box.width - 42)) / 119;
-    const clientY = box.top + 8 + ((20 - x) * (box.height - 42)) / 40;
-    canvas.dispatchEvent(new PointerEvent(kind, { clientX, clientY, buttons: 1 }));
-  }
-}, 1000);"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no browser")
-def test_a_quick_drag_spoils_every_reading_that_it_crosses(build, tmp_path):
-    readings = np.array(build.recording()[1])
-    readings[20:41] = np.linspace(10.0, 15.0, 21)
-    assert said(build, readings) in shown(tmp_path, DRAG)
+    html = html.replace("_static/", "")
+    with served(DOCS / "_static", live=f'<!doctype html><meta charset="utf-8"><body>{html}</body>') as address:
+        page = after_scripts(f"{address}/live", seconds=3)
+    kalman, default, learnt = errors(build, build.recording()[2])
+    assert f"Root-mean-square error: Kalman {kalman} m, default {default} m, learnt noise {learnt} m" in page
