@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +12,6 @@ from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.table import filter_table, step
 
 __all__ = ["filter_frame", "step_stream"]
-
-_STATE = "state binary"
-_PROVIDER = "spark.sql.streaming.stateStore.providerClass"
 
 
 def filter_frame(frame: Any, model: Model, *, key: str = "device", groups: int | None = None) -> Any:
@@ -69,10 +66,9 @@ def step_stream(frame: Any, model: Model, *, key: str = "device", forget_after: 
         As in `filter_table`; the model's ``time`` is needed. Samples of a key that come in one micro-batch are put in
         order.
     forget_after : float, optional
-        Seconds of the cluster's clock without a sample of a key after which its state leaves the checkpoint, and the
-        key begins anew. By Spark 4's ``transformWithStateInPandas``, with ``protobuf`` installed and RocksDB as the
-        store of states; such a query never ends by itself, not even with ``availableNow``. Default: states are kept
-        for ever; ``model.expires`` judges them by the samples' own times.
+        Seconds of the cluster's clock without a sample of a key after which the next micro-batch without one takes its
+        state out of the checkpoint, so that the key begins anew. Default: states are kept for ever; ``model.expires``
+        judges them by the samples' own times.
 
     Returns
     -------
@@ -82,7 +78,7 @@ def step_stream(frame: Any, model: Model, *, key: str = "device", forget_after: 
     Raises
     ------
     ValueError, TypeError
-        As in `filter_table`; if ``forget_after`` is not above 0, or Spark is older than 4 or keeps states elsewhere.
+        As in `filter_table`; if ``forget_after`` is not above 0.
 
     Notes
     -----
@@ -92,77 +88,30 @@ def step_stream(frame: Any, model: Model, *, key: str = "device", forget_after: 
     """
     model = _timed(model)
     model = replace(model, late=model.late or "drop")
+    if forget_after is not None:
+        _checks.positive("forget_after", forget_after)
 
-    schema, grouped = _schema(frame, model, key), frame.groupBy(key)
-
-    def taken(parts: Iterator[Any], stored: Any) -> tuple[bytes | None, Any]:
-        """Return one key's state after a micro-batch, None if that has not changed, and the rows of the result."""
+    def advance(name: tuple[Any, ...], parts: Iterator[Any], stored: Any) -> Iterator[Any]:
+        """Take one key's samples of a micro-batch, or forget a key that has sent none for long."""
+        if stored.hasTimedOut:
+            stored.remove()
+            return
         import pandas as pd
 
         table = pd.concat(list(parts), ignore_index=True)
         # The name as the table has it: Spark hands over another type.
         own = table[key].tolist()[0]
-        before = None if stored is None else {own: _unpacked(stored[0])}
+        before = {own: _unpacked(stored.get[0])} if stored.exists else None
         states, output = step(model, before, table, key=key, sort=True)
-        return (pack(states[own]) if own in states and own not in states.odd else None), output
-
-    if forget_after is not None:
-        milliseconds = _lifetime(frame, forget_after)
-        return grouped.transformWithStateInPandas(_processor(taken, milliseconds), schema, "append", "ProcessingTime")
-
-    def advance(name: tuple[Any, ...], parts: Iterator[Any], state: Any) -> Iterator[Any]:
-        """Take one key's samples of a micro-batch."""
-        after, output = taken(parts, state.get if state.exists else None)
-        if after is not None:
-            state.update((after,))
+        if own in states and own not in states.odd:
+            stored.update((pack(states[own]),))
+        # A sample that is refused is a sign of life too.
+        if forget_after is not None and stored.exists:
+            stored.setTimeoutDuration(max(round(1e3 * forget_after), 1))
         yield output
 
-    return grouped.applyInPandasWithState(advance, schema, _STATE, "append", "NoTimeout")
-
-
-def _processor(taken: Callable[[Iterator[Any], Any], tuple[bytes | None, Any]], milliseconds: int) -> Any:
-    """Return what Spark 4 asks for each key; a state is forgotten so long after it was written."""
-    from pyspark.sql.streaming import StatefulProcessor
-
-    class Processor(StatefulProcessor):  # type: ignore[misc]
-        """One key at a time."""
-
-        def init(self, handle: Any) -> None:
-            """Have the store make room for a state."""
-            self.stored = handle.getValueState("state", _STATE, milliseconds)
-
-        def handleInputRows(self, key: Any, rows: Iterator[Any], timerValues: Any) -> Iterator[Any]:
-            """Take one key's samples of a micro-batch."""
-            before = self.stored.get() if self.stored.exists() else None
-            after, output = taken(rows, before)
-            # A sample that is refused is a sign of life too.
-            if after is not None or before is not None:
-                self.stored.update(before if after is None else (after,))
-            yield output
-
-        def close(self) -> None:
-            """Spark asks for it."""
-
-    return Processor()
-
-
-def _lifetime(frame: Any, seconds: float) -> int:
-    """Return how long a state is kept in milliseconds, or raise."""
-    from pyspark.sql import GroupedData
-
-    _checks.positive("forget_after", seconds)
-    if not hasattr(GroupedData, "transformWithStateInPandas"):
-        raise ValueError(
-            f"forget_after: expected Spark 4 or newer, which can forget states, got {frame.sparkSession.version}; "
-            f"leave it out, and set expires= of the model"
-        )
-    store = frame.sparkSession.conf.get(_PROVIDER)
-    if "RocksDB" not in store:
-        raise ValueError(
-            f"forget_after: expected states in RocksDB, got {store}; before the query, spark.conf.set({_PROVIDER!r}, "
-            f'"org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider")'
-        )
-    return max(round(1e3 * seconds), 1)
+    schema, timeout = _schema(frame, model, key), "NoTimeout" if forget_after is None else "ProcessingTimeTimeout"
+    return frame.groupBy(key).applyInPandasWithState(advance, schema, "state binary", "append", timeout)
 
 
 def _unpacked(data: Any) -> Any:
