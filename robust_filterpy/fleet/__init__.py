@@ -6,7 +6,7 @@
 * `dask`, `spark`, `stream`: adapters to engines, imported by name.
 * `table`: `step`, of one key or many, and whole tables.
 * `states`: states of many keys in columns, as an Arrow table.
-* `reading`: the forms a batch may have; `timeline`: late samples, duplicates and gaps.
+* `reading`: the forms a batch may have; late samples, duplicates and gaps.
 """
 
 from robust_filterpy._lazy import elsewhere

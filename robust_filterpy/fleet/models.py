@@ -22,8 +22,8 @@ from robust_filterpy._state import LABEL, Shape, labelled
 from robust_filterpy.filters.states import GAPS, StateMixin, moved_shapes, settings_of
 from robust_filterpy.fleet import _advancing
 from robust_filterpy.fleet._advancing import Plain, Work
+from robust_filterpy.fleet.reading import POLICIES
 from robust_filterpy.fleet.states import FLEET, checked
-from robust_filterpy.fleet.timeline import POLICIES
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 

@@ -1,4 +1,4 @@
-"""From the forms that engines hand over to numbers: arrays, and tables of any kind that narwhals knows.
+"""From the forms that engines hand over to numbers, and to steps: late samples and duplicates, gaps on a regular grid.
 
 What is no number, and no time, costs its row alone: the others go on, and its reason stands in its row.
 """
@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from datetime import datetime
+from datetime import datetime, timezone
 from os import PathLike
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -228,3 +228,228 @@ def seconds(values: np.ndarray, said: Reasons) -> Array:
     for row, sentence in wrong.items():
         say(said, row, sentence)
     return np.where(np.isin(np.arange(len(keys)), list(wrong)), np.nan, _stamps.seconds(keys))
+
+
+#: What may be done with a sample that is not later than the one before it.
+POLICIES: Final = ("refuse", "drop")
+#: How far from the grid a sample may lie, in sampling periods; beyond it is half way between two steps.
+JITTER: Final = 0.45
+# A clock that drifts is followed: from here on the grid goes after it, by this share of what it is off.
+_STILL, _FOLLOWED = 0.02, 0.05
+# A longer silence is no gap but another recording.
+_LONGEST: Final = 100_000
+# Samples one after the other by another clock after which it is the key's: of a clock so far away that nothing comes
+# from there late, and of any.
+_FOLLOWED_FAR, _FOLLOWED_NEAR = 5, 50
+_NOWHERE = (np.nan, np.nan)
+# Numbers as large as this are milliseconds since 1970, or smaller parts of a second.
+_MILLISECONDS: Final = 1e11
+
+
+class Clocks(NamedTuple):
+    """Where the last samples of some keys stand, each of shape (K,); NaN before the first one."""
+
+    last: Array
+    """Their times."""
+    origin: Array
+    """A time on the grid."""
+    step: Array
+    """How many steps after it the last sample stands."""
+    elsewhere: Array
+    """The last of the samples refused since then, if they follow one another, and how many they are, shape (K, 2)."""
+
+
+class Placed(NamedTuple):
+    """Where samples stand among the steps of their keys."""
+
+    step: np.ndarray
+    """Which step of its key each row is, shape (N,), -1 if it is none."""
+    steps: np.ndarray
+    """How many steps each key takes, shape (K,)."""
+    clocks: Clocks
+    """Where their last samples stand."""
+    late: dict[int, str]
+    """Rows that are not later than the one before them, and what they are."""
+    off: dict[int, str]
+    """Rows that lie off the grid or after too long a silence."""
+    followed: dict[int, str]
+    """Rows from which on another clock is followed, and which."""
+    milliseconds: bool
+    """Whether times look like milliseconds where seconds were expected."""
+
+
+def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None, instants: bool = False) -> Placed:
+    """Return where the samples of each key stand after those before them."""
+    counts = np.diff(starts)
+    step = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
+    if times is None or not len(times):
+        return Placed(step, counts, clocks, {}, {}, {}, False)
+    last, origin, at, elsewhere = (one.copy() for one in clocks)
+    first, filled = starts[:-1], counts > 0
+    if dt is not None:
+        origin[filled] = np.where(np.isnan(origin), times[np.minimum(first, len(times) - 1)], origin)[filled]
+    quick, finals = _each_a_step(times, starts, Clocks(last, origin, at, elsewhere), dt)
+    steps, ends = counts.copy(), starts[1:] - 1
+    last[quick] = times[ends[quick]]
+    at[quick], elsewhere[quick] = finals[quick], np.nan
+    said: tuple[dict[int, str], dict[int, str], dict[int, str]] = ({}, {}, {})
+    milliseconds = False
+    for i in np.flatnonzero(~quick).tolist():
+        line = _Line(Clocks(*(one[i] for one in clocks)), dt, instants, said)
+        for row in range(starts[i], starts[i + 1]):
+            step[row] = line.place(float(times[row]), row)
+            if step[row] < 0:
+                step[row] = line.follow(float(times[row]), row)
+            else:
+                line.elsewhere = _NOWHERE
+        last[i], origin[i], at[i], elsewhere[i] = line.last, line.origin, line.step, line.elsewhere
+        steps[i] = line.steps
+        milliseconds |= line.milliseconds
+    return Placed(step, steps, Clocks(last, origin, at, elsewhere), *said, milliseconds)
+
+
+def _each_a_step(times: Array, starts: np.ndarray, clocks: Clocks, dt: float | None) -> tuple[np.ndarray, Array]:
+    """Return for which keys every sample is the next step, and which the last one is; all keys at once."""
+    counts, first = np.diff(starts), starts[:-1]
+    filled = counts > 0
+    place = times if dt is None else (times - np.repeat(clocks.origin, counts)) / dt
+    near = times if dt is None else np.rint(place)
+    before = np.concatenate(([np.nan], near[:-1]))
+    stood = clocks.last if dt is None else np.where(np.isnan(clocks.step), -1.0, clocks.step)
+    before[first[filled]] = stood[filled]
+    # Without a grid nothing comes before the first time; on one its first place is 0.
+    good = ~(near <= before) & ~np.isnan(near) if dt is None else near - before == 1.0
+    good &= np.abs(place - near) <= _STILL
+    quick = np.ones(len(counts), dtype=bool)
+    quick[filled] = np.logical_and.reduceat(good, first[filled])
+    finals = clocks.step.copy()
+    finals[filled] = np.nan if dt is None else near[starts[1:][filled] - 1]
+    return quick, finals
+
+
+def _as_instant(seconds: float) -> str:
+    """Return seconds since 1970 as an instant in UTC, to the microsecond; what no calendar holds as seconds."""
+    try:
+        return datetime.fromtimestamp(seconds, timezone.utc).isoformat().replace("+00:00", "Z")
+    except (OverflowError, ValueError, OSError):
+        return f"{seconds:.15g}"
+
+
+class _Line:
+    """The samples of one key, one after the other."""
+
+    def __init__(self, stood: Clocks, dt: float | None, instants: bool, said: tuple[dict[int, str], ...]) -> None:
+        """Begin where the last sample stands."""
+        self.shown = _as_instant if instants else "{:.15g}".format
+        self.last, self.origin, self.step = (float(one) for one in stood[:3])
+        self.elsewhere, self.dt, self.steps = tuple(stood.elsewhere.tolist()), dt, 0
+        self.milliseconds, (self.late, self.off, self.followed) = False, said
+
+    def place(self, time: float, row: int) -> int:
+        """Return which step a sample is, -1 if it is none, which is noted."""
+        if time != time:
+            return -1
+        if time <= self.last:
+            what = "a duplicate" if time == self.last else "late"
+            last, got = self.shown(self.last), self.shown(time)
+            self.late[row] = f"time: expected a sample later than the one at {last}, got {got}, {what}"
+            return -1
+        if self.dt is None:
+            self.last, self.steps = time, self.steps + 1
+            return self.steps - 1
+        if self.last != self.last:
+            self.origin, self.step = time, -1.0
+        return self._on_grid(time, row, self.dt)
+
+    def follow(self, time: float, row: int) -> int:
+        """Return which step a sample is that was refused, -1 if it is none; a clock that was set is followed."""
+        apart = np.inf if self.dt is None else _LONGEST * self.dt
+        if not (time < self.last or time - self.last > apart):
+            return -1
+        before, count = self.elsewhere
+        self.elsewhere = time, count + 1.0 if 0.0 < time - before <= apart else 1.0
+        if self.elsewhere[1] < (_FOLLOWED_NEAR if abs(time - self.last) <= apart else _FOLLOWED_FAR):
+            return -1
+        self.late.pop(row, None)
+        self.off.pop(row, None)
+        expected = f"time: expected one after {self.shown(self.last)}, got {self.shown(time)}"
+        self.followed[row] = f"{expected}; the clock was set, and is followed from here on"
+        self.last, self.elsewhere, self.steps = time, _NOWHERE, self.steps + 1
+        if self.dt is not None:
+            self.origin, self.step = time, 0.0
+        return self.steps - 1
+
+    def _on_grid(self, time: float, row: int, dt: float) -> int:
+        """Return which step of the grid a sample is."""
+        place = (time - self.origin) / dt
+        if not abs(place) < 1e15:
+            self.off[row] = f"time: expected a time that {dt:g} s is a step of, got {self.shown(time)}"
+            return -1
+        near = float(np.rint(place))
+        apart, ahead = place - near, near - self.step
+        if abs(apart) > JITTER:
+            self.off[row] = (
+                f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through "
+                f"{self.shown(self.origin)}, got {self.shown(time)}, {abs(apart):.2f} of it away"
+            )
+            return -1
+        if ahead < 1.0:
+            got = self.shown(time)
+            self.late[row] = f"time: expected one sample a step of dt={dt:g} s, got {got}, too early for the next"
+            return -1
+        self.milliseconds |= ahead >= 900.0 and abs(time) > _MILLISECONDS
+        if ahead > _LONGEST:
+            self.off[row] = (
+                f"time: expected gaps of at most {_LONGEST} steps of dt={dt:g} s, got {ahead:.6g}; start anew with "
+                f"state None"
+            )
+            return -1
+        if abs(apart) > _STILL:
+            self.origin += _FOLLOWED * apart * dt
+        self.last, self.step, self.steps = time, near, self.steps + int(ahead)
+        return self.steps - 1
+
+
+def strays(times: Array, starts: np.ndarray, dt: float) -> np.ndarray:
+    """Return which samples, in the order of their times, lie so far before all others of their key that none are."""
+    after = np.flatnonzero(np.diff(times) > _LONGEST * dt) + 1
+    begins = starts[np.searchsorted(starts, after, side="right") - 1]
+    ends = starts[np.searchsorted(starts, after, side="right")]
+    lone = (after > begins) & (after - begins < _FOLLOWED_FAR) & (2 * (after - begins) < ends - begins)
+    return np.unique([row for a, b in zip(begins[lone], after[lone], strict=True) for row in range(a, b)]).astype(int)
+
+
+def silences(times: Array, starts: np.ndarray, last: Array) -> Array:
+    """Return how long after its key's latest sample so far each one comes, shape (N,), NaN where there is none."""
+    n, counts = len(times), np.diff(starts)
+    of = np.repeat(np.arange(len(counts)), counts)
+    timed = np.where(np.isnan(times), -np.inf, times)
+    # The ranks of a later key's times begin beyond those of the one before: one running maximum for all keys.
+    ranks = np.empty(n, dtype=int)
+    ranks[np.argsort(timed, kind="stable")] = np.arange(n)
+    latest: Array = np.sort(timed)[np.maximum.accumulate(of * n + ranks) - of * n] if n else timed
+    before = np.concatenate(([-np.inf], latest[:-1]))[:n]
+    before[starts[:-1][counts > 0]] = -np.inf
+    before = np.fmax(before, last[of])
+    with np.errstate(over="ignore"):
+        return times - np.where(np.isinf(before), np.nan, before)
+
+
+def grouped(keys: Sequence[object] | None, n: int) -> tuple[list[object], np.ndarray, np.ndarray]:
+    """Return the keys, the rows in the order of the keys, and where each key's rows begin."""
+    if keys is None:
+        return [None], np.arange(n), np.array([0, n])
+    if isinstance(keys, np.ndarray):
+        unique, first, codes = np.unique(keys, return_index=True, return_inverse=True)
+        by_place = np.argsort(first)
+        names: list[object] = unique[by_place].tolist()
+        rank = np.empty(len(unique), dtype=int)
+        rank[by_place] = np.arange(len(unique))
+        codes = rank[codes]
+    else:
+        names = list(dict.fromkeys(keys))
+        place = dict(zip(names, range(len(names)), strict=True))
+        codes = np.fromiter(map(place.__getitem__, keys), int, n)
+    order = np.argsort(codes, kind="stable")
+    starts = np.searchsorted(codes[order], np.arange(len(names) + 1))
+    return names, order, starts

@@ -15,9 +15,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet._advancing import Work
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import Reasons, Rows, say
+from robust_filterpy.fleet.reading import Clocks, Placed, Reasons, Rows, placed, say, silences
 from robust_filterpy.fleet.states import checked
-from robust_filterpy.fleet.timeline import Clocks, Placed, placed, silences
 
 
 class Outcome(NamedTuple):

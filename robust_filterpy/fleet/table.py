@@ -12,10 +12,9 @@ from robust_filterpy import _state
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import NOBODY, Rows, read_array, read_table, reasons, say
+from robust_filterpy.fleet.reading import NOBODY, Rows, grouped, read_array, read_table, reasons, say, strays
 from robust_filterpy.fleet.states import States, taken
 from robust_filterpy.fleet.stepping import Outcome, advance, owned, started
-from robust_filterpy.fleet.timeline import grouped, strays
 from robust_filterpy.fusion import Fusion
 
 
@@ -183,7 +182,7 @@ def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: b
     """Return states and output of the next samples of many keys, or of all that there are."""
     rows = read_table(table, model, key)
     before = taken(states, model)
-    keys = _known_ones(_Keys(*grouped(rows.keys, len(rows.z))), before, model, rows)
+    keys = _usable(_Keys(*grouped(rows.keys, len(rows.z))), before, model, rows)
     if sort and rows.times is not None and _out_of_order(rows.times[keys.order], keys.starts):
         of = np.repeat(np.arange(len(keys.names)), np.diff(keys.starts))
         keys = keys._replace(order=keys.order[np.lexsort((rows.times[keys.order], of))])
@@ -229,13 +228,13 @@ def _out_of_order(times: np.ndarray, starts: np.ndarray) -> bool:
     return bool(back.any())
 
 
-def _known_ones(keys: _Keys, before: States, model: Model, rows: Rows) -> _Keys:
+def _usable(keys: _Keys, before: States, model: Model, rows: Rows) -> _Keys:
     """Return the keys without nobody, and without those whose states are damaged or of another model, named."""
     prints = before.columns["model"][:, 0]
     others = np.flatnonzero((prints != model.fingerprint) & ~np.isnan(prints))
-    strange = set(before.odd) | {before.name(i) for i in others.tolist()}
-    gone = [i for i, name in enumerate(keys.names) if name is NOBODY or name in strange] if (
-        strange or any(name is NOBODY for name in keys.names)) else []  # fmt: skip
+    refused = set(before.odd) | {before.name(i) for i in others.tolist()}
+    gone = [i for i, name in enumerate(keys.names) if name is NOBODY or name in refused] if (
+        refused or any(name is NOBODY for name in keys.names)) else []  # fmt: skip
     if not gone:
         return keys
     lost = np.zeros(len(keys.order), dtype=bool)

@@ -85,17 +85,17 @@ def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | N
     noise, process = noise_policy(noise), process_policy(process)
     if influence is None:
         if isinstance(noise, Contaminated):
-            _require_told(layout, "noise that is given")
+            _require_R(layout, "noise that is given")
         # All sensors stand in one vector, in which each fails on its own, or a group together.
         noise, process = Learnt() if noise is None else noise, Scales() if process is None else process
         return RobustKalmanFilter(1, 1, noise=noise, process=process, grouping=layout.grouping).policy
     if noise is not None or process is not None:
         raise ValueError("influence: expected neither noise nor process with it")
-    _require_told(layout, "influence")
+    _require_R(layout, "influence")
     return RobustKalmanFilter(1, 1, influence=influence, scaling="innovation", grouping=layout.grouping).policy
 
 
-def _require_told(layout: Layout, why: str) -> None:
+def _require_R(layout: Layout, why: str) -> None:
     """Raise if the size of a noise is neither given nor learned."""
     for name, sensor in layout.sensors.items():
         if sensor.R is None:
@@ -156,7 +156,7 @@ def series(
 
 
 # What the first readings tell of a noise that nobody gave is worth so many samples.
-_UNTOLD = 2.0
+_FIRST_READINGS = 2.0
 #: A reading is far beyond so many standard deviations.
 FAR = 6.0
 
@@ -192,7 +192,7 @@ class Moment(NamedTuple):
 def begun(setup: Setup, x: Array, P: Array) -> Moment:
     """Return the moment before the first stamp."""
     layout, policy = setup.layout, setup.policy
-    sizes = np.where(layout.untold, np.nan, 1.0)
+    sizes = np.where(layout.without_R, np.nan, 1.0)
     state = start(policy, x, P, sizes, np.zeros(setup.motion.dim_u))
     scales = policy.shares(state.memory)[0]
     return Moment(state, fresh(layout.n, layout.size, len(layout.parties), scales) if setup.watches else None)
@@ -212,7 +212,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     if control is not None:
         state = state._replace(u=control)
     looks = watch is not None or setup.reacquire is not None
-    if not (looks or layout.curved or layout.any_untold):
+    if not (looks or layout.curved or layout.any_without_R):
         # Nobody looks in between.
         return Moment(series(policy, state, z[None], *(part[None] for part in (*step, layout.H, layout.R)))[3])
     state = predicted(policy, state, *step)
@@ -221,14 +221,14 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         return Moment(aged(state, seconds, z), watch)
     seen = layout.seen_from(state.x, z)
     y = seen.z - seen.H @ state.x
-    if layout.any_untold:
+    if layout.any_without_R:
         # What goes round in circles is compared as the difference to what was expected.
         state = aged(state, seconds, np.where(layout.is_curved, y, seen.z))
         y = np.where(np.isnan(state.sizes), np.nan, y)
     if np.isnan(y).all():
         return Moment(state, watch, seen.failed)
     R, used, learns = covariance(layout, state.sizes), seen.z, True
-    if layout.any_untold:
+    if layout.any_without_R:
         used = np.where(np.isnan(y), np.nan, used)
     if watch is not None and watch.fault.any():
         # Nothing is learned of a sensor on alarm, and nothing taken from one that lies.
@@ -255,13 +255,13 @@ def aged(state: State, seconds: float, values: Array) -> State:
     memory = state.memory
     if estimated.any():
         memory = memory.copy()
-        memory[estimated, 1] = _UNTOLD
+        memory[estimated, 1] = _FIRST_READINGS
     return state._replace(trial=trial, sizes=sizes, memory=memory)
 
 
 def covariance(layout: Layout, sizes: Array) -> Array:
     """Return R of all sensors, where nobody gave it as the first readings suggested."""
-    if not layout.any_untold:
+    if not layout.any_without_R:
         return layout.R
     root = np.sqrt(np.where(np.isnan(sizes), 1.0, sizes))
     return np.asarray(layout.R * np.multiply.outer(root, root))

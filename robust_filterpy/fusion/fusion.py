@@ -21,7 +21,7 @@ from robust_filterpy.fusion._table import Clock, read, table_columns
 from robust_filterpy.fusion._timeline import Timeline, restored, state_of
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.reacquisition import Reacquisition
-from robust_filterpy.fusion.recording import Recording, found_delays, fused
+from robust_filterpy.fusion.recording import Recording, delays_of, fused
 from robust_filterpy.fusion.results import Estimate, Forecast, SensorNoise, forecast
 from robust_filterpy.fusion.sensors import OFTEN, FusionWarning, Layout, Sensor
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, of_all, silent, words
@@ -486,7 +486,7 @@ class Fusion:
         rows = read(self._setup, self._clock, table, time, sensor, value, None)
         if not len(rows.keys):
             raise ValueError("table: expected a row for each reading, got none")
-        shifts, reasons = found_delays(self._setup, self._begin, rows, float(longest))
+        shifts, reasons = delays_of(self._setup, self._begin, rows, float(longest))
         for name, why in reasons.items():
             warn(f"sensor {name!r}: its delay cannot be seen in this recording: {why}", FusionWarning)
         return {name: shifts[name] + one.delay for name, one in self._setup.layout.sensors.items()}

@@ -275,7 +275,7 @@ _WORSE, _NARROW = 8.0, 0.1
 _FEWEST = 20
 
 
-def found_delays(setup: Setup, begin: Moment, rows: Rows, longest: float) -> tuple[dict[str, float], dict[str, str]]:
+def delays_of(setup: Setup, begin: Moment, rows: Rows, longest: float) -> tuple[dict[str, float], dict[str, str]]:
     """Return how much later than the least late each sensor's stamps are, and why a delay cannot be found."""
     layout = setup.layout
     seconds = (rows.keys - rows.keys[0]) / (1e9 if rows.keys.dtype == np.int64 else 1.0)

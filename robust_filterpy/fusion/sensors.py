@@ -181,16 +181,16 @@ class Layout:
         self.grouping = _grouping(self.sensors, self.party)
         self.H, self.R = np.zeros((at, n)), np.eye(at)
         #: Components whose R nobody gave, (M,).
-        self.untold = np.zeros(at, dtype=bool)
+        self.without_R = np.zeros(at, dtype=bool)
         for name, place in self.places.items():
             sensor = self.sensors[name]
             if sensor.H is not None:
                 self.H[place] = sensor.H
             if sensor.R is None:
-                self.untold[place] = True
+                self.without_R[place] = True
             else:
                 self.R[place, place] = sensor.R
-        self.any_untold = bool(self.untold.any())
+        self.any_without_R = bool(self.without_R.any())
         self.is_curved = np.repeat(
             [s.h is not None for s in self.sensors.values()], [s.dim_z for s in self.sensors.values()]
         )

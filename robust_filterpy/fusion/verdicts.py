@@ -50,7 +50,7 @@ _REMEDIES = {
     "model is wrong": "a manoeuvre that q does not allow; raise q",
     "undecided": "its readings or the state is wrong: later readings decide, until then P covers both",
     "false": "left out of the state until its readings fit again",
-    "jumped": "the state was wrong and has been found again; check what carried it in between",
+    "jumped": "the state was wrong and is right again; check what carried it in between",
 }
 
 

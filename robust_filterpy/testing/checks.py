@@ -8,12 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 from robust_filterpy import _checks
-from robust_filterpy.testing import filter_contracts, filter_data, filter_equations
+from robust_filterpy.testing import contracts, filter_data, filter_equations
 from robust_filterpy.testing.bench import FILTER_TAGS, Check, CheckResult, ChecksFailed, FilterSubject, result_of
-from robust_filterpy.testing.contracts import probability
 
 #: From what breaks everything to what only shows in the long run, so that the first failure is the one to look at.
-FILTER_PROMISES = (*filter_contracts.FIRST, *filter_equations.PROMISES, *filter_data.LATER)
+FILTER_PROMISES = (*contracts.FIRST, *filter_equations.PROMISES, *filter_data.LATER)
 
 
 def filter_checks(
@@ -52,7 +51,7 @@ def filter_checks(
     expected, names = dict(expected_failures or {}), [entry.name for entry in FILTER_PROMISES]
     for name in expected:
         _checks.option("expected_failures", name, names)
-    alpha, seed = probability(false_alarm), _checks.count("seed", seed)
+    alpha, seed = contracts.probability(false_alarm), _checks.count("seed", seed)
 
     def subject(make: Callable[..., Any], name: str, other: int | None) -> FilterSubject:
         start = seed if other is None else _checks.count("seed", other)

@@ -342,7 +342,7 @@ def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: f
     tried, failures = as_tracker_runs(runs), []
     limit = at_least_one(factor) * float(stats.chi2.isf(probability(false_alarm) / len(tried), tried[0].theta.shape[1]))
     for i, run in enumerate(tried):
-        P = run.known.reference.P
+        P = run.over.reference.P
         if P is None:
             raise ValueError("scenario: expected a reference with P")
         error = run.error[-1]
@@ -350,7 +350,7 @@ def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: f
         if not distance <= limit:
             sigma = np.sqrt(np.maximum(P.diagonal(), np.finfo(float).tiny))
             j = int(np.argmax(np.where(np.isfinite(error), np.abs(error) / sigma, np.inf)))
-            name, truth = run.known.structure.names[j], run.theta[-1] - error
+            name, truth = run.over.structure.names[j], run.theta[-1] - error
             failures.append(
                 f"run {i}: {name} = {run.theta[-1, j]:.4g}, the truth is {truth[j]:.4g} (+- {sigma[j]:.2g} for the "
                 f"tracker that knows the labels){_resemblance(run.theta[-1], truth)}"
@@ -393,7 +393,7 @@ def assert_tracks(
         If not.
     """
     tested = as_tracker_runs(runs)
-    best = [run.known.reference for run in tested] if relative_to is None else as_tracker_runs(relative_to)
+    best = [run.over.reference for run in tested] if relative_to is None else as_tracker_runs(relative_to)
     skip = _checks.count("skip", skip)
     if [len(run.theta) for run in best] != [len(run.theta) for run in tested]:
         raise ValueError(f"relative_to: expected a run of the same length for each of the {len(tested)} runs")
@@ -436,7 +436,7 @@ def assert_interval_coverage(
     low = stats.binom.ppf(alpha, M, max(level - tolerance, 0.0))
     high = stats.binom.isf(alpha, M, min(level + tolerance, 1.0))
     hits, failures = inside.sum(axis=0), []
-    for name, count in zip(tested[0].known.structure.names, hits, strict=True):
+    for name, count in zip(tested[0].over.structure.names, hits, strict=True):
         if not low <= count <= high:
             word = "too short: P is too small" if count < low else "too long: P is too large"
             failures.append(

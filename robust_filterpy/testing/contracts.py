@@ -1,10 +1,11 @@
-"""What a program relies on between the lines: refused calls, copies, and two filters that are the same."""
+"""What a program relies on between the lines: refused calls, copies, shapes; two filters that are the same."""
 
 from __future__ import annotations
 
 import copy
 import pickle
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,10 @@ from scipy import stats
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.testing import runs
+from robust_filterpy.testing.bench import OLD, Check, FilterSubject, promise, through
+from robust_filterpy.testing.models import StateModel
+from robust_filterpy.testing.runs import state
 
 
 def times(ratio: float) -> str:
@@ -246,3 +251,178 @@ def assert_close(actual: Any, desired: Any, rtol: float = 1e-10, what: str = "",
     difference = float(np.abs(actual - desired).max(initial=0.0))
     if not difference <= rtol * scale:
         raise AssertionError(f"{what}: differs by {difference / scale:.3g} of its size")
+
+
+#: What is looked at before the equations.
+FIRST: list[Check] = []
+#: What holds the estimate.
+_SHOWN = ("x", "P")
+#: Values that cannot be right, and the attribute to set to them; None: the measurement.
+BAD_VALUES: dict[str, tuple[str | None, Any]] = {
+    "a z that is too long": (None, np.zeros(3)),
+    "a z that is too short": (None, np.zeros(1)),
+    "an infinite z": (None, np.array([np.inf, 0.0])),
+    "text for z": (None, ["a", "b"]),
+    "an R of another shape": ("R", np.eye(3)),
+    "a negative R": ("R", -np.eye(2)),
+    "an H of another shape": ("H", np.ones((2, 3))),
+    "an F of another shape": ("F", np.eye(3)),
+    "a Q of another shape": ("Q", np.ones(4)),
+}
+
+
+@promise(FIRST)
+def state_keeps_its_shape(subject: FilterSubject) -> None:
+    """predict and update leave the shapes of x and P as they were, for z as an array, a list or a number."""
+    for dims in ((1, 1), (4, 2)):
+        model = subject.model(*dims)
+        kf = subject.new(model)
+        shape = np.shape(kf.x)
+        forms: list[Any] = [np.zeros(dims[1]), [0.0] * dims[1], *([0.0] if dims[1] == 1 else [])]
+        for z in forms:
+            runs.step(kf, z, model)
+            if np.shape(kf.x) != shape or np.shape(kf.P) != (dims[0], dims[0]):
+                raise AssertionError(
+                    f"after update({z!r}) x has shape {np.shape(kf.x)} and P {np.shape(kf.P)}, expected {shape} and "
+                    f"{(dims[0], dims[0])}"
+                )
+
+
+@promise(FIRST)
+def arguments_are_not_written_to(subject: FilterSubject) -> None:
+    """x, P, F, H, Q, R and z that the caller passed are as they were after predict and update."""
+    model = subject.model()
+    kf = subject.new(model)
+    given = {name: np.array(getattr(kf, name), dtype=float) for name in ("x", "P", "F", "H", "Q", "R")}
+    before = {name: value.copy() for name, value in given.items()}
+    for name, value in given.items():
+        setattr(kf, name, value)
+    for z in subject.recording(model, 3):
+        original = z.copy()
+        runs.step(kf, z, model)
+        if not np.array_equal(z, original):
+            raise AssertionError("update wrote into z")
+    written = [name for name, value in given.items() if not np.array_equal(value, before[name])]
+    if written:
+        raise AssertionError(f"the caller's {', '.join(written)} changed: copy what is to be written into")
+
+
+@promise(FIRST)
+def same_data_give_the_same_numbers(subject: FilterSubject) -> None:
+    """Two filters with the same data agree to the last bit and leave numpy's global random state alone."""
+    model = subject.model()
+    zs, before = subject.recording(model), _global_state()
+    one, two = (state(subject.advance(subject.new(model), zs, model)) for _ in range(2))
+    if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, two, strict=True)):
+        raise AssertionError("the same data gave other numbers: draw random numbers from a seeded Generator")
+    if not np.array_equal(before, _global_state()):
+        raise AssertionError("numpy's global random state was changed: draw from a Generator of its own")
+
+
+def _global_state() -> Any:
+    """Return numpy's global random state."""
+    return np.random.get_state(legacy=False)["state"]["key"]  # type: ignore[call-overload,index]  # noqa: NPY002
+
+
+@promise(FIRST)
+def integers_are_numbers_like_any_other(subject: FilterSubject) -> None:
+    """x, P, F and H as integer arrays give the numbers that they give as floats."""
+    model = subject.model().with_(
+        x=np.array([0.0, 1.0, 0.0, 2.0]), P=2.0 * np.eye(4), F=np.eye(4, k=1) + np.eye(4), H=np.eye(2, 4)
+    )
+    zs, states = subject.recording(model, 5), []
+    for kind in (float, int):
+        kf = subject.new(model)
+        for name in ("x", "P", "F", "H"):
+            setattr(kf, name, np.array(getattr(kf, name)).astype(kind))
+        states.append(state(subject.advance(kf, zs, model)))
+    (x, P), (x2, _) = states
+    if furthest(x2 - x, P) > 1e-9:
+        raise AssertionError(
+            f"x differs by {furthest(x2 - x, P):.2g} of its standard deviations: it is rounded to integers"
+        )
+
+
+@promise(FIRST)
+def estimates_handed_out_stay_as_they_were(subject: FilterSubject) -> None:
+    """What the estimator showed, kept in a list after each call, is not changed by later calls."""
+    new, steps = subject.work()
+    estimator, shown_before = new(), []
+    # As often as it takes for a buffer of past estimates to be written over.
+    for step in OLD // len(steps) * list(steps):
+        step(estimator)
+        shown = {name: getattr(estimator, name) for name in _SHOWN if hasattr(estimator, name)}
+        shown_before += [(name, value, np.array(value, dtype=float)) for name, value in shown.items()]
+    for name, value, then in shown_before:
+        if not np.array_equal(value, then, equal_nan=True):
+            raise AssertionError(f"a {name} that was kept from an earlier step has changed: it is written in place")
+
+
+@promise(FIRST)
+def two_estimators_share_nothing(subject: FilterSubject) -> None:
+    """An estimator at work changes neither another one, nor those made later, nor what these find."""
+    new, steps = subject.work()
+    idle = new()
+    before = visible(idle)
+    after = visible(through(new(), steps), _SHOWN)
+    assert_unchanged(before, idle, "another one's work")
+    assert_unchanged(before, new(), "the first one's work, in those made later,")
+    assert_unchanged(after, through(new(), steps), "something that is left of the first one")
+
+
+@promise(FIRST)
+def deepcopies_go_on_alike(subject: FilterSubject) -> None:
+    """A deepcopy goes on as the original does, bit for bit, and neither moves the other."""
+    _round_trip(subject, "deepcopy")
+
+
+@promise(FIRST, "pickle")
+def pickles_go_on_alike(subject: FilterSubject) -> None:
+    """An unpickled estimator goes on as the original does, bit for bit."""
+    _round_trip(subject, "pickle")
+
+
+def _round_trip(subject: FilterSubject, way: str) -> None:
+    """Copy in the middle of a recording."""
+    new, steps = subject.work()
+    half = len(steps) // 2
+    estimator = through(new(), steps[:half])
+    assert_state_round_trip(estimator, lambda one: through(one, steps[half:]), ways=(way,))
+
+
+@promise(FIRST, "validates")
+def bad_input_is_refused_and_changes_nothing(subject: FilterSubject) -> None:
+    """What cannot be right raises ValueError or TypeError; the estimate, and what it is later, are as without it."""
+    (new, steps), faults = subject.work(), []
+    half = len(steps) // 2
+    wanted = visible(through(new(), steps), _SHOWN)
+    for words, bad in BAD_VALUES.items():
+        call = partial(_bad_call, subject.model(), *bad)
+        estimator = through(new(), steps[:half])
+        try:
+            assert_refused_call_changes_nothing(estimator, call, names=_SHOWN)
+            assert_unchanged(wanted, through(estimator, steps[half:]), "after it, what followed")
+        except AssertionError as error:
+            faults.append(f"{words}: {error}")
+    if faults:
+        raise AssertionError("; ".join(faults))
+
+
+def _bad_call(model: StateModel, name: str | None, value: Any, kf: Any) -> None:
+    """Meet a bad value, and take it back."""
+    if name is None:
+        runs.measure(kf, value, model)
+        return
+    before = getattr(kf, name)
+    try:
+        setattr(kf, name, value)
+        if name in ("F", "Q"):
+            kf.predict()
+        # An extended filter asks for H.
+        elif name == "H" and runs.is_extended(kf):
+            z = np.zeros(len(model.R))
+            runs.measure(kf, z, model.with_(sensor=lambda x: z, sensor_jacobian=lambda x: value))
+        else:
+            runs.measure(kf, np.zeros(len(model.R)), model)
+    finally:
+        setattr(kf, name, before)

@@ -303,7 +303,7 @@ class TrackerRun:
         return self.theta - self.truth
 
     @property
-    def known(self) -> PlantScenario:
+    def over(self) -> PlantScenario:
         """The scenario, or an error if there is none."""
         if self.scenario is None:
             raise ValueError("scenario: expected a run of run_tracker(tracker, scenario), this one has none")

@@ -296,7 +296,7 @@ def test_intervals_hold_the_truth_and_moving_parameters_are_followed():
 @pytest.mark.parametrize(("plant", "limits"), [("output error", {0: 0.2}), ("armax", {0: 0.1, 4: 0.4})])
 def test_noise_with_a_colour_gives_no_bias(plant, limits):
     found = runs(told_tracker, plant, 9, 400, sigma=1.0)
-    median, truth = np.median([run.theta[-1] for run in found], axis=0), found[0].known.theta[-1]
+    median, truth = np.median([run.theta[-1] for run in found], axis=0), found[0].over.theta[-1]
     assert all(abs(median[i] - truth[i]) <= limit for i, limit in limits.items())
 
 

@@ -207,7 +207,7 @@ def test_coverage_bounds_are_binomial():
     (lambda run: TrackerRun(run.theta, truth=run.truth[:-1]), ValueError, r"truth: expected shape \(30, 4\)"),
     (lambda run: TrackerRun(run.theta[0]), ValueError, r"theta: expected shape \(N, n\)"),
     (lambda run: TrackerRun(run.theta).error, ValueError, "true parameters"),
-    (lambda run: run_tracker(ParameterTracker(run.known.structure), draw("arx", 5, nothing=1)), TypeError, "nothing"),
+    (lambda run: run_tracker(ParameterTracker(run.over.structure), draw("arx", 5, nothing=1)), TypeError, "nothing"),
     (lambda run: assert_efficient([], at_least=1, relative_to=[]), TypeError, "runs"),
 ])  # fmt: skip
 def test_bad_input_is_named(call, error, match):
