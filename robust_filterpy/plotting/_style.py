@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from robust_filterpy._checks import Array, count, numbers, positive
+from robust_filterpy._checks import Array, count, numbers
 from robust_filterpy.diagnostics.recording import is_saver
 
 # From dark to light, so that they differ in gray as well.
@@ -18,27 +17,15 @@ MARKERS = ("o", "x", "^", "s", "+", "d")
 MARK = "#cb181d"
 
 
-class _Looks(dict[str, dict[str, Any]]):
-    """Looks by name; the old name of one is taken with a warning."""
-
-    def __missing__(self, name: str) -> dict[str, Any]:
-        if name != "told":
-            raise KeyError(name)
-        warnings.warn('LOOKS: "told" is called "ideal" now', DeprecationWarning, stacklevel=2)
-        return self["ideal"]
-
-
 # The same filter looks the same in every picture, and no two alike to the color-blind.
-LOOKS = _Looks(
-    {
-        "Kalman": {"color": COLOURS[1], "linestyle": "--"},
-        "gate": {"color": "#e6ab02", "linestyle": ":"},
-        "Huber": {"color": COLOURS[0], "linestyle": "-"},
-        "Tukey": {"color": COLOURS[2], "linestyle": "-."},
-        "learnt": {"color": "#41ab5d", "linestyle": (0, (5, 1))},
-        "ideal": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
-    }
-)
+LOOKS: dict[str, dict[str, Any]] = {
+    "Kalman": {"color": COLOURS[1], "linestyle": "--"},
+    "gate": {"color": "#e6ab02", "linestyle": ":"},
+    "Huber": {"color": COLOURS[0], "linestyle": "-"},
+    "Tukey": {"color": COLOURS[2], "linestyle": "-."},
+    "learnt": {"color": "#41ab5d", "linestyle": (0, (5, 1))},
+    "ideal": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+}
 
 
 def one_axes(ax: Any, size: tuple[float, float] = (7.0, 3.6)) -> Any:
@@ -116,45 +103,6 @@ def with_band(ax: Any, x: Any, lines: Any, name: str, place: int, band: str, ste
         label, step = band if place == 0 else "_nolegend_", "post" if steps else None
         ax.fill_between(x, *edges, step=step, color=look["color"], alpha=0.2, linewidth=0, label=label)
     ax.plot(x, line, linewidth=1.4, label=name, drawstyle="steps-post" if steps else "default", **look)
-
-
-def true_line(ax: Any, t: Any, values: Any, label: str) -> None:
-    """Draw what is true."""
-    ax.plot(t, values, color="black", linewidth=1.5, linestyle=(0, (1, 1.5)), label=label)
-
-
-class Paths(NamedTuple):
-    """States or parameters over time, and which of them to draw."""
-
-    mean: Array  # (N, n)
-    half: Array | None  # (N, n), half widths of the bands
-    time: Any
-    which: list[int]
-    names: list[str]
-    band: str
-
-    def draw(self, ax: Any, place: int) -> None:
-        """Draw the path at a place, with its band."""
-        i = self.which[place]
-        mean, half = self.mean[:, i], None if self.half is None else self.half[:, i]
-        lines = (mean,) if half is None else (mean, mean - half, mean + half)
-        with_band(ax, self.time, lines, self.names[i], place, self.band)
-
-    def label(self, several: str) -> str:
-        """Return what the axis shows."""
-        return several if len(self.which) > 1 else self.names[self.which[0]]
-
-
-def paths(
-    source: Any, covariances: Any, which: tuple[str, Any], names: tuple[str, Sequence[str] | None], sigmas: Any, t: Any
-) -> Paths:
-    """Return what is to be drawn of a source; which: name of the argument and its value; names: stem and names."""
-    mean, deviation = mean_and_deviation(source, covariances)
-    N, n = mean.shape
-    times, columns = time(t, N, source), chosen(*which, n)
-    named, width = all_names(names[1], n, names[0]), positive("sigmas", sigmas)
-    half = None if deviation is None else width * deviation
-    return Paths(mean, half, times, columns, named, f"±{width:g} sigma")
 
 
 def is_run(source: Any) -> bool:
@@ -243,14 +191,6 @@ def chosen(name: str, which: Any, n: int) -> list[int]:
         if count(name, i) >= n:
             raise ValueError(f"{name}: expected numbers below {n}, got {i}")
     return each
-
-
-def column(name: str, values: Any, length: int) -> Array:
-    """Return values as one column of that length."""
-    one = rows(name, values)
-    if one.shape != (length, 1):
-        raise ValueError(f"{name}: expected {length} numbers, got shape {one.shape}")
-    return one[:, 0]
 
 
 def all_names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Pictures of what a filter did: states, innovations, weights, parameters, fit.
+"""Pictures of what a filter did: states or parameters, innovations, weights.
 
 Each function draws into ``ax`` (a new figure's if None) and returns it. Lines differ by style and lightness, clipped
 samples by their marker, so that a print without color can be read. matplotlib is imported when something is drawn.
@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.diagnostics.recording import is_saver
-from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.plotting import _style as style
 
 if TYPE_CHECKING:
@@ -31,13 +30,13 @@ def plot_states(
     Parameters
     ----------
     source : array_like of shape (N, n) or (N, n, 1), Saver, or TrackingResult
-        Means of a batch, or a run.
+        Means of a batch, or a run; the states of a tracker are its parameters.
     covariances : array_like, shape (N, n, n), optional
         Covariances of a batch; without them there is no band.
     states : int or sequence of int, optional
         Which states; all by default.
-    truth : array_like, shape (N,) or (N, n), optional
-        True states; one column is the first chosen state's.
+    truth : array_like, shape (N,), (N, n) or (n,), optional
+        True states; one column is the first chosen state's, n numbers are constants.
     zs : array_like, shape (N,), optional
         Measurements of the first chosen state, NaN where missing; drawn as dots.
     sigmas : float, default 2
@@ -45,7 +44,7 @@ def plot_states(
     t : array_like, shape (N,), optional
         Times or dates; default the index of a pandas object, or the number of the sample.
     names : sequence of str, length n, optional
-        Names of all states.
+        Names of all states. Default: those of a tracker's run.
     unit, time_unit : str, default ""
         Units for the axes' labels.
     ax : matplotlib.axes.Axes, optional
@@ -62,27 +61,43 @@ def plot_states(
 
     Notes
     -----
-    The axis shows what the states and the truth do; an outlier among zs beyond it is left outside.
+    The axis shows what the states and the truth do; an outlier among zs beyond it is left outside, and so is the band
+    of a tracker's first samples, where P is large.
     """
-    paths = style.paths(source, covariances, ("states", states), ("x", names), sigmas, t)
-    real: Any = {} if truth is None else style.rows("truth", truth)
-    N, n = paths.mean.shape
+    mean, deviation = style.mean_and_deviation(source, covariances)
+    (N, n), is_run = mean.shape, style.is_run(source)
+    width, which = _checks.positive("sigmas", sigmas), style.chosen("states", states, n)
+    if names is None and is_run:
+        names = source.names or None
+    names = style.all_names(names, n, "theta" if is_run else "x")
+    time, half = style.time(t, N, source), None if deviation is None else width * deviation
+    real: dict[int, Any] = {}
     if truth is not None:
-        if len(real) != N or real.shape[1] not in (1, n):
-            raise ValueError(f"truth: expected shape {(N,)} or {(N, n)}, got {np.shape(truth)}")
-        real = dict(enumerate(real.T)) if real.shape[1] == n else {paths.which[0]: real[:, 0]}
-    seen = None if zs is None else style.column("zs", zs, N)
+        values = _checks.numbers("truth", truth)
+        values = np.tile(values, (N, 1)) if values.shape == (n,) != (N,) else style.rows("truth", values)
+        if len(values) != N or values.shape[1] not in (1, n):
+            raise ValueError(f"truth: expected shape {(N,)}, {(N, n)} or {(n,)}, got {np.shape(truth)}")
+        real = dict(enumerate(values.T)) if values.shape[1] == n else {which[0]: values[:, 0]}
+    seen = None if zs is None else style.rows("zs", zs)
+    if seen is not None and seen.shape != (N, 1):
+        raise ValueError(f"zs: expected {N} numbers, got shape {seen.shape}")
     ax = style.one_axes(ax)
-    for place, i in enumerate(paths.which):
-        paths.draw(ax, place)
+    empty = not ax.has_data()
+    for place, i in enumerate(which):
+        lines = [mean[:, i]] if half is None else [mean[:, i], mean[:, i] - half[:, i], mean[:, i] + half[:, i]]
+        style.with_band(ax, time, lines, names[i], place, f"±{width:g} sigma")
         if i in real:
-            style.true_line(ax, paths.time, real[i], f"{paths.names[i]}, true")
+            look = {"color": "black", "linewidth": 1.5, "linestyle": (0, (1, 1.5))}
+            ax.plot(time, real[i], label=f"{names[i]}, true", **look)
+    if is_run and empty and half is not None:
+        _look_at_the_paths(ax, half[:, which])
     if seen is not None:
         low, high = ax.get_ylim()
         margin = 0.25 * (high - low)
-        ax.plot(paths.time, seen, ".", color="0.6", markersize=3, zorder=1, label="measured")
+        ax.plot(time, seen, ".", color="0.6", markersize=3, zorder=1, label="measured")
         ax.set_ylim(low - margin, high + margin)
-    return style.finish(ax, paths.label("state"), unit, time_unit)
+    several = "parameter" if is_run else "state"
+    return style.finish(ax, several if len(which) > 1 else names[which[0]], unit, time_unit)
 
 
 def plot_innovations(
@@ -189,105 +204,6 @@ def plot_weights(
         ax.plot(time, weights[:, i], marker, color=colour, markersize=3.5, fillstyle="none", label=names[i])
     ax.set_ylim(-0.05, 1.05)
     return style.finish(ax, "weight", "", time_unit)
-
-
-def plot_parameters(
-    source: Any, covariances: ArrayLike | None = None, *, truth: ArrayLike | None = None,
-    parameters: int | Sequence[int] | None = None, sigmas: float = 2.0, t: ArrayLike | None = None,
-    names: Sequence[str] | None = None, unit: str = "", time_unit: str = "", ax: Axes | None = None,
-) -> Axes:  # fmt: skip
-    """Draw the paths of parameters with their bands, against the truth.
-
-    Parameters
-    ----------
-    source : TrackingResult, Saver, or array_like of shape (N, n) or (N, n, 1)
-        A tracker's run, or the states of a filter whose state is theta.
-    covariances : array_like, shape (N, n, n), optional
-        Covariances, to an array.
-    truth : array_like, shape (n,) or (N, n), optional
-        True parameters, constant or as a path.
-    parameters : int or sequence of int, optional
-        Which parameters; all by default.
-    names : sequence of str, length n, optional
-        Names of all parameters, such as ``tracker.structure.names``.
-    sigmas, t, unit, time_unit, ax : optional
-        As in `plot_states`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Raises
-    ------
-    ValueError
-        If lengths do not fit.
-
-    Notes
-    -----
-    Axes that were empty show the paths; the band of the first samples, where P is large, may reach beyond.
-    """
-    named = names if names is not None else getattr(source, "names", ()) or None
-    paths = style.paths(source, covariances, ("parameters", parameters), ("theta", named), sigmas, t)
-    N, n = paths.mean.shape
-    real = None if truth is None else _checks.numbers("truth", truth)
-    if real is not None and real.shape not in ((n,), (N, n)):
-        raise ValueError(f"truth: expected shape {(n,)} or {(N, n)}, got {real.shape}")
-    ax = style.one_axes(ax)
-    own = not ax.has_data()
-    for place in range(len(paths.which)):
-        paths.draw(ax, place)
-    if real is not None:
-        for place, i in enumerate(paths.which):
-            values = np.broadcast_to(real, (N, n))[:, i]
-            style.true_line(ax, paths.time, values, "true" if place == 0 else "_nolegend_")
-    if paths.half is not None and own:
-        _look_at_the_paths(ax, paths.half[:, paths.which])
-    return style.finish(ax, paths.label("parameter"), unit, time_unit)
-
-
-def plot_fit(
-    measured: ArrayLike, simulated: ArrayLike, *, t: ArrayLike | None = None, unit: str = "", time_unit: str = "",
-    ax: Axes | None = None,
-) -> Axes:  # fmt: skip
-    """Draw a measured output against a simulated one, with the percentage of fit in the legend.
-
-    Parameters
-    ----------
-    measured : array_like, shape (N,)
-        Measured output, NaN where missing.
-    simulated : array_like, shape (N,), or TrackingResult
-        Output of the model, such as ``tracker.simulate(u)``; of a tracker's run, its predictions.
-    t, unit, time_unit, ax : optional
-        As in `plot_states`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Raises
-    ------
-    ValueError
-        If lengths do not fit.
-
-    Notes
-    -----
-    The fit is `robust_filterpy.testing.fit_percent` over the samples that are there.
-    """
-    source: Any = simulated if hasattr(simulated, "index") else measured
-    if style.is_run(simulated):
-        simulated = simulated.prediction  # type: ignore[union-attr]
-    y = _checks.numbers("measured", measured).ravel()
-    model = style.column("simulated", simulated, len(y))
-    time = style.time(t, len(y), source)
-    seen = ~np.isnan(y) & ~np.isnan(model)
-    label = "simulated"
-    # The fit of a constant output is undefined.
-    if len(set(y[seen])) > 1:
-        label += f" (fit {fit_percent(y[seen], model[seen]):.1f} %)"
-    ax = style.one_axes(ax)
-    ax.plot(time, y, color="0.6", linewidth=2.2, label="measured")
-    ax.plot(time, model, color=style.COLOURS[0], linewidth=1.0, linestyle="--", label=label)
-    return style.finish(ax, "output", unit, time_unit)
 
 
 def _look_at_the_paths(ax: Any, half: Any) -> None:

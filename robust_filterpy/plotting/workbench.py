@@ -1,4 +1,4 @@
-"""Pictures of the workbench: which structure, what is left in the residuals, which model, how fast parameters drift.
+"""Pictures of the workbench: which structure, what is left in the residuals, which model.
 
 Legends stand next to the data. matplotlib is imported when something is drawn.
 """
@@ -6,7 +6,6 @@ Legends stand next to the data. matplotlib is imported when something is drawn.
 from __future__ import annotations
 
 import textwrap
-import warnings
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy.identification.judging.select import Selection
 from robust_filterpy.identification.judging.validate import Comparison, Validation, Validations
-from robust_filterpy.identification.recursive.tuned import TunedTracker
 from robust_filterpy.plotting import _style as style
 
 if TYPE_CHECKING:
@@ -176,59 +174,3 @@ def plot_comparison(
     style.finish(ax, "output", unit, time_unit)
     style.legend_outside(ax)
     return ax
-
-
-def plot_tuning(tuned: Any = None, *, ax: Axes | None = None, found: TunedTracker | None = None) -> Axes:
-    """Draw the log-likelihood of each value that `ParameterTracker.tuned` tried.
-
-    Parameters
-    ----------
-    tuned : TunedTracker
-        What `ParameterTracker.tuned` returned.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw.
-    found : TunedTracker, optional
-        The old name of tuned.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Notes
-    -----
-    Of two names that were tried together the first is the abscissa, and the second has a line for each value. A
-    covariance stands at its trace.
-    """
-    if found is not None:
-        warnings.warn("plot_tuning: found= is called tuned now", DeprecationWarning, stacklevel=2)
-        tuned = found
-    names = list(tuned.best.values)
-    x = np.array([_place(row.values[names[0]]) for row in tuned.rows])
-    value = np.array([row.log_likelihood for row in tuned.rows]) - tuned.best.log_likelihood
-    groups = [_place(row.values[names[1]]) if len(names) > 1 else 0.0 for row in tuned.rows]
-    ax = style.one_axes(ax)
-    for place, group in enumerate(dict.fromkeys(groups)):
-        of = np.array([one == group for one in groups])
-        order = np.argsort(x[of])
-        label = f"{names[1]} = {group:.3g}" if len(names) > 1 else "tried"
-        look = {**style.line_of(place), "marker": style.MARKERS[place % 6], "markersize": 4}
-        ax.plot(x[of][order], value[of][order], linewidth=1.2, label=label, **look)
-    chosen = tuned.rows.index(tuned.best)
-    style.ring(ax, x[chosen], value[chosen])
-    ax.axhline(-2.0, color="0.5", linestyle=":", linewidth=1.0, label="as good: 2 below")
-    least = float(x[x > 0.0].min(initial=np.inf))
-    if x.max() > 100.0 * least:
-        # 0 has a place of its own, left of the least of the others.
-        ax.set_xscale("symlog", linthresh=least)
-        ax.set_xlim(-0.3 * least if (x == 0.0).any() else 0.8 * least, 1.5 * x.max())
-    ax.set_yscale("symlog", linthresh=10.0)
-    ax.set_ylim(None, 2.0)
-    what = "trace of Q" if any(np.ndim(row.values[names[0]]) for row in tuned.rows) else names[0]
-    ax.set(xlabel=what, ylabel="log-likelihood less the best")
-    style.legend_outside(ax)
-    return ax
-
-
-def _place(value: Any) -> float:
-    """Return a value as a number to draw at."""
-    return float(np.trace(np.atleast_2d(value))) if np.ndim(value) else float(value)

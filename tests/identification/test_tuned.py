@@ -133,11 +133,11 @@ def test_missing_samples_and_tables_are_taken():
 
 
 @pytest.mark.parametrize(("over", "error", "match"), [
-    ({}, ValueError, "over: expected values of Q or forgetting"),
-    ({"R": [1.0]}, ValueError, "over: expected values of Q or forgetting"),
-    ([1e-6], TypeError, "over: expected values by name"),
+    ({}, ValueError, "over: expected values to try by name"),
+    ({"R": [1.0]}, ValueError, "over: expected values to try by name"),
+    ([1e-6], TypeError, "over: expected values to try by name"),
     ({"Q": 1e-6}, TypeError, r"over\['Q'\]: expected a sequence"),
-    ({"Q": []}, ValueError, r"over\['Q'\]: expected at least one"),
+    ({"Q": []}, ValueError, r"got no value of Q"),
     ({"Q": [-1.0]}, ValueError, "Q: expected"),
     ({"forgetting": [1.5]}, ValueError, "forgetting: expected"),
 ])  # fmt: skip

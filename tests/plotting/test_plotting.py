@@ -100,19 +100,19 @@ def test_weights_lie_between_zero_and_one(ax, batch, run, kind):
     assert ax.get_ylabel() == "weight" and ax.get_xlabel() == "time [s]"
 
 
-def test_parameters_have_paths_bands_and_one_truth_in_the_legend(ax, run):
+def test_parameters_have_paths_bands_and_their_truth_in_the_legend(ax, run):
     result, _ = run
-    assert plotting.figures.plot_parameters(result, truth=[-0.8, 1.0], names=["pole", "gain"], ax=ax) is ax
-    assert labels(ax) == ["±2 sigma", "pole", "gain", "true"]
+    assert result.plot(truth=[-0.8, 1.0], names=["pole", "gain"], ax=ax) is ax
+    assert labels(ax) == ["±2 sigma", "pole", "pole, true", "gain", "gain, true"]
     assert len(ax.lines) == 4 and len(ax.collections) == 2
-    np.testing.assert_array_equal(ax.lines[1].get_ydata(), result.theta[:, 1])
-    assert set(ax.lines[2].get_ydata()) == {-0.8}
+    np.testing.assert_array_equal(ax.lines[2].get_ydata(), result.theta[:, 1])
+    assert set(ax.lines[1].get_ydata()) == {-0.8} and ax.get_ylabel() == "parameter"
 
 
 def test_the_first_band_does_not_flatten_the_paths(ax, run):
     result, _ = run
     assert result.std.max() > 5.0
-    plotting.figures.plot_parameters(result, ax=ax)
+    plotting.plot_states(result, ax=ax)
     assert len({line.get_linestyle() for line in ax.lines}) == len(ax.lines) == 2
     low, high = ax.get_ylim()
     assert low < -0.8 and 1.0 < high and high - low < 5.0
@@ -124,26 +124,13 @@ def test_after_six_lines_their_looks_come_again(ax):
     assert looks[6] == looks[0] and len(set(looks)) == 6
 
 
-def test_fit_says_the_percentage(ax):
-    y = np.sin(np.arange(50.0))
-    assert plotting.figures.plot_fit(y, y, unit="mm", ax=ax) is ax
-    assert labels(ax) == ["measured", "simulated (fit 100.0 %)"]
-    assert ax.get_ylabel() == "output [mm]"
-
-
-def test_fit_takes_a_run(ax, run):
-    result, y = run
-    plotting.figures.plot_fit(y, result, ax=ax)
-    np.testing.assert_array_equal(ax.lines[1].get_ydata(), result.prediction)
-
-
 @pytest.mark.parametrize(("call", "match"), [
     (lambda m, c: plotting.plot_states(m, c[:-1]), "covariances: expected shape"),
     (lambda m, c: plotting.plot_states(m, c, t=[1.0]), "t: expected 120 times"),
     (lambda m, c: plotting.plot_states(m, c, states=2), "states: expected numbers below 2"),
     (lambda m, c: plotting.plot_states(m, c, names=["a"]), "names: expected 2"),
     (lambda m, c: plotting.plot_states(m, c, truth=[1.0]), "truth: expected shape"),
-    (lambda m, c: plotting.figures.plot_fit(m[:, 0], m), "simulated: expected 120"),
+    (lambda m, c: plotting.plot_states(m, c, zs=m), "zs: expected 120"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
     before = plt.get_fignums()
@@ -152,9 +139,7 @@ def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
     assert plt.get_fignums() == before
 
 
-@pytest.mark.parametrize("plot", [
-    plotting.plot_states, plotting.plot_innovations, plotting.plot_weights, plotting.figures.plot_parameters,
-])  # fmt: skip
+@pytest.mark.parametrize("plot", [plotting.plot_states, plotting.plot_innovations, plotting.plot_weights])
 @pytest.mark.parametrize("source", [RobustKalmanFilter(2, 1), None])
 def test_a_filter_is_no_source(plot, source):
     before = plt.get_fignums()
@@ -189,10 +174,3 @@ def test_no_two_filters_look_alike_to_anybody(eyes):
     for one, other in itertools.combinations(plotting.LOOKS.values(), 2):
         assert one["linestyle"] != other["linestyle"]
         assert np.linalg.norm(lab(one["color"], SEEN[eyes]) - lab(other["color"], SEEN[eyes])) > 25.0
-
-
-def test_the_old_name_of_a_look_is_taken_with_a_warning():
-    with pytest.warns(DeprecationWarning, match="ideal"):
-        assert plotting.LOOKS["told"] is plotting.LOOKS["ideal"]
-    with pytest.raises(KeyError, match="unheard"):
-        plotting.LOOKS["unheard"]

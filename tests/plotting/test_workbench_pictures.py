@@ -132,32 +132,12 @@ def test_comparison_of_arrays_counts_samples(recording, model):
     assert seconds.get_xlabel() == "time [s]" and seconds.lines[0].get_xdata()[-1] == pytest.approx(59.9)
 
 
-def test_tuning_shows_the_likelihoods_and_rings_the_chosen():
-    rng = np.random.default_rng(1)
-    u = rng.choice([-1.0, 1.0], 600)
-    y = (2.0 + np.cumsum(0.03 * rng.normal(size=600))) * u + 0.3 * rng.normal(size=600)
-    found = ParameterTracker(FIR(1, nk=0), start=0).tuned(y, u, over={"Q": [0.0, 1e-4, 1e-3, 1e-2]})
-    ax = found.plot()
-    assert_array_equal(ax.lines[0].get_ydata(), [row.log_likelihood - found.best.log_likelihood for row in found.rows])
-    ring = next(line for line in ax.lines if line.get_label() == "chosen")
-    assert ring.get_xdata()[0] == found.best.values["Q"]
-    assert ax.get_xlabel() == "Q"
-    assert_beside_the_data(ax)
-    with pytest.warns(DeprecationWarning, match="tuned"):
-        assert_array_equal(plotting.workbench.plot_tuning(found=found).lines[0].get_ydata(), ax.lines[0].get_ydata())
-    pairs = ParameterTracker(FIR(1, nk=0), start=0).tuned(
-        y, u, over={"forgetting": [0.8, 0.9, 1.0], "Q": [0.0, 1e-3, 1.0]}
-    )
-    assert labels(pairs.plot())[:3] == ["Q = 0", "Q = 0.001", "Q = 1"]
-
-
 def test_a_run_has_the_names_and_the_dates_of_its_recording(recording):
     result = ParameterTracker(ARX(1, 1), start=0, R=0.25).run(recording.y, recording.u)
     ax = result.plot()
     assert labels(ax) == ["±2 sigma", "a1", "b1"]
     assert_array_equal(ax.lines[0].get_xdata(orig=True), recording.index.to_numpy())
     assert plotting.plot_weights(result).get_xlabel() == "time"
-    assert plotting.figures.plot_fit(recording.y, result.prediction).get_xlabel() == "time"
 
 
 @pytest.mark.parametrize(("index", "label"), [

@@ -151,7 +151,7 @@ class TrackingResult(Pictured, Recorded):
         When the samples were taken, if the recording was a pandas object.
     """
 
-    picture = "figures.plot_parameters"
+    picture = "figures.plot_states"
 
     names: tuple[str, ...] = ()
     index: Any = None

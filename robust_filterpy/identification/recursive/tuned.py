@@ -11,13 +11,11 @@ import copy
 import itertools
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import Pictured
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output, recording, table
@@ -35,8 +33,6 @@ _SETTLING: Final = 20
 _LEAST: Final = 50
 # A residual this many times as large as y varies is as wild as any.
 _WILD: Final = 10.0
-# Values within so much log-likelihood of the best predict as well as it does.
-_CLOSE: Final = 2.0
 
 
 class Tried(NamedTuple):
@@ -54,8 +50,7 @@ class Tried(NamedTuple):
     log_likelihood: float
 
 
-@dataclass(frozen=True, eq=False)
-class TunedTracker(Pictured):
+class TunedTracker(NamedTuple):
     """What `ParameterTracker.tuned` chose.
 
     Attributes
@@ -70,8 +65,6 @@ class TunedTracker(Pictured):
         What makes the choice doubtful, in words; empty if nothing does.
     """
 
-    picture = "workbench.plot_tuning"
-
     tracker: ParameterTracker
     rows: tuple[Tried, ...]
     samples: int
@@ -83,19 +76,18 @@ class TunedTracker(Pictured):
         return max(self.rows, key=lambda row: row.log_likelihood)
 
     def to_text(self) -> str:
-        """Return the candidates as a table.
+        """Return the candidates as a table, values within 2 of the best predict as well.
 
         Returns
         -------
         str
         """
-        names = list(self.best.values)
-        lines = ["".join(f"{name:>16}" for name in names) + f"{'log-likelihood':>18}{'below best':>12}"]
+        lines = ["".join(f"{name:>16}" for name in self.best.values) + f"{'log-likelihood':>18}{'below best':>12}"]
         for row in self.rows:
+            values = "".join(f"{_short(value):>16}" for value in row.values.values())
             below = self.best.log_likelihood - row.log_likelihood
-            mark = "  chosen" if row is self.best else "  as good" if below < _CLOSE else ""
-            values = "".join(f"{_short(row.values[name]):>16}" for name in names)
-            lines.append(f"{values}{row.log_likelihood:>18.1f}{below:>12.1f}{mark}")
+            chosen = "  chosen" if row is self.best else ""
+            lines.append(f"{values}{row.log_likelihood:>18.1f}{below:>12.1f}{chosen}")
         lines.append(f"predictions one step ahead of {self.samples} samples")
         return "\n".join([*lines, *([f"Doubtful: {self.warning}"] if self.warning else [])])
 
@@ -162,17 +154,18 @@ def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int |
 
 def _candidates(tracker: ParameterTracker, over: Any) -> list[dict[str, Any]]:
     """Return every combination of the values, checked."""
+    expected = 'over: expected values to try by name, of Q or forgetting or both, such as {"Q": [1e-6, 1e-5]}'
     if not isinstance(over, Mapping):
-        raise TypeError(f'over: expected values by name such as {{"Q": [1e-6, 1e-5]}}, got {_checks.shown(over)}')
+        raise TypeError(f"{expected}, got {_checks.shown(over)}")
     if not over or set(over) - set(_STANDS_STILL):
-        raise ValueError(f"over: expected values of {' or '.join(_STANDS_STILL)}, got {_checks.shown(list(over))}")
+        raise ValueError(f"{expected}, got {_checks.shown(list(over))}")
     for name, values in over.items():
         if not isinstance(values, Iterable) or isinstance(values, str):
             raise TypeError(f"over[{name!r}]: expected a sequence of values to try, got {_checks.shown(values)}")
     lists = [[one.item() if isinstance(one, np.generic) else one for one in values] for values in over.values()]
-    if not all(lists):
-        raise ValueError(f"over[{list(over)[lists.index([])]!r}]: expected at least one value to try, got none")
     candidates = [dict(zip(over, values, strict=True)) for values in itertools.product(*lists)]
+    if not candidates:
+        raise ValueError(f"{expected}, got no value of {list(over)[lists.index([])]}")
     for values in candidates:
         tracker.replaced(**values)
     return candidates
