@@ -47,7 +47,6 @@ def _matrix(name: str, doc: str) -> Any:
         own = self.form.own
         several, rows = setup.of_each(self.n, {name: value})
         matrices = setup.for_each(lambda row: setup.checked_values(len(own), **row)[name], rows)
-        self._show()
         self._filters = self._apart() if several else self._filters
         for kf, matrix in zip(self._filters, matrices * len(self._filters), strict=False):
             setattr(kf, name, setup.embedded(getattr(kf, name), own, matrix))
@@ -76,8 +75,6 @@ class Following:
     _used: tuple[Any, track.Settings] | None
     #: The last time that a recording had, and how many samples came after it.
     _time: tuple[Any, int] | None
-    #: Samples that the kernel has taken and the filter does not show yet.
-    _unshown: list[tuple[Any, ...]]
     #: Q, R, F and forgetting, as a state has them.
     _settings: Callable[[], dict[str, Any]]
 
@@ -96,16 +93,13 @@ class Following:
         """Return some actuators as a message begins with them."""
         return ""
 
-    def _show(self) -> None:
-        """Let a filter that somebody may see hold what is known."""
-
     def _like(self, kind: type[_Kind], which: np.ndarray) -> _Kind:
         """Return some of the actuators as they stand, one of them several times too."""
         part = object.__new__(kind)
         filters = self._filters if len(self._filters) == 1 else [self._filters[i] for i in which]
         vars(part).update({
             **vars(self), "n": len(which), "form": self.form.rows(which), "_now": self.now.rows(which),
-            "_enabled": self._enabled[which], "_filters": filters, "_used": None, "_unshown": [], "_asked": False,
+            "_enabled": self._enabled[which], "_filters": filters, "_used": None, "_asked": False,
         })  # fmt: skip
         return part
 
@@ -240,18 +234,14 @@ class Following:
 
     def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Columns:
         """Take checked samples (n, N), and say what is to be said; the caller undoes what is refused."""
-        before, using = self._standing(), self._using(first)
-        take = track.step if y.shape[1] == 1 else track.advance
-        self._now, out, news = take(self.form, using, before, y, u, R)
-        self._unshown = self._still_unshown(before, using, y, u, R)
+        using, take = self._using(first), track.step if y.shape[1] == 1 else track.advance
+        # By the definition, the filter shows its correction.
+        using = using._replace(rules=None) if self._asked and y.shape[1] == 1 else using
+        self._now, out, news = take(self.form, using, self._standing(), y, u, R)
         if self._asked:
-            self._show()
+            self._load()
         self._say(news)
         return out
-
-    def _still_unshown(self, before: State, using: track.Settings, *signals: Any) -> list[tuple[Any, ...]]:
-        """Return the samples by which a filter would show where it stands; nobody sees a bank's."""
-        return []
 
     def _updated(self, y: Any, u: Any, R: Any) -> list[Any]:
         """Take one sample of each actuator and return prediction, residual, weight and guard."""
@@ -321,11 +311,11 @@ class Following:
         """Return what a call changes."""
         # A filter that nobody has seen and that keeps nothing is written over when it is needed.
         seen = self._filters if self._asked or self._using().rules is None else ()
-        return [snapshot(kf) for kf in seen], self._now, self._time, self.dt, self._unshown
+        return [snapshot(kf) for kf in seen], self._now, self._time, self.dt
 
     def _put_back(self, before: tuple[Any, ...]) -> None:
         """Undo what was refused, or interrupted."""
-        states, self._now, self._time, self.dt, self._unshown = before
+        states, self._now, self._time, self.dt = before
         for kf, state in zip(self._filters, states, strict=False):
             put_back(kf, state)
 
@@ -383,7 +373,7 @@ class Following:
                 row[name] = setup.embedded(getattr(kf, name), own, row[name])
             setup.apply_settings(kf, row)
         self._filters, self._now, self._enabled = filters, self._now.restored(rows, R), rows["enabled"]
-        self._time, self._used, self._unshown = None, None, []
+        self._time, self._used = None, None
         self._load()
 
     def _apart(self) -> list[Any]:

@@ -119,11 +119,6 @@ def step(
     return now, out, news
 
 
-def shown(form: Form, using: Settings, now: State, signals: Any) -> None:
-    """Take one sample by the definition, so that the filter shows it."""
-    _Stretch(form, using, now, signals, Columns.empty(1, 1, form.layout.n)).through(slice(0, 1))
-
-
 def advance(
     form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None
 ) -> tuple[State, Columns, News]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -115,8 +114,8 @@ class ParameterTracker(Following, PolynomialSystem):
         As given.
     filter : RobustKalmanFilter
         The filter; Q, R, F and forgetting are read from it and written to it. Its x, P and R are always those of the
-        last sample; what it shows of its last correction (y, S, K, weights, ..) is made when this attribute is read,
-        and from then on with each sample, which costs more: ask for it only if you want that.
+        last sample. What it shows of the last correction (y, S, K, weights, ..) is made from when this attribute was
+        first read on, which makes each `update` cost more: ask for it only if you want that.
     form : Form
         What its recursion is, for what takes the recursion elsewhere (C, a fleet).
     enabled : bool
@@ -252,7 +251,7 @@ class ParameterTracker(Following, PolynomialSystem):
         scale = np.array([[told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
         x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
-        self.dt, self._time, self._used, self._unshown = None, None, None, []
+        self.dt, self._time, self._used = None, None, None
         self._asked = kf is filter
         if model is not None:
             self._now = track.gone_on(self.form, self._now, 0, model)
@@ -330,7 +329,6 @@ class ParameterTracker(Following, PolynomialSystem):
 
     @forgetting.setter
     def forgetting(self, value: float) -> None:
-        self._show()
         setup.forget(self._filter, value)
         self._used = None
 
@@ -550,24 +548,14 @@ class ParameterTracker(Following, PolynomialSystem):
         return Columns(*(column[0] for column in out))
 
     def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Columns:
-        """Take checked samples, the last measured one and the last by themselves: these the filter shows."""
-        if y.size == 1:
+        """Take checked samples, the last one by itself if somebody has the filter, which shows it."""
+        if not self._asked or y.size == 1:
             return super()._taken(first, y, u, R)
-        measured = np.flatnonzero(y[0] == y[0])[-1:].tolist()
-        stops = sorted({0, *measured, *(k + 1 for k in measured), y.size - 1, y.size})
         parts = [
-            super(ParameterTracker, self)._taken(
-                None if first is None else first + k, y[:, k:stop], u[:, k:stop], None if R is None else R[:, k:stop]
-            )
-            for k, stop in pairwise(stops)
+            super(ParameterTracker, self)._taken(k, y[:, part], u[:, part], None if R is None else R[:, part])
+            for k, part in ((first, slice(0, -1)), ((first or 0) + y.size - 1, slice(-1, None)))
         ]
         return Columns(*(np.concatenate(column, axis=1) for column in zip(*parts, strict=True)))
-
-    def _still_unshown(self, before: State, using: track.Settings, *signals: Any) -> list[tuple[Any, ...]]:
-        """Return the samples by which the filter would show where the tracker stands."""
-        # S and K stay what the last measured sample made them.
-        unshown = self._unshown[:1] if np.isnan(signals[0]).all() else []
-        return unshown if using.rules is None else [*unshown, (before, using.enabled, *signals)]
 
     @property
     def is_one_of_many(self) -> bool:
@@ -610,24 +598,10 @@ class ParameterTracker(Following, PolynomialSystem):
 
     @property
     def filter(self) -> Any:
-        """The filter. From the first time that it is asked for it shows each correction (y, S, K, weights, ..)."""
-        if not self._asked:
-            self._show()
+        """The filter. From when it is first asked for on it shows the last correction (y, S, K, weights, ..)."""
+        self._loaded()
         self._asked = True
         return self._filter
-
-    def _show(self) -> None:
-        """Let the filter hold what the tracker knows and show its last correction, taken again by the definition."""
-        kf, pending, self._unshown = self._filter, self._unshown, []
-        using = self._using()._replace(rules=None)
-        for before, enabled, *signals in pending:
-            try:
-                track.shown(self.form, using._replace(enabled=enabled), before, signals)
-            except (ValueError, np.linalg.LinAlgError):
-                kf.update(None)
-        self._load()
-        if pending:
-            kf.x_post, kf.P_post = kf.x.copy(), kf.P.copy()
 
     def _loaded(self) -> Any:
         """Return the filter, which holds theta, P and R."""
