@@ -27,8 +27,7 @@ int take_rule(learnt_rule *rule, PyObject *object) {
 }
 
 size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m) {
-    const int models = learnt_models(rule), grouped = rule->joint || rule->named > 0;
-    return learnt_correct_work(n, m, models, rule->K) + (grouped ? learnt_group_work(n, m, models, rule->K) : 0);
+    return learnt_correct_work(n, m, learnt_models(rule), rule->K);
 }
 
 npy_intp memory_rows(const learnt_rule *rule, npy_intp m) { return rule->joint ? 1 : m; }

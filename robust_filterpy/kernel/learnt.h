@@ -536,7 +536,8 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
 }
 
 #define learnt_weigh_work(n, m, models, K) \
-    ((size_t)((models) * ((m) * (1 + (n) + (m)) + (K) + 6 + (n)) + (n) * (2 + (n)) + 6 * (m) + 5 * (K) + (m) * (m)) + \
+    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (8 + (n) + (K)) * (m) + 4 * (K) + \
+              (2 + (K)) * (m) * (m)) + \
      learnt_parity_work(m))
 
 /* What the models are while sensor after sensor is taken. */
@@ -545,22 +546,18 @@ typedef struct {
     real *C;     /* (models, m, n) */
     real *S;     /* (models, m, m) */
     real *given; /* (models, K) probabilities of the classes */
-    real *a, *b, *logs, *energy, *shares, *parts; /* (models); parts: of its variance, noise's */
+    real *logs, *shares; /* (models) */
     real *at, *spread; /* (n), (n, n) mean and covariance over the models that have not jumped */
     real *direction; /* (n) in which a candidate has jumped */
     real *left, *r, *start; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning */
     real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new, 2 where it began */
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
-    real *before, *typical, *after, *weights, *shared; /* (K) shared: of the class that all sensors are in, if of one */
+    real *before, *typical, *after, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
-    /* Of sensors that fail together, taken at once: their places (m), under each model score and information (m), (m, m),
-       energy and noise's part (m); scratch. */
+    /* Of sensors that are taken at once: their places (m), under each model score and information (m), (m, m), energy and
+       noise's part of the variance (m); scratch. */
     real *members, *scores, *informations, *energies, *noises, *scratch;
 } learnt_work;
-
-/* What a correction works on besides where sensors fail together. */
-#define learnt_group_work(n, m, models, K) \
-    ((size_t)((m) * (2 + (n)) + ((models) + (K) + 2) * (m) * (m) + (3 * (models) + (K)) * (m)))
 
 /* Innovations under one model, and their covariances with the state and each other without noise; return how large they are. */
 INLINE real learnt_innovations(const int n, const int m, const int model, const learnt_state *const s,
@@ -840,74 +837,107 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
     return 1;
 }
 
-/* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
-   classes, and the probability from the samples before that they are; return whether its density, of which the log is
-   written too, is ordinary. work (2 m m + 2 m). */
-INLINE int learnt_together(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           const real *RESTRICT R, learnt_work *const w, real *const log_density,
-                           real *RESTRICT work) {
+/* What the classes of noise make of an innovation y (g) of covariance S (g, g), of which N is ordinary noise: write their
+   probabilities, which were `before`, the log density, and of each class the whitened innovation, u (K, g), and the factor
+   of its covariance, L (K, g, g), one over what it is on the diagonal; peaks (K) is scratch. Return whether all is
+   ordinary. */
+SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real *RESTRICT y, const real *RESTRICT S,
+                          const real *RESTRICT N, const real *RESTRICT before, real *RESTRICT given,
+                          real *const log_density, real *RESTRICT u, real *RESTRICT L, real *RESTRICT peaks) {
     const int K = rule->K;
-    real *RESTRICT S = work, *RESTRICT L = S + m * m, *RESTRICT y = L + m * m, *RESTRICT u = y + m;
-    real total = 0, peak = 0, shorter = 1, count = 0;
+    real shorter = 1, most = -REAL_MAX, total = 0, unit = 1, per_unit;
     int noisy = 0;
-    w->together = 0;
-    for (int k = 0; k < K; k++) w->shared[k] = 0;
-    for (int i = 0; i < m; i++) {
-        const real *const p = s->p + (int)w->head[i];
-        const learnt_memory memory = learnt_of(rule, s, i);
-        real slow = 0;
-        if (!(w->left[i] > 0)) continue;
-        u[i] = LEARNT_TOGETHER * real_sqrt(w->start[i]);
-        for (int c = 0; c < rule->q; c++) slow += p[c * n];
-        count += 1;
-        noisy |= R[i * m + i] > 0;
-        w->together += memory.habits->together;
-        learnt_predicted(K, &memory, w->before);
-        for (int k = 0; k < K; k++) w->shared[k] += w->before[k];
-        y[i] = 0;
-        for (int c = 0; c < rule->q; c++) y[i] += p[c * n] / slow * real_within(w->y[c * m + i], u[i]);
-        for (int j = 0; j <= i; j++) {
-            S[i * m + j] = 0;
-            for (int c = 0; w->left[j] > 0 && w->head[i] == w->head[j] && c < rule->q; c++)
-                S[i * m + j] += p[c * n] / slow * (w->S[(c * m + i) * m + j]
-                                                   + (real_within(w->y[c * m + i], u[i]) - y[i])
-                                                         * (real_within(w->y[c * m + j], u[j]) - y[j]));
-        }
-    }
-    w->together /= count;
+    for (int t = 0; t < g; t++) unit = real_max(unit, real_abs(y[t])), noisy |= N[t * g + t] != 0;
+    /* Squares are numbers. */
+    if (unit < REAL_PRODUCT) unit = 1;
+    per_unit = 1 / unit;
     for (int k = K - 1; k >= 0; k--) {
-        real length = 0, log_det = 0;
-        for (int i = 0; i < m; i++) {
-            real sum = y[i];
-            if (!(w->left[i] > 0)) continue;
-            for (int j = 0; j <= i; j++) {
-                real cell = S[i * m + j], extra = R[i * m + j];
-                if (!(w->left[j] > 0)) continue;
-                if (extra != 0) cell += (rule->scales[k] - 1) * extra * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
-                for (int o = 0; o < j; o++)
-                    if (w->left[o] > 0) cell -= L[i * m + o] * L[j * m + o];
-                if (i == j) {
-                    if (!(cell > REAL_PIVOT * S[i * m + i]) || !real_is_finite(cell)) return 0;
-                    L[i * m + i] = real_sqrt(cell);
-                    log_det += real_log(cell);
+        real *RESTRICT const root = L + k * g * g, *RESTRICT const white = u + k * g, peak = before[k], log_peak = 0, length = 0;
+        for (int t = 0; t < g; t++) {
+            white[t] = y[t] * per_unit;
+            for (int o = 0; o <= t; o++) {
+                const real whole = S[t * g + o] + (rule->scales[k] - 1) * N[t * g + o];
+                real cell = whole;
+                for (int j = 0; j < o; j++) cell -= root[t * g + j] * root[o * g + j];
+                if (o < t) {
+                    root[t * g + o] = cell * root[o * g + o];
+                    white[t] -= root[t * g + o] * white[o];
                 } else {
-                    L[i * m + j] = cell / L[j * m + j];
-                    sum -= L[i * m + j] * u[j];
+                    if (!(cell > REAL_PIVOT * whole) || !real_is_finite(cell)) return 0;
+                    root[t * g + t] = 1 / real_sqrt(cell);
                 }
             }
-            u[i] = sum / L[i * m + i];
-            length += u[i] * u[i];
+            white[t] *= root[t * g + t];
+            /* A logarithm takes as long as all else of one sensor. */
+            peak *= root[t * g + t];
+            if (!(peak > 1 / REAL_PRODUCT && peak < REAL_PRODUCT)) log_peak += real_log(peak), peak = 1;
+            length += white[t] * white[t];
         }
-        /* Nothing is farther than the widest class reaches. */
-        if (k == K - 1 && noisy && length > LEARNT_REACH * LEARNT_REACH) shorter = LEARNT_REACH * LEARNT_REACH / length;
-        w->after[k] = real_log(w->shared[k] / count) - REAL(0.5) * (length * shorter + log_det);
-        if (k == K - 1 || w->after[k] > peak) peak = w->after[k];
+        /* Nothing is farther than the widest class reaches; a sensor without noise is right however far off. */
+        if (k == K - 1 && noisy && length > LEARNT_REACH * per_unit * (LEARNT_REACH * per_unit))
+            shorter = LEARNT_REACH / real_sqrt(length);
+        for (int t = 0; t < g; t++) white[t] *= shorter;
+        peaks[k] = peak, given[k] = log_peak - REAL(0.5) * length * shorter * shorter;
+        most = real_max(most, given[k]);
     }
-    total = 0;
-    for (int k = 0; k < K; k++) total += w->shared[k] = real_exp(w->after[k] - peak);
-    for (int k = 0; k < K; k++) w->shared[k] /= total;
-    *log_density = peak + real_log(total) - REAL(0.5) * count * LEARNT_LOG_2PI;
-    return real_is_finite(*log_density);
+    if ((shorter == 1 && unit != 1) || !real_is_finite(most)) return 0;
+    for (int k = 0; k < K; k++) total += given[k] = peaks[k] * real_exp(given[k] - most);
+    for (int k = 0; k < K; k++) given[k] /= total;
+    *log_density = most + real_log(total) - REAL(0.5) * (real)g * LEARNT_LOG_2PI;
+    return 1;
+}
+
+/* Write what all g members expect of their classes, the mean of what each does, and ordinary noise N (g, g). */
+SIZED void learnt_expected(const int m, const learnt_rule *const rule, const learnt_state *const s,
+                            const real *RESTRICT R, const int g, const learnt_work *const w, real *RESTRICT N) {
+    const int K = rule->K, rows = rule->joint ? 1 : g;
+    const real each = 1 / (real)rows;
+    for (int k = 0; k < K; k++) w->before[k] = w->typical[k] = 0;
+    for (int t = 0; t < rows; t++) {
+        const learnt_memory memory = learnt_of(rule, s, (int)w->members[t]);
+        learnt_predicted(K, &memory, w->after);
+        for (int k = 0; k < K; k++) w->before[k] += w->after[k] * each;
+        learnt_typical(K, &memory, w->after);
+        for (int k = 0; k < K; k++) w->typical[k] += w->after[k] * each;
+    }
+    for (int t = 0; t < g; t++)
+        for (int u = 0; u < g; u++) {
+            const int i = (int)w->members[t], j = (int)w->members[u];
+            N[t * g + u] = R[i * m + j] == 0 ? 0 : R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
+        }
+}
+
+/* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
+   classes, and the probability from the samples before that they are; return whether its density, of which the log is
+   written too, is ordinary. */
+CALLED int learnt_together(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+                           const real *RESTRICT R, learnt_work *const w, real *const log_density) {
+    real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
+    real *RESTRICT const u = N + m * m, total = 0;
+    int g = 0;
+    for (int i = 0; i < m; i++)
+        if (w->left[i] > 0) w->members[g++] = (real)i;
+    for (int t = 0; t < g; t++) {
+        const int i = (int)w->members[t];
+        const real *const p = s->p + (int)w->head[i], reach = LEARNT_TOGETHER * real_sqrt(w->start[i]);
+        real slow = 0;
+        total += learnt_of(rule, s, i).habits->together;
+        for (int c = 0; c < rule->q; c++) slow += p[c * n];
+        y[t] = 0;
+        for (int c = 0; c < rule->q; c++) y[t] += p[c * n] / slow * real_within(w->y[c * m + i], reach);
+        for (int o = 0; o <= t; o++) {
+            const int j = (int)w->members[o];
+            const real other = LEARNT_TOGETHER * real_sqrt(w->start[j]);
+            real both = 0;
+            for (int c = 0; w->head[i] == w->head[j] && c < rule->q; c++)
+                both += p[c * n] / slow * (w->S[(c * m + i) * m + j] + (real_within(w->y[c * m + i], reach) - y[t])
+                                                                     * (real_within(w->y[c * m + j], other) - y[o]));
+            S[t * g + o] = S[o * g + t] = both;
+        }
+    }
+    w->together = total / (real)g;
+    learnt_expected(m, rule, s, R, g, w, N);
+    return learnt_classes(g, rule, y, S, N, w->before, w->shared, log_density, u, u + rule->K * m, w->after);
 }
 
 /* A sensor's innovation in standard deviations, over all models. */
@@ -946,136 +976,59 @@ INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, 
     return best;
 }
 
-/* Score, information and likelihood of sensor i under every model; return 0 if a variance has canceled. */
-INLINE int learnt_scores(const int m, const learnt_rule *const rule, const int i, const real noise,
-                         const learnt_work *const w) {
-    const int models = learnt_models(rule), K = rule->K;
-    for (int c = 0; c < models; c++) {
-        const real S = w->S[c * m * m + i * m + i];
-        const real *const before = c < rule->q ? w->before : w->typical;
-        real *RESTRICT given = w->given + c * K;
-        real y = w->y[c * m + i], reach, total = 0, first = 0, second = 0;
-        if (!(S > REAL_PIVOT * w->start[i]) || !real_is_finite(S)) return 0;
-        /* A sensor without noise is right however far off. */
-        reach = noise > 0 ? LEARNT_REACH * real_sqrt(S + (rule->scales[K - 1] - 1) * noise) : REAL_MAX;
-        y = real_min(real_max(y, -reach), reach);
-        for (int k = 0; k < K; k++) {
-            const real precision = 1 / (S + (rule->scales[k] - 1) * noise);
-            /* No likelihood of the widest class is below exp(-32). */
-            given[k] = before[k] * real_sqrt(precision) * real_exp(REAL(-0.5) * y * y * precision);
-            w->weights[k] = precision;
-            total += given[k];
-        }
-        if (!(total > REAL(1e-290))) return 0;
-        for (int k = 0; k < K; k++) {
-            given[k] /= total;
-            if (w->together > 0) given[k] += w->together * (w->shared[k] - given[k]);
-            first += given[k] * w->weights[k];
-        }
-        for (int k = 0; k < K; k++) second += given[k] * (w->weights[k] - first) * (w->weights[k] - first);
-        w->a[c] = first * y;
-        w->b[c] = first - second * y * y;
-        w->logs[c] = total;
-        w->parts[c] = real_min(noise / S, 1);
-        w->energy[c] = real_max(1 + w->parts[c] * (y * y / S - 1), 0);
-    }
-    return 1;
-}
-
-/* Score, information and likelihood of g sensors that fail together under every model: learnt_scores of a vector. Return
-   whether all is ordinary. log_density: of all that is likely the most, which w->logs are over. */
-CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const learnt_state *const s,
-                               const real *RESTRICT R, const int g, const learnt_work *const w,
-                               real *const log_density) {
+/* Score, information and likelihood of g sensors that are taken at once under every model. Return whether all is ordinary.
+   log_density: of all that is likely the most, which w->logs are over. */
+SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const learnt_state *const s,
+                           const real *RESTRICT R, const int g, const learnt_work *const w,
+                           real *const log_density) {
     const int models = learnt_models(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
-    real *RESTRICT N = w->scratch, *RESTRICT L = N + m * m, *RESTRICT inverses = L + m * m;
-    real *RESTRICT pulls = inverses + K * m * m;
-    int noisy = 0;
-    for (int k = 0; k < K; k++) w->before[k] = w->typical[k] = 0;
-    for (int t = 0; t < rows; t++) {
-        const learnt_memory memory = learnt_of(rule, s, (int)w->members[t]);
-        learnt_predicted(K, &memory, w->after);
-        for (int k = 0; k < K; k++) w->before[k] += w->after[k] / (real)rows;
-        learnt_typical(K, &memory, w->after);
-        for (int k = 0; k < K; k++) w->typical[k] += w->after[k] / (real)rows;
-    }
-    for (int t = 0; t < g; t++)
-        for (int u = 0; u < g; u++) {
-            const int i = (int)w->members[t], j = (int)w->members[u];
-            N[t * g + u] = R[i * m + j] == 0 ? 0 : R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
-            noisy |= N[t * g + u] != 0;
-        }
+    const int first = (int)w->members[0];
+    real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
+    real *RESTRICT const pulls = N + m * m, *RESTRICT const inverses = pulls + K * m;
+    learnt_expected(m, rule, s, R, g, w, N);
     for (int c = 0; c < models; c++) {
-        const real *const before = c < rule->q ? w->before : w->typical, *const y = w->y + c * m;
         real *RESTRICT given = w->given + c * K, *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
-        real least = REAL_MAX, shorter, peak = -REAL_MAX, total = 0, unit = 1;
-        for (int t = 0; t < g; t++) unit = real_max(unit, real_abs(y[(int)w->members[t]]));
-        /* Squares are numbers. */
-        if (unit < REAL_PRODUCT) unit = 1;
-        if (!(w->S[(c * m + (int)w->members[0]) * m + (int)w->members[0]] > REAL_PIVOT * w->start[(int)w->members[0]]))
+        if (!(w->S[(c * m + first) * m + first] > REAL_PIVOT * w->start[first])) return 0;
+        for (int t = 0; t < g; t++) {
+            const int i = (int)w->members[t];
+            y[t] = w->y[c * m + i];
+            for (int u = 0; u < g; u++) S[t * g + u] = w->S[(c * m + i) * m + (int)w->members[u]];
+        }
+        if (!learnt_classes(g, rule, y, S, N, c < rule->q ? w->before : w->typical, given, w->logs + c, pulls, inverses,
+                            w->after))
             return 0;
-        for (int k = 0; k < K; k++) {
-            real *RESTRICT inverse = inverses + k * g * g, *RESTRICT pull = pulls + k * g, log_det = 0, length = 0;
-            for (int t = 0; t < g; t++)
-                for (int u = 0; u <= t; u++) {
-                    const int i = (int)w->members[t], j = (int)w->members[u];
-                    const real whole = w->S[(c * m + i) * m + j] + (rule->scales[k] - 1) * N[t * g + u];
-                    real cell = whole;
-                    for (int o = 0; o < u; o++) cell -= L[t * g + o] * L[u * g + o];
-                    if (t != u) {
-                        L[t * g + u] = cell / L[u * g + u];
-                        continue;
-                    }
-                    if (!(cell > REAL_PIVOT * whole) || !real_is_finite(cell)) return 0;
-                    L[t * g + t] = real_sqrt(cell);
-                    log_det += real_log(cell);
-                }
-            /* L^-1 in its place, then the inverse. */
-            for (int t = 0; t < g; t++) {
-                for (int u = 0; u < t; u++) {
-                    real sum = 0;
-                    for (int o = u; o < t; o++) sum -= L[t * g + o] * L[o * g + u];
-                    L[t * g + u] = sum / L[t * g + t];
-                }
-                L[t * g + t] = 1 / L[t * g + t];
-            }
-            for (int t = 0; t < g; t++) {
-                pull[t] = 0;
-                for (int u = 0; u < g; u++) {
-                    real sum = 0;
-                    for (int o = t > u ? t : u; o < g; o++) sum += L[o * g + t] * L[o * g + u];
-                    inverse[t * g + u] = sum;
-                    pull[t] += sum * (y[(int)w->members[u]] / unit);
-                }
-                length += pull[t] * (y[(int)w->members[t]] / unit);
-            }
-            least = real_min(least, length);
-            w->weights[k] = length, w->after[k] = log_det;
-        }
-        /* A sensor without noise is right however far off. */
-        shorter = noisy && least > LEARNT_REACH / unit * (LEARNT_REACH / unit) ? LEARNT_REACH / real_sqrt(least) : 1;
-        if (shorter == 1 && unit != 1) return 0;
-        for (int k = 0; k < K; k++) {
-            given[k] = real_log(before[k]) - REAL(0.5) * (w->weights[k] * shorter * shorter + w->after[k]);
-            peak = real_max(peak, given[k]);
-        }
-        if (!real_is_finite(peak)) return 0;
-        for (int k = 0; k < K; k++) total += given[k] = real_exp(given[k] - peak);
-        w->logs[c] = peak + real_log(total) - REAL(0.5) * (real)g * LEARNT_LOG_2PI;
         for (int t = 0; t < g; t++) a[t] = 0;
         for (int t = 0; t < g * g; t++) b[t] = 0;
         for (int k = 0; k < K; k++) {
-            given[k] /= total;
+            real *RESTRICT const pull = pulls + k * g, *RESTRICT const inverse = inverses + k * g * g;
+            if (w->together > 0) given[k] += w->together * (w->shared[k] - given[k]);
+            /* The inverse of the factor in its place, and with it those of the innovation and of its covariance. */
             for (int t = 0; t < g; t++) {
-                pulls[k * g + t] *= shorter;
-                a[t] += given[k] * pulls[k * g + t];
+                for (int u = 0; u < t; u++) {
+                    real sum = 0;
+                    for (int o = u; o < t; o++) sum -= inverse[t * g + o] * inverse[o * g + u];
+                    inverse[t * g + u] = sum * inverse[t * g + t];
+                }
+            }
+            for (int t = 0; t < g; t++) {
+                real pulled = 0;
+                for (int o = t; o < g; o++) pulled += inverse[o * g + t] * pull[o];
+                pull[t] = pulled;
+                a[t] += given[k] * pulled;
+                for (int u = 0; u <= t; u++) {
+                    real sum = 0;
+                    for (int o = t; o < g; o++) sum += inverse[o * g + t] * inverse[o * g + u];
+                    inverse[t * g + u] = sum;
+                }
             }
             for (int t = 0; t < g; t++)
-                for (int u = 0; u < g; u++)
-                    b[t * g + u] += given[k] * (inverses[(k * g + t) * g + u] - pulls[k * g + t] * pulls[k * g + u]);
+                for (int u = 0; u <= t; u++) {
+                    inverse[u * g + t] = inverse[t * g + u];
+                    b[t * g + u] += given[k] * (inverse[t * g + u] - pull[t] * pull[u]);
+                }
         }
         for (int t = 0; t < g; t++)
-            for (int u = 0; u < g; u++) b[t * g + u] += a[t] * a[u];
+            for (int u = 0; u <= t; u++) b[u * g + t] = b[t * g + u] += a[t] * a[u];
         /* Of what is left of y under the ordinary class, and of its variance, what is noise. */
         for (int row = 0; row < rows; row++) {
             real expected = 0, is = 0, excess, part;
@@ -1098,9 +1051,15 @@ CALLED int learnt_group_scores(const int m, const learnt_rule *const rule, const
     return 1;
 }
 
-/* Learn from what sensors that fail together have said, and take it off the models; w->shares are these models'. */
-CALLED void learnt_group_taken(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                               const int g, const learnt_work *const w) {
+/* With a copy of its own for what is usual, one sensor. */
+CALLED int learnt_scores(const int m, const learnt_rule *const rule, const learnt_state *const s, const real *RESTRICT R,
+                         const int g, const learnt_work *const w, real *const log_density) {
+    return g == 1 ? learnt_scores_of(m, rule, s, R, 1, w, log_density) : learnt_scores_of(m, rule, s, R, g, w, log_density);
+}
+
+/* Learn from what sensors that are taken at once have said, and take it off the models; w->shares are these models'. */
+CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
+                         const int g, const learnt_work *const w) {
     const int models = learnt_models(rule), K = rule->K;
     real *RESTRICT bC = w->scratch, *RESTRICT bS = bC + m * n;
     for (int row = 0; rule->learns && row < (rule->joint ? 1 : g); row++) {
@@ -1136,7 +1095,7 @@ CALLED void learnt_group_taken(const int n, const int m, const learnt_rule *cons
             const int i = (int)w->members[t];
             for (int j = 0; j < n; j++) {
                 x[j] += a[t] * C[i * n + j];
-                for (int k = 0; k <= j; k++) P[j * n + k] -= C[i * n + j] * bC[t * n + k];
+                for (int k = 0; k < n; k++) P[j * n + k] -= C[i * n + j] * bC[t * n + k];
             }
             for (int o = 0; o < m; o++) {
                 if (!(w->left[o] > 0)) continue;
@@ -1146,8 +1105,6 @@ CALLED void learnt_group_taken(const int n, const int m, const learnt_rule *cons
                     if (w->left[k] > 0) S[o * m + k] -= S[i * m + o] * bS[t * m + k];
             }
         }
-        for (int j = 0; j < n; j++)
-            for (int k = 0; k < j; k++) P[k * n + j] = P[j * n + k];
     }
 }
 
@@ -1166,13 +1123,9 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     w.C = w.y + models * m;
     w.S = w.C + models * m * n;
     w.given = w.S + models * m * m;
-    w.a = w.given + models * K;
-    w.b = w.a + models;
-    w.logs = w.b + models;
-    w.energy = w.logs + models;
-    w.shares = w.energy + models;
-    w.parts = w.shares + models;
-    w.at = w.parts + models;
+    w.logs = w.given + models * K;
+    w.shares = w.logs + models;
+    w.at = w.shares + models;
     w.spread = w.at + n;
     w.direction = w.spread + n * n;
     w.left = w.direction + n;
@@ -1184,16 +1137,15 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     w.before = w.alike + m;
     w.typical = w.before + K;
     w.after = w.typical + K;
-    w.weights = w.after + K;
-    w.shared = w.weights + K;
+    w.shared = w.after + K;
     w.together = 0;
-    w.members = work + learnt_weigh_work(n, m, models, K);
+    w.members = w.shared + K;
     w.scores = w.members + m;
     w.informations = w.scores + models * m;
     w.energies = w.informations + models * m * m;
     w.noises = w.energies + models * m;
     w.scratch = w.noises + models * m;
-    work = w.shared + K;
+    work = w.scratch + m * (1 + n + K) + m * m * (2 + K);
     learnt_slow(n, rule, s, w.at, w.spread, work);
     for (int i = 0; i < m; i++) {
         const learnt_memory memory = learnt_of(rule, s, i);
@@ -1220,28 +1172,15 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     }
     learnt_refresh(n, m, rule, s, z, H, R, &w, work);
     if (!learnt_begin(n, m, rule, s, H, R, M, z, &w)) return -1;
-    if (follows && !grouped && count > 1 && !learnt_together(n, m, rule, s, R, &w, &together, work)) return -1;
+    if (follows && !grouped && count > 1 && !learnt_together(n, m, rule, s, R, &w, &together)) return -1;
     for (int turn = 0, group; turn < count; turn += group) {
         const int i = learnt_next(n, m, rule, s, &w);
         const real *const p = s->p + (int)w.head[i];
-        const real noise = w.r[i] * R[i * m + i];
-        const learnt_memory memory = learnt_of(rule, s, i);
-        real total = 0, full = 0, others = 0, evidence = 0, ordinary = 0, energy = 0, noisy = 0, weight = 0;
-        group = 1;
-        if (grouped) {
-            group = 0;
-            for (int j = 0; j < m; j++)
-                if (w.left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i)) w.members[group++] = (real)j;
-        }
-        if (group > 1) {
-            real most = 0;
-            if (!learnt_group_scores(m, rule, s, R, group, &w, &most)) return -1;
-            apart += most + REAL(0.5) * LEARNT_LOG_2PI;
-        } else {
-            learnt_predicted(K, &memory, w.before);
-            learnt_typical(K, &memory, w.typical);
-            if (!learnt_scores(m, rule, i, noise, &w)) return -1;
-        }
+        real total = 0, full = 0, others = 0, evidence = 0, weight = 0, most = 0;
+        group = 0;
+        for (int j = 0; j < m; j++)
+            if (w.left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i)) w.members[group++] = (real)j;
+        if (!learnt_scores(m, rule, s, R, group, &w, &most)) return -1;
         if (models > q) {
             /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
                all others worth more than a hundred. */
@@ -1251,65 +1190,32 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
             }
             evidence /= others;
             /* What tells for a jump so much tells nothing of the scale of Q. */
-            const int experienced = learnt_jumps(rule, s, i) && memory.habits->repeats.count > LEARNT_FIRST;
+            const int experienced = learnt_jumps(rule, s, i) && learnt_of(rule, s, i).habits->repeats.count > LEARNT_FIRST;
             for (int c = 0; c < q && experienced && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence; c++)
                 w.logs[c] = evidence;
             full = others * evidence + p[q * n] * (w.fresh[i] > 0 ? evidence : w.logs[q]);
             w.logs[q] = w.fresh[i] > 0 ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
-            if (w.alike[i] > 0 && p[q * n] > 0) w.logs[q] += (1 - p[q * n]) / p[q * n] * w.alike[i];
+            if (w.alike[i] > 0 && p[q * n] > 0) 
+                w.logs[q] += (1 - p[q * n]) / p[q * n] * w.alike[i] * real_exp(-most - REAL(0.5) * LEARNT_LOG_2PI);
         }
         for (int c = 0; c < models; c++) {
             w.shares[c] = (c < q ? real_max(p[c * n], REAL(1e-300)) : p[c * n]) * w.logs[c];
             total += w.shares[c];
         }
-        if (!(total > REAL(1e-290))) return -1;
-        apart += real_log(total) - REAL(0.5) * LEARNT_LOG_2PI;
-        logs[i] = real_log(models > q ? full : total) - REAL(0.5) * LEARNT_LOG_2PI;
+        if (!(total > 0) || !real_is_finite(total)) return -1;
+        apart += most + real_log(total);
+        logs[i] = most + real_log(models > q ? full : total);
         for (int k = 0; k < K; k++) w.after[k] = 0;
         for (int c = 0; c < models; c++) {
-            const real share = w.shares[c] / total;
-            w.shares[c] = share;
+            w.shares[c] /= total;
             for (int o = 0; o < n; o++)
-                if (part[o] == w.head[i]) s->p[c * n + o] = share;
-            for (int k = 0; k < K; k++) w.after[k] += share * w.given[c * K + k];
-            ordinary += share * w.given[c * K];
-            energy += share * w.given[c * K] * w.energy[c];
-            noisy += share * w.given[c * K] * w.parts[c];
+                if (part[o] == w.head[i]) s->p[c * n + o] = w.shares[c];
+            for (int k = 0; k < K; k++) w.after[k] += w.shares[c] * w.given[c * K + k];
         }
         for (int k = 0; k < K; k++) weight += w.after[k] / rule->scales[k];
-        weights[i] = weight;
-        outlying[i] = 1 - w.after[0];
-        if (group > 1) {
-            for (int t = 0; t < group; t++)
-                weights[(int)w.members[t]] = weight, outlying[(int)w.members[t]] = outlying[i];
-            learnt_group_taken(n, m, rule, s, group, &w);
-            continue;
-        }
-        ordinary = real_max(ordinary, REAL(1e-300));
-        if (rule->learns) {
-            noisy /= ordinary;
-            learnt_learn(rule, w.after, w.before, w.r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy, &memory);
-        }
-        w.left[i] = 0;
-        for (int c = 0; c < models; c++) {
-            real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT S = w.S + c * m * m;
-            const real *RESTRICT C = w.C + c * m * n + i * n;
-            const real a = w.a[c], b = w.b[c];
-            for (int j = 0; j < n; j++) {
-                const real g = b * C[j];
-                x[j] += a * C[j];
-                for (int k = 0; k < n; k++) P[j * n + k] -= g * C[k];
-            }
-            for (int o = 0; o < m; o++)
-                if (w.left[o] > 0) {
-                    const real cross = S[i * m + o], g = b * cross;
-                    real *RESTRICT to = w.C + c * m * n + o * n;
-                    w.y[c * m + o] -= a * cross;
-                    for (int k = 0; k < n; k++) to[k] -= g * C[k];
-                    for (int k = 0; k < m; k++)
-                        if (w.left[k] > 0) S[o * m + k] -= g * S[i * m + k];
-                }
-        }
+        for (int t = 0; t < group; t++)
+            weights[(int)w.members[t]] = weight, outlying[(int)w.members[t]] = 1 - w.after[0];
+        learnt_taken(n, m, rule, s, group, &w);
     }
     *log_density += apart;
     if (w.together > 0) {
