@@ -18,12 +18,11 @@ from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import ParameterTracker
+from robust_filterpy.kernel.learnt import Head
 from robust_filterpy.kernel.series import JOINT_MOST, rule
 
 # Rounding that a symmetric matrix may have gathered.
 _SLACK: Final = 1e-12
-# Numbers of a rule before its scales: models, classes, stay, jump, two memories, whether it learns.
-_HEAD = 9
 # What a subclass may not do in its own way; `predict_x` is the motion, which is a function in C.
 _METHODS = ("predict", "update", "_checked", "_correct", "_corrected", "_keep", "_skip")
 
@@ -53,7 +52,7 @@ def is_extended(model: Any) -> bool:
 def mixes(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> bool:
     """Return whether the kernel weighs what this filter's noise may have been."""
     own = kf.policy.rule
-    return own is not None and not own[7:_HEAD].any()
+    return own is not None and not any(Head(*own[: len(Head._fields)])[-2:])
 
 
 def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Described:
@@ -120,8 +119,9 @@ def _bounded(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _
 def _mixture(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _Part:
     """Return the same of a filter that weighs what its noise may have been."""
     n, m, numbers = len(x), kf.dim_z, kf.policy.rule
-    q, K = int(numbers[0]), int(numbers[1])
-    process, scales, begin = np.split(numbers[_HEAD:], [q, q + K])
+    head = Head(*numbers[: len(Head._fields)])
+    q, K = int(head.models), int(head.classes)
+    process, scales, begin = np.split(numbers[len(head) :], [q, q + K])
     # One model, which is x and P themselves, is not kept apart.
     one = start_of_models(x.ravel(), P, process_scales(None)).packed
     state: dict[str, Any] = dict(zip(("means", "covariances", "belief"), one, strict=True)) | kf.state()
@@ -137,7 +137,7 @@ def _mixture(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _
     values = {
         "models": models, "parts": len(state["belief"]), "width": len(begin), "q": q, "K": K, "learns": "",
         "process": _listed(process), "scales": _listed(scales), "begin": _listed(begin),
-        "numbers": _listed(numbers[2:6]), "adapts": int(numbers[6]), "influence_fields": "",
+        "numbers": _listed(head[2:6]), "adapts": int(head.learns), "influence_fields": "",
     }  # fmt: skip
     remark = f"A step that Python leaves to its definition is refused, {name.upper()}_SINGULAR."
     headers = "real", "psi", "prediction", "correction", "spread", "update", "repeats", "learnt"

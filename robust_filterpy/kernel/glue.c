@@ -175,20 +175,22 @@ int all_finite(const double *a, npy_intp count) {
     return check == 0;
 }
 
-int rule_of_numbers(const double numbers[8], correction_rule *rule) {
+int rule_of_numbers(const double *numbers, correction_rule *rule) {
+    const rule_numbers *const of = (const rule_numbers *)numbers;
     /* Also of NaN no integer can be made. */
-    if (!(numbers[0] >= PSI_LINEAR && numbers[0] <= PSI_STUDENT_T && numbers[4] >= SCALING_LEARNT &&
-          numbers[4] <= SCALING_BOUNDED && numbers[5] >= INFORMATION_REALIZED && numbers[5] <= INFORMATION_WEIGHT))
+    if (!(of->psi >= PSI_LINEAR && of->psi <= PSI_STUDENT_T && of->scaling >= SCALING_LEARNT &&
+          of->scaling <= SCALING_BOUNDED && of->information >= INFORMATION_REALIZED && of->information <= INFORMATION_WEIGHT))
         return 0;
-    *rule = (correction_rule){{(int)numbers[0], numbers[1], numbers[2], numbers[3], NULL, NULL}, (int)numbers[4], (int)numbers[5],
-                              numbers[6], numbers[7], NULL};
+    *rule = (correction_rule){{(int)of->psi, of->a, of->b, of->c, NULL, NULL}, (int)of->scaling, (int)of->information,
+                              of->expected, of->normalizer, NULL};
     return 1;
 }
 
 int rule_of(PyObject *object, correction_rule *rule) {
-    const double *const each = vector_of(object, 8), *const joint = each ? NULL : vector_of(object, 8 + JOINT_MOST);
+    const double *const each = vector_of(object, RULE_NUMBERS);
+    const double *const joint = each ? NULL : vector_of(object, RULE_NUMBERS + JOINT_MOST);
     if ((!each && !joint) || !rule_of_numbers(each ? each : joint, rule)) return 0;
-    if (joint) rule->joint = joint + 8;
+    if (joint) rule->joint = joint + RULE_NUMBERS;
     /* What joint.h can do. */
     return !joint || (rule->scaling <= SCALING_INNOVATION && rule->information != INFORMATION_EXPECTED);
 }

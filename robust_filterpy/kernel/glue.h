@@ -76,7 +76,12 @@ int all_finite(const double *a, npy_intp count);
 
 /* The options of a filter from the array that carries them (see robust_filterpy.kernel.series.rule): 1 if they are that. */
 int rule_of(PyObject *object, correction_rule *rule);
-int rule_of_numbers(const double numbers[8], correction_rule *rule);
+/* How that array begins: psi with its parameters, E[psi']. */
+typedef struct {
+    double psi, a, b, c, scaling, information, expected, normalizer;
+} rule_numbers;
+#define RULE_NUMBERS ((npy_intp)(sizeof(rule_numbers) / sizeof(double)))
+int rule_of_numbers(const double *numbers, correction_rule *rule);
 /* The same of a filter; 0 if the kernel does not know its options, -1 with an exception. */
 int rule_of_filter(held *h, PyObject *filter, correction_rule *rule);
 /* The outcome of a step whose psi may have been Python's: -1 where that has raised, 0 where the definition is to ask it. */

@@ -6,19 +6,23 @@
 
 /* The rule from the array that robust_filterpy.kernel.learnt makes of it; return whether it is that. */
 int take_rule(learnt_rule *rule, PyObject *object) {
-    enum { HEAD = 9 };
-    const npy_intp length = is_array(object, 1) ? PyArray_DIM((PyArrayObject *)object, 0) : 0;
-    const double *const numbers = length < HEAD ? NULL : vector_of(object, length);
-    if (!numbers || !(numbers[0] >= 1 && numbers[0] < 1000 && numbers[1] >= 1 && numbers[1] < 1000)) return 0;
-    rule->q = (int)numbers[0], rule->K = (int)numbers[1];
-    rule->stay = numbers[2], rule->jump = numbers[3], rule->memory = numbers[4], rule->r_memory = numbers[5];
-    rule->learns = numbers[6] != 0;
-    rule->process = numbers + HEAD;
+    /* `Head` there. */
+    typedef struct {
+        double models, classes, stay, jump, memory, r_memory, learns, draws, grouped;
+    } rule_head;
+    const npy_intp length = is_array(object, 1) ? PyArray_DIM((PyArrayObject *)object, 0) : 0, least = sizeof(rule_head) / sizeof(double);
+    const double *const numbers = length < least ? NULL : vector_of(object, length);
+    const rule_head *const head = (const rule_head *)numbers;
+    if (!numbers || !(head->models >= 1 && head->models < 1000 && head->classes >= 1 && head->classes < 1000)) return 0;
+    rule->q = (int)head->models, rule->K = (int)head->classes;
+    rule->stay = head->stay, rule->jump = head->jump, rule->memory = head->memory, rule->r_memory = head->r_memory;
+    rule->learns = head->learns != 0;
+    rule->process = numbers + least;
     rule->scales = rule->process + rule->q;
     rule->begin = rule->scales + rule->K;
-    rule->drawn = numbers[7] != 0 ? rule->begin + learnt_width(rule->K) : NULL;
-    rule->joint = numbers[8] < 0;
-    rule->named = rule->joint || !(numbers[8] < 1000) ? 0 : (int)numbers[8];
+    rule->drawn = head->draws != 0 ? rule->begin + learnt_width(rule->K) : NULL;
+    rule->joint = head->grouped < 0;
+    rule->named = rule->joint || !(head->grouped < 1000) ? 0 : (int)head->grouped;
     rule->leads = rule->begin + learnt_width(rule->K) + (rule->drawn ? rule->q : 0);
     if (rule->leads + rule->named != numbers + length) return 0;
     for (int i = 0; i < rule->named; i++)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,10 +15,27 @@ from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.kernel.series import Rows, State, plain
 
-__all__ = ["Rows", "State", "begin", "correct", "predict", "rule", "run"]
+__all__ = ["Head", "Rows", "State", "begin", "correct", "predict", "rule", "run"]
 
 #: Which half of a step is taken.
 PREDICTION, CORRECTION, BOTH = 1, 2, 3
+
+
+class Head(NamedTuple):
+    """How the numbers of a rule begin, in the order of `rule_head` in learnt.c."""
+
+    models: float
+    """Scales of Q; they follow, and the scales of R."""
+    classes: float
+    stay: float
+    jump: float
+    memory: float
+    r_memory: float
+    learns: float
+    draws: float
+    """Whether the scale of Q is drawn anew in each step."""
+    grouped: float
+    """So many sensors fail with the first one of their group; -1: all with each other."""
 
 
 @lru_cache(maxsize=64)
@@ -30,10 +47,10 @@ def rule(noise: NoiseClasses, process: Scales) -> Array:
     groups: Any = () if isinstance(noise.grouping, str) else noise.grouping
     leads = {i: min(group) for group in groups for i in group}
     named = -1 if noise.grouping == "joint" else max(leads, default=-1) + 1
-    head = [
+    head = Head(
         len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,
         len(drawn) > 0, named,
-    ]  # fmt: skip
+    )  # fmt: skip
     start = learning.start(len(noise.scales), noise.probabilities)
     return np.array([*head, *process.scales, *noise.scales, *start, *drawn, *(leads.get(i, i) for i in range(named))])
 

@@ -11,7 +11,7 @@ typedef struct {
 
 typedef struct {
     tracker_layout layout;
-    series_matrices options, F, Q; /* (8), (n, n), (n, n) of each actuator or of all; one step */
+    series_matrices options, F, Q; /* (RULE_NUMBERS), (n, n), (n, n) of each actuator or of all; one step */
     const double *alpha_sq, *windup, *centre;
     const npy_intp *flags; /* (actuators, 5): filtered, guard, cleans, learns, judges */
     npy_intp actuators, samples;
@@ -181,7 +181,7 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
         j.weights = writable(out[4], 2, wide), j.guard = integers(out[5], j.actuators, j.samples);
         j.done = integers(groups[5], j.actuators, -1);
     }
-    if (!take_matrices(&j.options, given[0], j.actuators, 1, 8, 0) ||
+    if (!take_matrices(&j.options, given[0], j.actuators, 1, RULE_NUMBERS, 0) ||
         !take_matrices(&j.F, given[1], j.actuators, 1, n, n) || !take_matrices(&j.Q, given[2], j.actuators, 1, n, n) ||
         !j.alpha_sq || !j.windup || !j.centre || !j.flags || !j.theta || !j.variance || !j.prediction || !j.residual ||
         !j.weights || !j.guard || !j.done || !take_signal(y, &j, -1, &j.y) || !take_signal(u, &j, width, &j.u) ||
