@@ -1,4 +1,4 @@
-"""Bands for what is to come hold as often as they say, whatever the model was told."""
+"""Bands for what is to come hold as often as they say, whatever the model says."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def test_a_forecast_writes_nothing_and_arrival_plays_no_part():
     assert found[0] == found[1]
 
 
-def test_angles_untold_noise_and_instants():
+def test_angles_noise_that_is_not_given_and_instants():
     north = {"h": lambda x: [np.arctan2(x[1], x[0])], "residual": angle,
              "jacobian": lambda x: np.array([[-x[1], x[0]]]) / (x @ x)}  # fmt: skip
     fusion = Fusion(

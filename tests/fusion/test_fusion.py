@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from fusion.worlds import GPS, POLICIES, WHEEL, plane, sensors, table
+from fusion.worlds import GPS, POLICIES, WHEEL, fed, plane, sensors, table
 
 from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, angle, constant_velocity, from_function
 from robust_filterpy.fusion.recording import Recording
@@ -28,8 +28,8 @@ def loop(readings, motion, x, P):
     return kf
 
 
-@pytest.mark.parametrize("policy", ["linear", "told by classes"])
-def test_told_everything_and_in_order_it_is_the_loop_of_filterpy(policy):
+@pytest.mark.parametrize("policy", ["linear", "classes"])
+def test_given_everything_and_in_order_it_is_the_loop_of_filterpy(policy):
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.01, 1.0, 200))
     readings, _ = plane(stamps)
     motion = constant_velocity(2, 0.5)
@@ -38,9 +38,7 @@ def test_told_everything_and_in_order_it_is_the_loop_of_filterpy(policy):
         from robust_filterpy.fusion import Contaminated, Scales
 
         options = {"noise": Contaminated(0.0), "process": Scales((1.0,), jump=0.0)}
-    fusion = Fusion(motion, sensors(), 5.0, x0=np.zeros(4), P0=100.0 * np.eye(4), **options)
-    for one in readings:
-        fusion.observe(*one)
+    fusion = fed(Fusion(motion, sensors(), 5.0, x0=np.zeros(4), P0=100.0 * np.eye(4), **options), readings)
     kf, found = loop(readings, motion, np.zeros(4), 100.0 * np.eye(4)), fusion.estimate()
     np.testing.assert_allclose(found.x, kf.x, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(found.P, kf.P, rtol=1e-7, atol=1e-10)
@@ -56,8 +54,7 @@ def test_a_table_in_any_order_is_the_same_as_reading_by_reading(policy, kind):
         module = pytest.importorskip(kind)
         columns = module.DataFrame(columns) if kind == "pandas" else module.table(columns)
     found = fusion.run(columns, value=["v0", "v1"])
-    for one in readings:
-        fusion.observe(*one)
+    fed(fusion, readings)
     for i in (0, 10, -1):
         np.testing.assert_allclose(found.x[i], fusion.estimate(found.times[i]).x, rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(found.P[i], fusion.estimate(found.times[i]).P, rtol=1e-6, atol=1e-6)
@@ -74,18 +71,16 @@ def test_smoothed_states_are_nearer_to_the_truth():
     assert error[1] < 0.8 * error[0]
 
 
-def test_noise_is_learnt_for_each_sensor_whoever_told_what():
+def test_noise_is_learnt_for_each_sensor_whatever_was_given():
     readings, _ = plane(np.arange(3000) * 0.1)
-    fusion = Fusion(constant_velocity(2, 0.5), {"gps": Sensor(GPS), "wheel": Sensor(WHEEL, R=1.0)}, 1.0)
-    for one in readings:
-        fusion.observe(*one)
+    fusion = fed(Fusion(constant_velocity(2, 0.5), {"gps": Sensor(GPS), "wheel": Sensor(WHEEL, R=1.0)}, 1.0), readings)
     found = fusion.noise()
     np.testing.assert_allclose(found["gps"].deviation, 2.0, rtol=0.35)
     np.testing.assert_allclose(found["wheel"].deviation, 0.1, rtol=0.6)
     assert (found["gps"].contamination < 0.1).all()
 
 
-def test_a_sensor_that_nobody_told_does_not_depend_on_units():
+def test_a_sensor_without_R_does_not_depend_on_units():
     readings, _ = plane(np.arange(90) * 0.3)
     scaled = {}
     for unit in (1.0, 1e-4, 1e5):
@@ -187,13 +182,10 @@ def test_a_compass_that_goes_round_and_a_motion_that_is_a_function():
         fusion.observe(who, t, z)
     found = fusion.estimate()
     assert np.abs(found.x - x)[[0, 1]].max() < 0.5 and abs(found.x[2] - x[2]) < 0.2
-    columns = {
-        "time": [t for _, t, _ in rows], "sensor": [who for who, *_ in rows], "a": [np.ravel(z)[0] for *_, z in rows],
-        "b": [np.ravel(z)[-1] for *_, z in rows],
-    }  # fmt: skip
-    np.testing.assert_allclose(fusion.run(columns, value=["a", "b"]).x[-1], found.x, rtol=1e-9)
+    columns = table([(who, t, z * np.ones(2)) for who, t, z in rows])
+    np.testing.assert_allclose(fusion.run(columns, value=["v0", "v1"]).x[-1], found.x, rtol=1e-9)
     with pytest.raises(ValueError, match="smoothed: expected a linear"):
-        fusion.run(columns, value=["a", "b"], smoothed=True)
+        fusion.run(columns, value=["v0", "v1"], smoothed=True)
 
 
 def test_a_table_takes_control_inputs():
@@ -203,14 +195,13 @@ def test_a_table_takes_control_inputs():
     found = fusion.run(table(readings), value=["v0", "v1"], controls=(stamps, us))
     for t, u in zip(stamps, us, strict=True):
         fusion.control(t, u)
-    for one in readings:
-        fusion.observe(*one)
+    fed(fusion, readings)
     np.testing.assert_allclose(found.x[-1], fusion.estimate().x, rtol=1e-6, atol=1e-7)
     assert np.abs(found.x[-1] - fusion.run(table(readings), value=["v0", "v1"]).x[-1]).max() > 1e-4
 
 
-def test_far_from_where_it_was_told_to_start():
-    """Coordinates of a map are millions of metres; nobody told where."""
+def test_far_from_the_given_start():
+    """Coordinates of a map are millions of metres; no start is given."""
     readings, truth = plane(np.arange(60) * 0.3)
     fusion = Fusion(constant_velocity(2, 0.5), sensors(), 1.0)
     for who, t, z in readings:
@@ -279,10 +270,8 @@ def test_a_reading_whose_h_raises_is_refused_with_the_reason_and_the_rest_goes_o
     assert len([w for w in said if "'root'" in str(w.message)]) == 1
     assert counts["refused"] == counts["taken"] == 300 and fusion.counts["place"]["refused"] == 0
     assert fusion.estimate().x.tobytes() == without.estimate().x.tobytes()
-    table = {"time": [t for _, t, _ in rows] + [100.0], "sensor": ["place"] * 1200 + ["root"],
-             "value": [z for *_, z in rows] + [1.0]}  # fmt: skip
     with pytest.warns(RuntimeWarning, match=r"1 reading\(s\) left out.*'root'"):
-        assert np.isfinite(fusion.run(table).x).all()
+        assert np.isfinite(fusion.run(table([*rows, ("root", 100.0, 1.0)])).x).all()
 
 
 def test_a_late_reading_may_bring_back_one_whose_h_raised():
@@ -336,7 +325,7 @@ def test_a_recording_prints_on_a_screen_with_what_was_said_of_its_sensors():
     assert repr(dated).startswith("Recording(500 stamps, 2024-05-01T10:00:00 to 2024-05-01T10:01:39.8; at the end")
 
 
-def test_a_table_with_a_column_for_each_sensor_is_told_how_to_become_one_of_readings():
+def test_a_table_with_a_column_for_each_sensor_says_how_to_become_one_of_readings():
     fusion = Fusion(constant_velocity(1, 0.1), {name: Sensor([1.0, 0.0]) for name in "ab"}, 1.0)
     with pytest.raises(ValueError, match=r"table: expected the columns \['sensor', 'value'\], .* table\.melt"):
         fusion.run({"time": [0.0, 1.0], "a": [0.1, 0.2], "b": [0.3, 0.4]})

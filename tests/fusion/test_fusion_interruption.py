@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from fusion.worlds import fed
 from interruption import PACKAGE
 
 from robust_filterpy import Huber
@@ -53,12 +54,10 @@ def interrupted(call, at):
 def test_a_fusion_that_was_interrupted_goes_on_as_if_it_had_not_been(options, count, every):
     *first, one, other = readings(count)
     ready = fused(**options)
-    for reading in first:
-        ready.observe(*reading)
+    fed(ready, first)
     estimated(ready)
     done = copy.deepcopy(ready)
-    for reading in (one, other):
-        done.observe(*reading)
+    fed(done, (one, other))
     expected, outcomes = estimated(done), set()
     for at in range(1, 30_000, every):
         broken = copy.deepcopy(ready)

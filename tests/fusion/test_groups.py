@@ -5,12 +5,13 @@ import warnings
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from fusion.worlds import fed
 from numpy.testing import assert_allclose
 
 from robust_filterpy.fusion import Contaminated, Fusion, FusionWarning, Reacquisition, Sensor, constant_velocity
 from robust_filterpy.influence import Huber, Linear
 
-WAYS = {"learnt": {}, "told": {"noise": Contaminated(0.1, 10.0)}, "huber": {"influence": Huber()}}
+WAYS = {"learnt": {}, "given": {"noise": Contaminated(0.1, 10.0)}, "huber": {"influence": Huber()}}
 
 
 def pair(group="receiver", **more):
@@ -80,12 +81,10 @@ def test_a_recording_with_a_group_is_its_steps_and_a_state_goes_on(way):
     table, _ = together(4, 80)
     whole, stepwise = fused(pair(), **WAYS[way]).run(table), fused(pair(), **WAYS[way])
     rows = list(zip(table["sensor"], table["time"], table["value"], strict=True))
-    for row in rows[:100]:
-        stepwise.observe(*row)
+    fed(stepwise, rows[:100])
     other = fused(pair(), **WAYS[way])
     other.restore(stepwise.state())
-    for row in rows[100:]:
-        other.observe(*row)
+    fed(other, rows[100:])
     assert_allclose(other.estimate().x, whole.x[-1], rtol=1e-9)
 
 

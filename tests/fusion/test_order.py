@@ -2,18 +2,15 @@
 
 import numpy as np
 import pytest
-from fusion.worlds import POLICIES, plane, sensors
+from fusion.worlds import POLICIES, fed, plane, sensors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robust_filterpy.fusion import Fusion, constant_velocity
 
 
-def told(readings, window=100.0, **policy):
-    fusion = Fusion(constant_velocity(2, 0.5), sensors(), window, **policy)
-    for one in readings:
-        fusion.observe(*one)
-    return fusion
+def made(readings, window=100.0, **policy):
+    return fed(Fusion(constant_velocity(2, 0.5), sensors(), window, **policy), readings)
 
 
 def bits(estimate):
@@ -25,7 +22,7 @@ def bits(estimate):
 @settings(max_examples=15, deadline=None)
 def test_any_order_of_arrival_gives_the_same_bits(policy, order, asks):
     readings, _ = plane(np.arange(12) * 0.7, outliers=0.2)
-    expected = told(readings, **POLICIES[policy])
+    expected = made(readings, **POLICIES[policy])
     fusion = Fusion(constant_velocity(2, 0.5), sensors(), 100.0, **POLICIES[policy])
     for i, place in enumerate(order):
         fusion.observe(*readings[place])
@@ -41,9 +38,9 @@ def test_late_within_the_window_while_the_window_moves_on():
     rng = np.random.default_rng(1)
     late = [t + (rng.uniform(0.0, 1.9) if rng.random() < 0.2 else 0.0) for _, t, _ in readings]
     arrived = [readings[i] for i in np.argsort(late, kind="stable")]
-    fusion = told(arrived, 2.0)
+    fusion = made(arrived, 2.0)
     assert sum(counts["late"] for counts in fusion.counts.values()) > 100
-    assert bits(fusion.estimate()) == bits(told(readings, 2.0).estimate())
+    assert bits(fusion.estimate()) == bits(made(readings, 2.0).estimate())
     # Not everything was kept.
     assert len(fusion.state()["keys"]) < 700
 
@@ -51,23 +48,20 @@ def test_late_within_the_window_while_the_window_moves_on():
 def test_control_inputs_may_be_late_too():
     readings, _ = plane(np.arange(12) * 0.7)
     inputs = [(0.5, [1.0, 0.0]), (3.3, [0.0, -1.0]), (5.6, [0.5, 0.5])]
-    first = Fusion(constant_velocity(2, 0.5), sensors(), 100.0)
-    for one in readings:
-        first.observe(*one)
+    first = fed(Fusion(constant_velocity(2, 0.5), sensors(), 100.0), readings)
     before = bits(first.estimate())
     for one in reversed(inputs):
         first.control(*one)
     other = Fusion(constant_velocity(2, 0.5), sensors(), 100.0)
     for one in inputs:
         other.control(*one)
-    for one in readings:
-        other.observe(*one)
+    fed(other, readings)
     assert bits(first.estimate()) == bits(other.estimate()) != before
 
 
 def test_what_is_asked_writes_nothing():
     readings, _ = plane(np.arange(12) * 0.7)
-    quiet, asked = told([]), told([])
+    quiet, asked = made([]), made([])
     for one in readings:
         quiet.observe(*one)
         asked.observe(*one)
@@ -81,7 +75,7 @@ def test_what_is_asked_writes_nothing():
 
 
 def test_the_same_again_is_a_duplicate_and_something_else_is_a_correction():
-    fusion = told(plane(np.arange(4) * 0.5)[0])
+    fusion = made(plane(np.arange(4) * 0.5)[0])
     z, before = plane(np.arange(4) * 0.5)[0][0][2], bits(fusion.estimate())
     assert fusion.observe("wheel", 0.0, z) == "duplicate" and bits(fusion.estimate()) == before
     with pytest.raises(ValueError, match=r"one reading for each stamp.*replace=True"):
@@ -95,7 +89,7 @@ def test_the_same_again_is_a_duplicate_and_something_else_is_a_correction():
 
 def test_a_restored_fusion_goes_on_to_the_last_bit_and_still_takes_late_readings():
     readings, _ = plane(np.arange(700) * 0.1, outliers=0.1)
-    one, other = told(readings[:800], 5.0), Fusion(constant_velocity(2, 0.5), sensors(), 5.0)
+    one, other = made(readings[:800], 5.0), Fusion(constant_velocity(2, 0.5), sensors(), 5.0)
     other.restore(one.state())
     assert other.counts == one.counts and other.estimate().ages == one.estimate().ages
     rest = readings[800:]

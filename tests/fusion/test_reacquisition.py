@@ -1,10 +1,10 @@
-"""After a blackout or a jump: the reading or the state may be wrong, and both are carried until it is told."""
+"""After a blackout or a jump: the reading or the state may be wrong, and both are carried until that shows."""
 
 import json
 
 import numpy as np
 import pytest
-from fusion.worlds import GPS, POLICIES, WHEEL
+from fusion.worlds import GPS, POLICIES, WHEEL, fed, table
 
 from robust_filterpy.fusion import Fusion, Reacquisition, Sensor, constant_velocity
 from robust_filterpy.influence import Linear
@@ -41,7 +41,7 @@ def made(policy="learnt", reacquire=True, **prior):
     return Fusion(constant_velocity(2, 0.02), sensors, 3.0, P0=100.0 * np.eye(4), **POLICIES[policy], **options)
 
 
-def told(fusion, readings):
+def followed(fusion, readings):
     """Return (t, estimate, what is not healthy) after each fix."""
     found = []
     for name, t, z in readings:
@@ -59,7 +59,7 @@ def apart(one, places):
 @pytest.mark.parametrize("policy", POLICIES)
 def test_a_cluster_of_false_fixes_is_undecided_until_the_fixes_jump_back(policy):
     readings, places = recording("cluster")
-    found = told(made(policy), readings)
+    found = followed(made(policy), readings)
     amid = [one for one in found if BACK + 3.0 <= one[0] < BACK + 40.0]
     assert all(one[1].undecided and one[2] == {"gps": "undecided"} for one in amid)
     for t, now, _ in amid:
@@ -73,22 +73,14 @@ def test_a_cluster_of_false_fixes_is_undecided_until_the_fixes_jump_back(policy)
 
 def test_fixes_that_were_right_are_believed_when_the_prior_says_so():
     readings, places = recording("slipped", end=240.0)
-    found = told(made(), readings)
+    found = followed(made(), readings)
     taken = next(one[0] for one in found if one[2] == {"motion": "jumped"}) - BACK
     # After length * log(100) seconds, more or less: not before, not much later.
     assert 90.0 < taken < 140.0
     assert all(apart(one, places) < 10.0 for one in found if one[0] > BACK + taken)
-    sooner = told(made(length=5.0), readings)
+    sooner = followed(made(length=5.0), readings)
     assert next(one[0] for one in sooner if one[2] == {"motion": "jumped"}) - BACK < 0.3 * taken
-    assert "motion: jumped since 60.0" in made_of(readings, 190.0).report()
-
-
-def made_of(readings, until):
-    fusion = made()
-    for one in readings:
-        if one[1] <= until:
-            fusion.observe(*one)
-    return fusion
+    assert "motion: jumped since 60.0" in fed(made(), [one for one in readings if one[1] <= 190.0]).report()
 
 
 @pytest.mark.parametrize(("case", "said"), [
@@ -96,7 +88,7 @@ def made_of(readings, until):
 ])  # fmt: skip
 def test_a_sensor_that_slips_and_one_that_stands_still_are_left_out_within_seconds(case, said):
     readings, places = recording(case)
-    after = [one for one in told(made(), readings) if one[0] >= BACK + 12.0]
+    after = [one for one in followed(made(), readings) if one[0] >= BACK + 12.0]
     assert all(apart(one, places) < 10.0 for one in after)
     assert all(one[2] == said for one in after if one[0] < BACK + 40.0)
     assert after[-1][2] == (said if case == "slipping" else {})
@@ -104,7 +96,7 @@ def test_a_sensor_that_slips_and_one_that_stands_still_are_left_out_within_secon
 
 def test_a_decision_is_undone_when_the_fixes_jump_back():
     readings, places = recording("cluster", wrong=150.0, end=230.0)
-    found = told(made(), readings)
+    found = followed(made(), readings)
     assert any(one[2] == {"motion": "jumped"} for one in found if one[0] < BACK + 150.0)
     assert all(apart(one, places) < 10.0 and one[2] == {} for one in found if one[0] > BACK + 152.0)
 
@@ -123,8 +115,7 @@ def test_outliers_that_come_alone_change_no_bit():
 def test_a_doubt_that_began_before_what_is_kept_is_in_a_state():
     readings, _ = recording("slipping", end=370.0)
     fusion, other = made(), made()
-    for one in readings[:-60]:
-        fusion.observe(*one)
+    fed(fusion, readings[:-60])
     state = fusion.state()
     assert state["doubt"].size
     other.restore(json.loads(json.dumps({name: np.asarray(value).tolist() for name, value in state.items()})))
@@ -143,16 +134,12 @@ def test_a_doubt_that_began_before_what_is_kept_is_in_a_state():
 
 def test_a_recording_says_what_was_in_doubt():
     readings, places = recording("cluster")
-    table = {
-        "time": [t for _, t, _ in readings], "sensor": [n for n, *_ in readings],
-        "v0": [z[0] for *_, z in readings], "v1": [z[1] for *_, z in readings],
-    }  # fmt: skip
-    found = made().run(table, value=["v0", "v1"])
+    found = made().run(table(readings), value=["v0", "v1"])
     said = [(t, name, v.fault) for t, name, v in found.verdicts if v.fault != "silent" and t >= BACK + 1.0]
     assert said == [(BACK + 2.0, "gps", "undecided"), (BACK + 40.0, "gps", "healthy")]
     assert np.hypot(*(found.x[-1, [0, 2]] - list(places.values())[-1])) < 10.0
     with pytest.raises(ValueError, match="smoothed"):
-        made().run(table, value=["v0", "v1"], smoothed=True)
+        made().run(table(readings), value=["v0", "v1"], smoothed=True)
 
 
 def test_one_sensor_alone_and_sensors_by_function_are_served_too():

@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from fusion.worlds import fed, table
 from support import by_night
 
 from robust_filterpy.fleet import pack, unpack
@@ -59,12 +60,6 @@ def failing(request):
     return request.param, fed(made(), readings), readings, places
 
 
-def fed(fusion, readings):
-    for one in readings:
-        fusion.observe(*one)
-    return fusion
-
-
 def test_the_right_sensor_is_named_with_the_right_fault_its_onset_and_its_size(failing):
     fault, fusion, *_ = failing
     found, (_, size, words) = fusion.verdicts(), FAULTS[fault]
@@ -110,8 +105,8 @@ def test_a_healthy_recording_has_no_verdicts():
 
 def said(readings):
     """Return who was said to have which fault, in the order in which it was said."""
-    table = dict(zip(("sensor", "time", "value"), zip(*readings, strict=True), strict=True))
-    return [(name, verdict.fault) for _, name, verdict in made().run(table).verdicts if verdict.fault != "silent"]
+    verdicts = made().run(table(readings)).verdicts
+    return [(name, verdict.fault) for _, name, verdict in verdicts if verdict.fault != "silent"]
 
 
 @pytest.mark.parametrize("seed, length", [
@@ -165,12 +160,10 @@ def test_a_silent_sensor_is_named_if_it_has_spoken_often_enough_to_have_a_usual_
 def test_a_stamp_from_the_future_sends_nobody_to_the_cables():
     fusion = made()
     readings = recording(5, lambda t, x, v, last: x + v)[0]
-    for one in readings[: len(readings) // 2]:
-        fusion.observe(*one)
+    fed(fusion, readings[: len(readings) // 2])
     fusion.observe("a", 86400.0, 0.0)  # a clock that is a day ahead: all that comes is late from now on
     with pytest.warns(FusionWarning, match="by the newest reading, 'a' at 86400"):
-        for one in readings[len(readings) // 2 :]:
-            fusion.observe(*one)
+        fed(fusion, readings[len(readings) // 2 :])
     assert "of its readings were refused: check the clocks" in fusion.report() and "cable" not in fusion.report()
 
 
@@ -187,8 +180,7 @@ def test_a_copy_and_a_state_go_on_to_the_last_bit_verdicts_included(epoch, cut):
     if epoch is not None:
         readings = [(n, epoch + np.timedelta64(round(1e9 * t), "ns"), z) for n, t, z in readings]
     fusion, other = made(), made()
-    for one in readings[:cut]:
-        fusion.observe(*one)
+    fed(fusion, readings[:cut])
     fusion.observe(readings[cut + 8][0], *readings[cut + 8][1:])
     other.restore(unpack(pack(fusion.state())))
     copied = copy.deepcopy(fusion)
@@ -211,9 +203,7 @@ def test_a_state_is_not_taken_by_a_fusion_that_watches_otherwise():
 
 def test_a_recording_has_the_states_and_the_verdicts_of_its_readings(failing):
     fault, fusion, readings, places = failing
-    table = {"time": [t for _, t, _ in readings], "sensor": [n for n, *_ in readings],
-             "value": [z for *_, z in readings]}  # fmt: skip
-    found = made().run(table)
+    found = made().run(table(readings))
     assert found.x[-1].tobytes() == fusion.estimate().x.tobytes()
     last = {name: verdict for _, name, verdict in found.verdicts}
     # Nothing else is said first, be a drift ever so slow.
@@ -224,15 +214,14 @@ def test_a_recording_has_the_states_and_the_verdicts_of_its_readings(failing):
     assert last["b"].fault == fault and last["b"].since == fusion.verdicts()["b"].since
     assert all(t >= v.since for t, _, v in found.verdicts if v.since is not None)
     if fault == "biased":
-        smooth = made().run(table, smoothed=True).x[:, 0] - places
+        smooth = made().run(table(readings), smoothed=True).x[:, 0] - places
         assert np.abs(smooth[1100:]).mean() < 0.3
 
 
 def test_a_recording_says_who_was_silent_and_when_he_spoke_again():
     rng = np.random.default_rng(0)
     rows = [(n, 0.1 * k, rng.normal()) for k in range(400) for n in "abc" if n != "b" or not 200 <= k < 300]
-    table = {"time": [t for _, t, _ in rows], "sensor": [n for n, *_ in rows], "value": [z for *_, z in rows]}
-    said = [(round(t, 3), v.fault) for t, name, v in made().run(table).verdicts if name == "b"]
+    said = [(round(t, 3), v.fault) for t, name, v in made().run(table(rows)).verdicts if name == "b"]
     assert [fault for _, fault in said] == ["silent", "healthy"]
     assert said[0][0] == pytest.approx(20.5, abs=0.15) and said[1][0] == 30.0
 

@@ -20,7 +20,7 @@ def readings_of(seed, far=30.0):
     return [(n, t, z + far * (n == "c" and 40.0 < t < 45.0)) for n, t, z in readings], places
 
 
-def told(fusion, readings):
+def followed(fusion, readings):
     """Return (t, estimate, what is not healthy) after every fourth reading and the last."""
     found = []
     for k, one in enumerate(readings, 1):
@@ -36,7 +36,7 @@ def told(fusion, readings):
 @pytest.fixture(scope="module")
 def both():
     readings, places = readings_of(7)
-    return readings, places, told(made(), readings)
+    return readings, places, followed(made(), readings)
 
 
 def test_one_is_biased_and_another_false_for_a_while(both):
@@ -44,7 +44,7 @@ def test_one_is_biased_and_another_false_for_a_while(both):
     assert all(said == {} for t, _, said in found if 10.0 < t < 30.0)
     assert {str(said) for t, _, said in found if 33.0 < t < 40.0} == {"{'b': 'biased'}"}
     amid = [said for t, _, said in found if 41.0 < t < 45.0]
-    # With b left out there is one other: it takes readings until that is told.
+    # With b left out there is one other: it takes readings until that shows.
     assert all(said["b"] == "biased" and said["c"] in ("undecided", "false") for said in amid)
     assert any(said["c"] == "false" for said in amid)
     assert [said for t, _, said in found if t > 46.0][-1] == {"b": "biased"}
@@ -59,7 +59,7 @@ def test_each_says_what_it_says_alone(both):
         for item in said.items():
             first.setdefault(item, t)
     for options in ({"reacquire": False}, {"watch": False}):
-        alone, other = told(made(**options), readings), {}
+        alone, other = followed(made(**options), readings), {}
         for t, _, said in alone:
             for item in said.items():
                 other.setdefault(item, t)

@@ -8,7 +8,7 @@ from robust_filterpy.influence import Huber, Linear
 GPS = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
 WHEEL = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 POLICIES = {
-    "learnt": {}, "trusting Q": {"process": Scales((1.0,), jump=0.0)}, "told": {"noise": Contaminated(0.1, 10.0)},
+    "learnt": {}, "trusting Q": {"process": Scales((1.0,), jump=0.0)}, "given": {"noise": Contaminated(0.1, 10.0)},
     "linear": {"influence": Linear()}, "huber": {"influence": Huber()},
 }  # fmt: skip
 
@@ -34,7 +34,17 @@ def plane(stamps, seed=0, q=0.5, outliers=0.0):
 
 
 def table(readings):
+    """Readings as columns: value, or v0 and v1 where a sensor has two components."""
+    names = ["value"] if np.ndim(readings[0][2]) == 0 else ["v0", "v1"]
+    columns = np.array([np.broadcast_to(z, len(names)) for *_, z in readings]).T
     return {
-        "time": [t for _, t, _ in readings], "sensor": [who for who, _, _ in readings],
-        "v0": [z[0] for *_, z in readings], "v1": [z[1] for *_, z in readings],
+        "time": [t for _, t, _ in readings], "sensor": [who for who, *_ in readings],
+        **dict(zip(names, columns.tolist(), strict=True)),
     }  # fmt: skip
+
+
+def fed(fusion, readings):
+    """A fusion that has taken readings."""
+    for one in readings:
+        fusion.observe(*one)
+    return fusion
