@@ -1,4 +1,4 @@
-"""Physics of the pneumatic servo: the paper's eqs (1)-(7) one by one; test_mass_form has what they come to together."""
+"""Physics of the pneumatic servo: the paper's eqs (1)-(7) one by one, and what they come to together."""
 
 from __future__ import annotations
 
@@ -50,22 +50,6 @@ def volumes(p, y):
     return p.area_a * (half + y), p.area_b * (half - y)
 
 
-def ode(p, x, duration, valve=0.0, load=0.0, alpha=ALPHA, beta=BETA, **options):
-    """Integrate the plant by scipy, tightly: the oracle of the fast path, and the path of the balances."""
-    rhs = servo_derivatives(p)
-    u = valve if callable(valve) else lambda t: valve
-    return solve_ivp(
-        lambda t, s: rhs(*s, u(t), load, alpha, beta),
-        (0, duration),
-        x,
-        method="LSODA",
-        rtol=1e-10,
-        atol=[1e-12, 1e-11, 1e-4, 1e-4],
-        dense_output=True,
-        **options,
-    )
-
-
 def random_states(n=50, seed=0):
     rng = np.random.default_rng(seed)
     for _ in range(n):
@@ -79,17 +63,12 @@ def random_states(n=50, seed=0):
 
 
 @pytest.mark.parametrize("kappa", [1.1, 1.4, 5 / 3])
-def test_flow_is_that_of_an_isentropic_nozzle(kappa):
+def test_flow_is_that_of_an_isentropic_nozzle_and_laminar_at_last(kappa):
     ratios = np.linspace(0, 1, 101)
-    expected = [textbook_flow(1.0, r, kappa) for r in ratios]
-    found = reduced_flow(kappa, 1.0)
-    assert [found(ratio) for ratio in ratios] == pytest.approx(expected, abs=1e-8)
-    assert found(1.0) == 0
-
-
-def test_laminar_line_joins_the_subsonic_branch_to_zero():
-    exact, line = reduced_flow(1.4, 1.0)(0.999), [reduced_flow(1.4, 0.999)(r) for r in (0.9989999, 0.999, 0.9995, 1.0)]
-    assert line == pytest.approx([exact, exact, exact / 2, 0.0], rel=1e-4)
+    exact, found = reduced_flow(kappa, 1.0), reduced_flow(kappa, 0.999)
+    assert [exact(ratio) for ratio in ratios] == pytest.approx([textbook_flow(1.0, r, kappa) for r in ratios], abs=1e-8)
+    edge, line = exact(0.999), [found(r) for r in (0.9989999, 0.999, 0.9995, 1.0)]
+    assert line == pytest.approx([edge, edge, edge / 2, 0.0], rel=1e-4)
 
 
 # --- one test for each numbered equation --------------------------------------------------------------------------
@@ -107,7 +86,10 @@ def test_equation_1_forces_on_the_piston_with_the_atmosphere_on_the_rod():
 
 
 def test_equation_2_and_3_a_closed_chamber_is_polytropic():
-    path = ode(FREE, [0.0, 0.3, 3e5, 3e5], 0.2)
+    rhs = servo_derivatives(FREE)
+    path = solve_ivp(
+        lambda t, x: rhs(*x, 0.0, 0.0, ALPHA, BETA), (0, 0.2), [0.0, 0.3, 3e5, 3e5], "LSODA", rtol=1e-10, atol=1e-11
+    )
     for chamber, index in ((2, 0), (3, 1)):
         volume = volumes(P, path.y[0])[index]
         constant = path.y[chamber] * volume**ALPHA
@@ -164,19 +146,14 @@ def test_equation_7_is_the_dynamics_of_the_python_control_system():
     assert chosen.output(0, np.array([1.0, 2.0, 3.0, 4.0]), np.zeros(2)).tolist() == [4.0, 1.0]
 
 
-def test_areas_are_the_published_ones():
-    assert pytest.approx(2.850e-4, abs=5e-8) == P.area_a
-    assert pytest.approx(2.534e-4, abs=5e-8) == P.area_b
-
-
-# --- conservation -------------------------------------------------------------------------------------------------
-
-
-def test_default_leakage_is_the_order_that_a_standard_grants_a_new_cylinder():
+def test_default_leakage_areas_and_friction_are_those_of_cylinders_on_sale():
+    assert pytest.approx([2.850e-4, 2.534e-4], abs=5e-8) == [P.area_a, P.area_b]
     # Free air: 20 degrees Celsius, 1 bar. From a chamber at 7.3 bar to the atmosphere.
     mass_flow = P.leakage_area * port_flow(7.3e5, 1e5) * -1 / math.sqrt(P.gas_constant * P.temperature)
     free_air = abs(mass_flow) * P.gas_constant * P.temperature / 1e5
     assert free_air * 3600e3 == pytest.approx(0.8, rel=0.2)
+    force = P.area_a * (P.supply_pressure - P.atmospheric_pressure)
+    assert 0.03 < P.coulomb_friction / force < P.static_friction / force < 0.10
 
 
 def test_opening_beyond_the_dead_band_grows_to_full():
@@ -189,12 +166,10 @@ def test_opening_beyond_the_dead_band_grows_to_full():
         assert wide(y, v, p_a, p_b, u, load, ALPHA, BETA) == pytest.approx(expected, rel=1e-12)
 
 
-def test_dry_friction_has_the_size_of_a_cylinder_on_sale():
-    force = P.area_a * (P.supply_pressure - P.atmospheric_pressure)
-    assert 0.03 < P.coulomb_friction / force < P.static_friction / force < 0.10
-    # What the pressures push with less than static friction hardly moves: slower than v_0.
+def test_a_push_of_less_than_static_friction_hardly_moves_the_piston():
     point = operating_point(velocity=0.0)
     held = simulate_actuator(np.zeros(50), 0.01, initial=[0, 0, point.P_a + 0.9 * 7.4 / P.area_a, point.P_b])
+    # Slower than v_0.
     assert np.abs(held.velocity).max() < 2e-3
 
 
@@ -202,14 +177,12 @@ def test_dry_friction_has_the_size_of_a_cylinder_on_sale():
 
 
 def test_end_stops_hold_the_piston():
-    recording = simulate_actuator(np.full(200, 1.0), 0.005)
     end = P.stroke / 2
-    assert recording.position.max() < end + P.dead_length
-    force = P.area_a * 4e5
-    assert recording.position[-1] == pytest.approx(end + force / P.stop_stiffness, abs=2e-6)
-    assert abs(recording.velocity[-1]) < 1e-6
-    back = simulate_actuator(np.full(200, -1.0), 0.005)
-    assert back.position[-1] == pytest.approx(-end - P.area_b * 4e5 / P.stop_stiffness, abs=2e-6)
+    for sign, area in ((1.0, P.area_a), (-1.0, P.area_b)):
+        recording = simulate_actuator(np.full(200, sign), 0.005)
+        assert (sign * recording.position).max() < end + P.dead_length
+        assert sign * recording.position[-1] == pytest.approx(end + area * 4e5 / P.stop_stiffness, abs=2e-6)
+        assert abs(recording.velocity[-1]) < 1e-6
 
 
 def test_end_stops_never_pull_and_never_return_more_than_they_took():
@@ -218,3 +191,95 @@ def test_end_stops_never_pull_and_never_return_more_than_they_took():
     accelerations = [rhs(y, v, balanced, balanced, 0.0, 0.0, ALPHA, BETA)[1] for v in (-5.0, -0.05, 0.0, 0.05)]
     assert accelerations[0] == pytest.approx(0, abs=1e-9)
     assert 0 > accelerations[1] > accelerations[2] > accelerations[3]
+
+
+# --- the same once more, from a textbook of gas dynamics ----------------------------------------------------------
+# Masses of air, choked orifices, energy of the chambers, without the package's equations. The states are position,
+# velocity, and for each chamber the mass of air (an isothermal one, alpha = 1) or its internal energy (alpha > 1).
+
+
+LEAKING = PneumaticParameters(leakage_area=2e-9, dead_band=0.015)
+R, T, KAPPA = 287.06, 293.15, 1.4
+BORE, ROD, STROKE, DEAD = 19.05e-3, 6.35e-3, 76.2e-3, 5e-3
+AREA = np.pi / 4 * np.array([BORE**2, BORE**2 - ROD**2])
+ATMOSPHERE, PORT = 1e5, 2.815e-5
+SIDE = np.array([1.0, -1.0])  # a grows with the position, b shrinks
+DT, N = 0.01, 250
+
+
+def mass_flow(area, upstream, downstream):
+    """kg/s through an ideal nozzle: choked, isentropic, or, in the last thousandth, linear in the pressures."""
+    ratio = downstream / upstream
+    choked = np.sqrt(KAPPA / (R * T) * (2 / (KAPPA + 1)) ** ((KAPPA + 1) / (KAPPA - 1)))
+    if ratio <= (2 / (KAPPA + 1)) ** (KAPPA / (KAPPA - 1)):
+        return area * upstream * choked
+
+    def isentropic(r):
+        jet = np.sqrt(2 * KAPPA / (KAPPA - 1) * R * T * (1 - r ** ((KAPPA - 1) / KAPPA)))
+        return area * upstream / (R * T) * r ** (1 / KAPPA) * jet
+
+    return isentropic(ratio) if ratio < 0.999 else isentropic(0.999) * (1 - ratio) / 1e-3
+
+
+def flow_between(area, p_from, p_to):
+    return mass_flow(area, p_from, p_to) if p_from >= p_to else -mass_flow(area, p_to, p_from)
+
+
+def stop_force(y, v):
+    depth = abs(y) - STROKE / 2
+    return np.sign(y) * 2e6 * depth * max(0.0, 1 + 10 * v * np.sign(y)) if depth > 0 else 0.0
+
+
+def plant(valve, load, supply, discharge, alpha):
+    """Right-hand side for a command held over a period; the state's last two are mass or internal energy."""
+    opening = np.sign(valve) * max(0.0, abs(valve) - 0.015) / 0.985
+    outside = np.array([supply, ATMOSPHERE] if valve >= 0 else [ATMOSPHERE, supply])
+
+    def pressures(y, content):
+        volume = AREA * (DEAD + STROKE / 2 + SIDE * y)
+        return content * R * T / volume if alpha == 1 else content * (alpha - 1) / volume
+
+    def rates(_, x):
+        y, v, content = x[0], x[1], x[2:]
+        p = pressures(y, content)
+        port = discharge * PORT * abs(opening)
+        entering = np.array([flow_between(port, outside[i], p[i]) for i in (0, 1)])
+        entering -= SIDE * flow_between(2e-9, *p)
+        force = AREA @ (SIDE * (p - ATMOSPHERE)) - 4.47 * v - dry_friction(v) - stop_force(y, v) - load
+        # Air comes with its enthalpy at the temperature of the surroundings, and the chamber works on the piston.
+        change = entering if alpha == 1 else alpha / (alpha - 1) * R * T * entering - p * AREA * SIDE * v
+        return np.array([v, force / 1.0, *change])
+
+    return rates, pressures
+
+
+FORMS = pytest.mark.parametrize("alpha", [1.0, 1.25], ids=["mass of air", "internal energy"])
+
+
+def trajectory(commands, load, supply, discharge, alpha):
+    """Positions and pressures of the other form, under commands."""
+    start = operating_point(LEAKING, velocity=0.0)
+    p, volume = np.array([start.P_a, start.P_b]), AREA * (DEAD + STROKE / 2)
+    x = np.array([0.0, 0.0, *(p * volume / (R * T) if alpha == 1 else p * volume / (alpha - 1))])
+    positions, inside = np.empty(N), np.empty((N, 2))
+    for k in range(N):
+        rates, pressures = plant(commands[k], load[k], supply[k], discharge[k], alpha)
+        positions[k], inside[k] = x[0], pressures(x[0], x[2:])
+        atol = 1e-12 * np.maximum(np.abs(x), [1e-2, 1.0, 0.0, 0.0])
+        x = solve_ivp(rates, (0, DT), x, "LSODA", rtol=1e-11, atol=atol).y[:, -1]
+    return positions, inside
+
+
+@pytest.mark.parametrize("alpha", [1.0, 1.25], ids=["mass of air", "internal energy"])
+def test_actuator_is_that_of_the_mass_form_from_stop_to_stop(alpha):
+    t = DT * np.arange(N)
+    valve, discharge = 0.25 * np.sign(np.sin(3 * t + 0.1)), 0.25 + 0.05 * np.sin(2 * t)
+    world = {"load": 8.0 * np.sin(3 * t), "supply": 5e5 - 3e4 * np.cos(4 * t), "alpha": alpha}
+    positions, inside = trajectory(valve, discharge=discharge, **world)
+    got = simulate_actuator(valve, DT, LEAKING, rtol=1e-11, beta=alpha * discharge, **world)
+    assert np.abs(got.position - positions).max() < 1e-7
+    assert np.column_stack((got.P_a, got.P_b)) == pytest.approx(inside, rel=1e-6)
+    # The run meets what it is meant to try: flow choked, isentropic and linear, and both stops.
+    ratios = ATMOSPHERE / inside
+    assert ratios.min() < 0.528 and ratios.max() > 0.999
+    assert positions.max() > STROKE / 2 and positions.min() < -STROKE / 2
