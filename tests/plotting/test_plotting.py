@@ -6,6 +6,7 @@ import matplotlib
 import numpy as np
 import pytest
 from filterpy.common import Saver
+from recordings import recording
 
 from robust_filterpy import RobustKalmanFilter, plotting
 from robust_filterpy.identification import ARX, ParameterTracker
@@ -38,11 +39,7 @@ def batch():
 
 @pytest.fixture(scope="module")
 def run():
-    rng = np.random.default_rng(4)
-    u = rng.choice([-1.0, 1.0], N)
-    y = np.zeros(N)
-    for k in range(1, N):
-        y[k] = 0.8 * y[k - 1] + u[k - 1] + 0.2 * rng.normal()
+    y, u = recording(4, N, sigma=0.2, share=0.0, inside=True, a=[1.0, -0.8], b=[0.0, 1.0])
     return ParameterTracker(ARX(1, 1), R=0.04).run(y, u), y
 
 
@@ -63,10 +60,9 @@ def test_states_show_each_mean_its_band_and_the_truth(ax, batch):
 
 
 def test_a_saver_shows_the_states_of_the_batch(ax, batch):
-    means, _, saver, _, _ = batch
-    plotting.plot_states(saver, ax=ax)
+    plotting.plot_states(batch[2], ax=ax)
     assert len(ax.lines) == 2 and len(ax.collections) == 2
-    np.testing.assert_array_equal(ax.lines[1].get_ydata(), means[:, 1, 0])
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), batch[0][:, 1, 0])
 
 
 def test_innovations_mark_exactly_the_clipped(ax, batch):
@@ -142,11 +138,9 @@ def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
 @pytest.mark.parametrize("plot", [plotting.plot_states, plotting.plot_innovations, plotting.plot_weights])
 @pytest.mark.parametrize("source", [RobustKalmanFilter(2, 1), None])
 def test_a_filter_is_no_source(plot, source):
-    before = plt.get_fignums()
-    with pytest.raises(TypeError) as error:
+    before, got = plt.get_fignums(), type(source).__name__
+    with pytest.raises(TypeError, match=rf"^source: expected a Saver or the result of tracker.run\(..\), got {got}$"):
         plot(source)
-    expected = "source: expected a Saver or the result of tracker.run(..), got " + type(source).__name__
-    assert str(error.value) == expected
     assert plt.get_fignums() == before
 
 

@@ -1,12 +1,16 @@
-"""Pictures of the workbench show the numbers of their results, on the user's time axis, legends beside the data."""
+"""Pictures of the workbench show the numbers of their results, on the user's time axis, legends outside the data."""
+
+from dataclasses import replace
 
 import matplotlib
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+import recordings
+from numpy.testing import assert_allclose, assert_array_equal
+from recordings import assert_refused
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify, plotting
-from robust_filterpy.identification import FIR, StateSpace, compare, select_structure, validate
+from robust_filterpy.identification import FIR, LinearRegression, StateSpace, compare, select_structure, validate
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -22,11 +26,7 @@ def closed():
 
 @pytest.fixture(scope="module")
 def recording():
-    rng = np.random.default_rng(1)
-    u, y = rng.choice([-1.0, 1.0], 600), np.zeros(600)
-    for k in range(2, 600):
-        y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + u[k - 1] + 0.5 * u[k - 2]
-    y += np.where(rng.random(600) < 0.1, 5.0, 0.5) * rng.normal(size=600)
+    y, u = recordings.recording(1, 600, sigma=0.5)
     return pd.DataFrame({"y": y, "u": u}, index=pd.date_range("2024-03-01", periods=600, freq="10s"))
 
 
@@ -39,7 +39,7 @@ def labels(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
-def assert_beside_the_data(ax):
+def assert_outside_the_data(ax):
     ax.figure.canvas.draw()
     assert ax.get_legend().get_window_extent().x0 >= ax.get_window_extent().x1
 
@@ -56,8 +56,12 @@ def test_validation_marks_exactly_what_is_outside(recording):
         assert_array_equal(marked.get_ydata(), values[outside])
         assert_array_equal(marked.get_xdata(), np.flatnonzero(outside) + first)
         assert labels(ax) == ["99 % bound", "within", "outside"]
-        assert_beside_the_data(ax)
+        assert_outside_the_data(ax)
     assert axes[1].get_xlabel() == "lag [samples]"
+    with pytest.raises(ValueError, match="axes: expected 2 matplotlib axes, got 1"):
+        found.plot(axes=plt.figure().subplots())
+    given = plt.figure().subplots(2)
+    assert list(found.plot(axes=given)) == list(given)
     assert "dynamics are missing" in axes[0].figure.get_suptitle()
 
 
@@ -102,12 +106,10 @@ def test_selection_shows_every_structure_and_rings_the_chosen(recording):
         "fit [%]", "bic above the best", "parameters",
     )  # fmt: skip
     assert "chosen delay, 1" in labels(response)
-    assert_beside_the_data(fit)
-    assert_beside_the_data(response)
-
-
-def test_selection_without_input_has_no_impulse_response(recording):
+    assert_outside_the_data(fit)
+    # Without input there is no impulse response.
     assert len(select_structure(recording.y, None, ARX, na=[1, 2]).plot()) == 2
+    assert_outside_the_data(response)
 
 
 def test_comparison_has_dates_fits_and_units(recording, model):
@@ -118,7 +120,7 @@ def test_comparison_has_dates_fits_and_units(recording, model):
     assert_array_equal(ax.lines[0].get_ydata(), found.outputs["two"])
     assert (ax.get_ylabel(), ax.get_xlabel()) == ("output [mm]", "time")
     assert isinstance(ax.xaxis.get_major_formatter(), matplotlib.dates.ConciseDateFormatter)
-    assert_beside_the_data(ax)
+    assert_outside_the_data(ax)
     # An outlier does not flatten the outputs.
     wild = recording.y.copy()
     wild.iloc[10] = 1e6
@@ -127,9 +129,9 @@ def test_comparison_has_dates_fits_and_units(recording, model):
 
 def test_comparison_of_arrays_counts_samples(recording, model):
     found = compare({"two": model}, recording.y.to_numpy(), recording.u.to_numpy())
-    assert found.plot().get_xlabel() == "sample"
     seconds = found.plot(t=np.arange(600) * 0.1, time_unit="s")
-    assert seconds.get_xlabel() == "time [s]" and seconds.lines[0].get_xdata()[-1] == pytest.approx(59.9)
+    assert (found.plot().get_xlabel(), seconds.get_xlabel()) == ("sample", "time [s]")
+    assert seconds.lines[0].get_xdata()[-1] == pytest.approx(59.9)
 
 
 def test_a_run_has_the_names_and_the_dates_of_its_recording(recording):
@@ -156,9 +158,99 @@ def test_times_of_all_kinds_stand_on_the_axis(index, label):
         assert ax.lines[0].get_xdata(orig=True)[0] == np.datetime64("2024-03-30T00:00")
 
 
-def test_axes_that_are_too_few_are_refused(recording, model):
-    found = validate(model, recording.y, recording.u)
-    with pytest.raises(ValueError, match="axes: expected 2 matplotlib axes, got 1"):
-        found.plot(axes=plt.figure().subplots())
-    given = plt.figure().subplots(2)
-    assert list(found.plot(axes=given)) == list(given)
+# Responses: the numbers are those of the model, their bands too.
+
+
+@pytest.fixture(scope="module")
+def plain(model):
+    """The model of samples that have no times."""
+    return replace(model, dt=None)
+
+
+def line(ax, label):
+    return next(line for line in ax.lines if line.get_label() == label)
+
+
+def test_bode_of_a_tracker_and_a_chosen_input(plain):
+    rng = np.random.default_rng(2)
+    u = rng.choice([-1.0, 1.0], (300, 2))
+    y = 3.0 * u[:, 0] - 2.0 * np.concatenate(([0.0], u[:-1, 1])) + 0.1 * rng.normal(size=300)
+    tracker = ParameterTracker(FIR((1, 1), nk=(0, 1)), start=0)
+    tracker.run(y, u)
+    for which, gain in enumerate((3.0, 2.0)):
+        magnitude, _ = plotting.plot_bode(tracker, which=which)
+        assert_allclose(line(magnitude, str(tracker.structure)).get_ydata(), 20 * np.log10(gain), atol=0.1)
+
+
+def test_the_sampling_period_is_on_the_axis(plain):
+    assert plotting.plot_bode(plain)[1].get_xlabel() == "frequency [rad/sample]"
+    axes = plotting.plot_bode({"it": replace(plain, dt=0.1)})
+    assert axes[1].get_xlabel() == "frequency [rad/s]"
+    assert line(axes[0], "it").get_xdata()[-1] == pytest.approx(np.pi / 0.1)
+    assert_outside_the_data(axes[0])
+
+
+def test_poles_zeros_and_regions_are_those_of_the_model(plain):
+    ax = plotting.plot_poles({"it": plain}, level=0.9)
+    for label, of in (("poles, it", plain.poles), ("zeros, it", plain.zeros)):
+        drawn = line(ax, label).get_xdata() + 1j * line(ax, label).get_ydata()
+        assert_allclose(np.sort_complex(drawn), np.sort_complex(of().values))
+    edges = [one for one in ax.lines if len(one.get_xdata()) == 73]
+    expected = np.concatenate((plain.poles(0.9).ellipses(), plain.zeros(0.9).ellipses()))
+    assert_allclose([one.get_xdata() + 1j * one.get_ydata() for one in edges], expected)
+    assert "90 % regions" in [text.get_text() for text in ax.get_legend().get_texts()]
+    assert_outside_the_data(ax)
+
+
+def test_a_model_without_input_has_poles_only(recording):
+    labels = [one.get_label() for one in plotting.plot_poles({"it": identify(recording.y, None, ARX(2, 0))}).lines]
+    assert "poles, it" in labels and "zeros, it" not in labels
+
+
+def test_a_frequency_response_draws_itself_with_its_bands(plain):
+    found = plain.frequency_response(np.linspace(0.0, 3.0, 20))
+    magnitude, phase = found.plot()
+    for axes in ((magnitude, phase), plotting.plot_bode({"response": plain}, found.omega)):
+        for ax, unit, name in ((axes[0], lambda x: 20 * np.log10(x), "magnitude"), (axes[1], np.degrees, "phase")):
+            drawn = line(ax, "response")
+            assert_allclose(drawn.get_xdata(), found.omega)
+            assert_allclose(drawn.get_ydata(), unit(getattr(found, name)))
+            band = ax.collections[0].get_paths()[0].vertices
+            for end, of in (("lower", np.min), ("upper", np.max)):
+                edges = [of(band[np.isclose(band[:, 0], w), 1]) for w in found.omega[1:-1]]
+                assert_allclose(edges, unit(getattr(found, f"{name}_{end}"))[1:-1])
+
+
+def test_the_period_of_the_recording_is_that_of_the_responses(plain):
+    slow = replace(plain, dt=10.0)
+    assert slow.frequency_response([0.1]).dt == slow.step_response(3).time[1] == slow.noise_spectrum([0.1]).dt == 10.0
+    assert slow.frequency_response([0.1], dt=2.0).dt == 2.0 and plain.frequency_response([0.1]).dt == 1.0
+    with pytest.raises(ValueError, match="omega"):
+        slow.frequency_response([1.0])
+    with pytest.raises(ValueError, match="all with or all without a sampling period"):
+        plotting.plot_bode({"a": plain, "b": slow})
+
+
+def test_a_model_that_has_no_response_is_refused(recording, plain):
+    y, u = recording.y, recording.u
+    with pytest.raises(ValueError, match=r"ARX.*: expected a model with an input"):
+        plotting.plot_bode(identify(y, None, ARX(2, 0)))
+    with pytest.raises(ValueError, match="which: expected an input below 1"):
+        plotting.plot_bode(plain, which=1)
+    with pytest.raises(ValueError, match="input: expected 0 to 0"):
+        plotting.plot_poles(plain, which=1)
+    for call in (plotting.plot_bode, plotting.plot_poles):
+        with pytest.raises(ValueError, match="LinearRegression"):
+            call(identify(y, u, LinearRegression(1)))
+        with pytest.raises(ValueError, match="at its start"):
+            call(ParameterTracker(OutputError(2, 2)))
+    assert not plt.get_fignums()
+
+
+def test_bad_arguments_are_refused_by_name_and_nothing_is_drawn(plain):
+    wrong = {"models": [{}, "model", {"a": 3}], "level": [95]}
+    assert_refused(plotting.plot_poles, {"models": plain}, wrong)
+    assert_refused(plotting.plot_bode, {"models": plain}, wrong | {"omega": [[0.1, 4.0]]})
+    # What the right arguments have drawn.
+    assert len(plt.get_fignums()) == 2
+
