@@ -16,6 +16,7 @@ import pytest
 from numpy.random import SeedSequence, default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from recordings import assert_refused
+from support import by_night
 
 from robust_filterpy.testing import monte_carlo, rerun
 
@@ -36,7 +37,8 @@ def draw_sized(size, rng):
 def fail_on_negative(rng):
     value = rng.normal()
     if value < 0:
-        raise ValueError(f"drew {value:.3f}")
+        # The second as a library does that calls sys.exit.
+        raise ValueError(f"drew {value:.3f}") if value > -1.0 else SystemExit(f"drew {value:.3f}")
     return value
 
 
@@ -107,21 +109,6 @@ def test_a_seed_sequence_is_left_unchanged_and_refused_once_it_has_children():
         monte_carlo(draw, 3, seed=seed)
 
 
-def leaves_the_program(rng):
-    """Fail as a library does that calls sys.exit."""
-    number = rng.random()
-    if number > 0.5:
-        raise SystemExit("no licence")
-    return number
-
-
-def test_a_run_that_leaves_the_program_is_a_failed_run():
-    with pytest.warns(RuntimeWarning, match="runs failed"):
-        result = monte_carlo(leaves_the_program, 20, seed=0)
-    assert len(result.results) + len(result.failures) == 20
-    assert result.failures and all(failure.error == "SystemExit: no licence" for failure in result.failures)
-
-
 @pytest.mark.parametrize("n_jobs", [1, 2])
 def test_failing_runs_are_kept_apart_with_their_seed(n_jobs):
     with pytest.warns(RuntimeWarning, match=r"of 12 runs failed.*rerun\(trial, result.seed"):
@@ -131,10 +118,11 @@ def test_failing_runs_are_kept_apart_with_their_seed(n_jobs):
     assert_array_equal(study.stacked(), values[values >= 0])
     assert [failure.index for failure in study.failures] == list(np.flatnonzero(values < 0))
     for failure in study.failures:
-        assert failure.error == f"ValueError: drew {values[failure.index]:.3f}"
+        kind = ValueError if values[failure.index] > -1.0 else SystemExit
+        assert failure.error == f"{kind.__name__}: drew {values[failure.index]:.3f}"
         assert "fail_on_negative" in failure.traceback
         assert default_rng(failure.seed).normal() == values[failure.index]
-        with pytest.raises(ValueError, match="drew"):
+        with pytest.raises(kind, match="drew"):
             rerun(fail_on_negative, 0, failure.index)
 
 
@@ -170,41 +158,34 @@ SCRIPT = """
         value: float
 
     def trial(rng):
-        time.sleep({pause})
+        time.sleep(0.05)
         return Out(rng.normal())
 
     if __name__ == "__main__":
         warnings.simplefilter("ignore")
         monte_carlo(trial, 2, n_jobs=2)
         print("ready", flush=True)
-        study = monte_carlo(trial, {runs}, seed=4, n_jobs=2)
+        study = monte_carlo(trial, 2000, seed=4, n_jobs=2)
         stack = study.stacked()
         assert type(stack) is Out and list(study.indices) == list(range(len(study)))
         print(len(study), study.stopped, float(stack.value.sum()), flush=True)
 """
 
 
-def start_script(tmp_path, pause, runs):
+def start_script(tmp_path):
     script = tmp_path / "study.py"
-    script.write_text(textwrap.dedent(SCRIPT).format(pause=pause, runs=runs))
+    script.write_text(textwrap.dedent(SCRIPT))
     # A shell's background jobs ignore Ctrl-C, and their children would too.
+    default = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
     return subprocess.Popen(
-        [sys.executable, script],
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        [sys.executable, script], stdout=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=default
     )
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
-@pytest.mark.parametrize(
-    "send",
-    [pytest.param(os.kill, marks=pytest.mark.nightly), os.killpg],
-    ids=["parent alone", "whole group, as a terminal does"],
-)
+@pytest.mark.parametrize("send", by_night([os.kill, os.killpg], os.killpg), ids=["parent alone", "group"])
 def test_ctrl_c_returns_what_the_workers_have_done(tmp_path, send):
-    process = start_script(tmp_path, pause=0.05, runs=2000)
+    process = start_script(tmp_path)
     assert process.stdout.readline() == "ready\n"
     time.sleep(1.5)
     send(process.pid, signal.SIGINT)
@@ -214,13 +195,6 @@ def test_ctrl_c_returns_what_the_workers_have_done(tmp_path, send):
     assert 2 <= int(count) < 200
     expected = [default_rng(child).normal() for child in SeedSequence(4).spawn(int(count))]
     assert_allclose(float(total), np.sum(expected), rtol=1e-12)
-
-
-@pytest.mark.nightly
-def test_trial_of_a_script_runs_in_worker_processes(tmp_path):
-    process = start_script(tmp_path, pause=0, runs=30)
-    output, _ = process.communicate(timeout=60)
-    assert output.split()[1:3] == ["30", "None"]
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -255,13 +229,7 @@ def test_wrong_arguments_are_named():
         "seed": [-1, "x"],
         "n_jobs": [0, 1.5],
     })  # fmt: skip
-
-
-def test_rerun_refuses_what_names_no_run():
-    with pytest.raises(ValueError, match="seed: expected the study's seed"):
-        rerun(draw, None, 0)
-    with pytest.raises(ValueError, match="index: expected"):
-        rerun(draw, 0, -1)
+    assert_refused(rerun, {"trial": draw, "seed": 0, "index": 0}, {"seed": [None], "index": [-1]})
 
 
 # --- stacking ------------------------------------------------------------------------------------------------
