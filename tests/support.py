@@ -439,13 +439,13 @@ def by_night(values, *by_day):
     return [value if value in by_day else pytest.param(value, marks=pytest.mark.nightly) for value in values]
 
 
-def told_tracker(structure, **options):
+def paper_tracker(structure, **options):
     """The paper's recursion from the first sample: no start, no constant, R told (1 unless given)."""
     own = {} if "filter" in options and not isinstance(options["filter"], type) else {"R": 1.0}
     return ParameterTracker(structure, **{"start": 0, **own, **options})
 
 
-def told_bank(n, structure, **options):
+def paper_bank(n, structure, **options):
     """Such trackers for n actuators."""
     return TrackerBank(n, structure, **{"start": 0, "R": 1.0, **options})
 

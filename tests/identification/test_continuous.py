@@ -1,8 +1,10 @@
 """Continuous time: from a model in discrete time, and parameters of physics from samples at any times."""
 
+import control
 import numpy as np
 import pandas as pd
 import pytest
+from recordings import binary, recording
 from scipy.signal import lfilter
 
 from robust_filterpy import OutputError, identify
@@ -56,19 +58,19 @@ def test_a_function_that_takes_no_columns_gives_the_same():
 
 
 def test_parameters_that_the_recording_cannot_tell_apart_are_named():
-    def twice(x, u, p):
-        return [p[0] * p[1] * u[0] - p[2] * x[0]]
+    a = np.exp(-0.5)
+    y, u = recording(6, 80, share=0.0, sigma=0.02, a=[1.0, -a], b=[0.0, (1.0 - a) / 0.5])
+    guess = {"area": 2.0, "speed": 0.3, "rate": 0.3}
 
-    rng = np.random.default_rng(6)
-    t, u, y = np.arange(80.0), rng.choice([0.0, 1.0], 80), np.zeros(80)
-    for k in range(79):
-        y[k + 1] = np.exp(-0.5) * y[k] + (1 - np.exp(-0.5)) / 0.5 * u[k]
-    box = GreyBox(twice, {"area": 2.0, "speed": 0.3, "rate": 0.3}, x0=[0.0])
+    def identified(**options):
+        return identify(y, u, GreyBox(lambda x, u, p: [p[0] * p[1] * u[0] - p[2] * x[0]], guess, x0=[0.0], **options),
+                        t=np.arange(80.0))  # fmt: skip
+
     with pytest.warns(UserWarning, match="cannot tell area and speed apart"):
-        model = identify(y + 0.02 * rng.normal(size=80), u, box, t=t)
+        model = identified()
     assert model.untold == (("area", "speed"),)
     assert np.isinf(model.std[:2]).all() and model.std[2] < 0.05
-    fixed = identify(y + 0.02 * rng.normal(size=80), u, GreyBox(twice, box.p0, x0=[0.0], fixed=["area"]), t=t)
+    fixed = identified(fixed=["area"])
     assert not fixed.untold
     assert fixed.p["area"] == 2.0
     assert fixed.p["speed"] == pytest.approx(0.5, rel=0.05)
@@ -97,37 +99,31 @@ def test_several_recordings_and_times_of_an_index():
     assert two.starts.shape == (2, 1)
 
 
-@pytest.mark.parametrize(("change", "says"), [
-    (lambda y, u, t: (y, u, None), "expected the times"),
-    (lambda y, u, t: (y, u, t[::-1]), "times that increase"),
-    (lambda y, u, t: (np.full(150, np.nan), u, t), "output 0 in recording 0"),
-    (lambda y, u, t: (np.column_stack((y, y)), u, t), "h: expected one number for each output, 2"),
-    (lambda y, u, t: (y[:3], u[:3], t[:3]), "at least 6 measured"),
+Y, U, T = recorded(9)
+TANK = GreyBox(tank, {"inflow": 1.0, "outflow": 1.0}, x0=[1.0])
+
+
+@pytest.mark.parametrize(("call", "says"), [
+    (lambda: identify(Y, U, TANK), "expected the times"),
+    (lambda: identify(Y, U, TANK, t=T[::-1]), "times that increase"),
+    (lambda: identify(np.full(150, np.nan), U, TANK, t=T), "output 0 in recording 0"),
+    (lambda: identify(np.column_stack((Y, Y)), U, TANK, t=T), "h: expected one number for each output, 2"),
+    (lambda: identify(Y[:3], U[:3], TANK, t=T[:3]), "at least 6 measured"),
+    (lambda: GreyBox(tank, {"a": 1.0}, [0.0], bounds={"a": (2.0, 3.0)}), "between 2 and 3"),
+    (lambda: GreyBox(tank, {"a": 1.0}, [0.0], fixed=["b"]), "a parameter 'b'"),
+    (lambda: GreyBox("f", {"a": 1.0}, [0.0]), "a function"),
+    (lambda: identify(np.zeros(9), None, GreyBox(lambda x, u, p: [p[0] * x[0] ** 3], {"a": 9.0}, [9.0]), t=range(9)),
+     "unstable there"),
 ])  # fmt: skip
-def test_what_does_not_fit_is_refused(change, says):
-    y, u, t = change(*recorded(9))
-    with pytest.raises(ValueError, match=says):
-        identify(y, u, GreyBox(tank, {"inflow": 1.0, "outflow": 1.0}, x0=[1.0]), t=t)
-
-
-def test_a_grey_box_is_checked_before_there_are_data():
-    with pytest.raises(ValueError, match="between 2 and 3"):
-        GreyBox(tank, {"a": 1.0}, [0.0], bounds={"a": (2.0, 3.0)})
-    with pytest.raises(ValueError, match="a parameter 'b'"):
-        GreyBox(tank, {"a": 1.0}, [0.0], fixed=["b"])
-    with pytest.raises(TypeError, match="a function"):
-        GreyBox("f", {"a": 1.0}, [0.0])
-    with pytest.raises(ValueError, match="unstable there"):
-        identify(np.zeros(9), None, GreyBox(lambda x, u, p: [p[0] * x[0] ** 3], {"a": 9.0}, [9.0]), t=np.arange(9.0))
+def test_what_does_not_fit_is_refused_and_a_box_before_there_are_data(call, says):
+    with pytest.raises((ValueError, TypeError), match=says):
+        call()
 
 
 @pytest.mark.parametrize("structure", [OutputError(2, 2), StateSpace(2)], ids=["polynomials", "states"])
 def test_poles_in_continuous_time_are_those_of_the_plant(structure):
-    import control
-
     system = control.ss(control.tf([2.0], [1.0, 1.2, 4.0]))
-    rng = np.random.default_rng(1)
-    u = rng.choice([-1.0, 1.0], 600)
+    rng, u = binary(1, 600)
     y = control.forced_response(control.sample_system(system, 0.1), inputs=u).outputs + 0.002 * rng.normal(size=600)
     found = identify(y, u, structure).poles(dt=0.1)
     assert np.allclose(np.sort_complex(found.values), np.sort_complex(system.poles()), atol=0.1)
@@ -135,10 +131,7 @@ def test_poles_in_continuous_time_are_those_of_the_plant(structure):
 
 
 def test_a_pole_that_no_continuous_time_has_is_refused():
-    rng = np.random.default_rng(2)
-    u, y = rng.normal(size=200), np.zeros(200)
-    for k in range(199):
-        y[k + 1] = -0.8 * y[k] + u[k]
+    y, u = recording(2, 200, share=0.0, sigma=1e-6, a=[1.0, 0.8], b=[0.0, 1.0])
     with pytest.raises(ValueError, match="negative real axis"):
         identify(y, u, OutputError(1, 1)).poles(dt=1.0)
 

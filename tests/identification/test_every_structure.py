@@ -8,23 +8,18 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
-import support
-from recordings import silence
 from scipy.signal import lfilter
 
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.identification import (
     AR,
     ARMA,
     ARMAX,
-    ARX,
     FIR,
     BoxJenkins,
     GreyBox,
-    OutputError,
-    ParameterTracker,
     StateSpace,
     compare,
-    identify,
     select_structure,
     validate,
 )
@@ -90,40 +85,28 @@ def found(name):
     return identify(y, u, STRUCTURES[name], **timed(name, y), progress=False), y, u
 
 
-def moved(name, change, samples=None, **options):
+def put(signal, rows, value):
+    """A signal, or None, with a value in some rows."""
+    if signal is not None:
+        signal = signal.copy()
+        signal[rows] = value
+    return signal
+
+
+CHANGES = {
+    "gaps": lambda y, u: (put(y, slice(50, 55), np.nan), u),
+    "fill values": lambda y, u: (put(y, slice(None, None, 25), 9999.0), u),
+    "level step": lambda y, u: (np.append(y[: STEPPED // 2], y[STEPPED // 2 :] + 20.0, axis=0), u),
+    "operating point": lambda y, u: (y, None if u is None else u + 1e4),
+    "gap in u": lambda y, u: (y, put(u, slice(60, 63), np.nan)),
+}
+
+
+def moved(name, change=None, samples=None, **options):
     """A model of a recording that is changed."""
     y, u = recorded(name, 1, samples)
-    y, u = change(y.copy(), None if u is None else u.copy())
+    y, u = CHANGES[change](y, u) if change else (y, u)
     return identify(y, u, STRUCTURES[name], **timed(name, y), progress=False, **options)
-
-
-def gaps(y, u):
-    y[50:55] = np.nan
-    return y, u
-
-
-def fills(y, u):
-    y[::25] = 9999.0
-    return y, u
-
-
-def steps(y, u):
-    y[STEPPED // 2 :] += 20.0
-    return y, u
-
-
-def far(y, u):
-    return y, None if u is None else u + 1e4
-
-
-def gap_in_u(y, u):
-    if u is not None:
-        u[60:63] = np.nan
-    return y, u
-
-
-def same(y, u):
-    return y, u
 
 
 def named(name):
@@ -148,17 +131,13 @@ def simulated(name, **options):
 
 
 ABILITIES = {
-    "gaps": lambda name: moved(name, gaps),
-    "fill values": lambda name: moved(name, fills),
-    "level step": lambda name: moved(name, steps, STEPPED),
-    "operating point": lambda name: moved(name, far),
-    "gap in u": lambda name: moved(name, gap_in_u),
-    "groups": lambda name: moved(name, same, groups=np.arange(len(recorded(name)[0])) // 60),
-    "fixed": lambda name: moved(name, same, fixed={named(name): -1.2}),
-    "bounds": lambda name: moved(name, same, bounds={named(name): (-3.0, 3.0)}),
-    "no trend": lambda name: moved(name, same, trend="none"),
-    "constant": lambda name: moved(name, same, trend="constant"),
-    "line": lambda name: moved(name, same, STEPPED if name in OF_OUTPUTS else None, trend="line"),
+    **{one: lambda name, one=one: moved(name, one, STEPPED if one == "level step" else None) for one in CHANGES},
+    "groups": lambda name: moved(name, groups=np.arange(len(recorded(name)[0])) // 60),
+    "fixed": lambda name: moved(name, fixed={named(name): -1.2}),
+    "bounds": lambda name: moved(name, bounds={named(name): (-3.0, 3.0)}),
+    "no trend": lambda name: moved(name, trend="none"),
+    "constant": lambda name: moved(name, trend="constant"),
+    "line": lambda name: moved(name, samples=STEPPED if name in OF_OUTPUTS else None, trend="line"),
     "several": several,
     "times": lambda name: (
         found(name)[0] if name == "physics" else identify(*recorded(name), STRUCTURES[name], t=np.arange(180) / 1.0)
@@ -222,65 +201,6 @@ def test_every_structure_does_it_or_says_what_it_does_not_take(name, often):
     asked = abilities(name, often)
     wrong = [one for ability in asked for one in works_or_says(name, ability)]
     assert asked and not wrong, "\n".join(wrong)
-
-
-# What is found beside states and physics.
-
-
-def states(seed, samples=300):
-    """Two outputs of one plant with a tenth of outliers, and its input."""
-    rng = np.random.default_rng([62, seed])
-    u = np.repeat(rng.choice([-1.0, 1.0], (samples + 2) // 3), 3)[:samples]
-    clean = np.column_stack((lfilter(B, A, u), lfilter([0.0, 0.5, 0.2], A, u)))
-    return clean + 0.2 * np.where(rng.random(clean.shape) < 0.1, 10.0, 1.0) * rng.normal(size=clean.shape), u, clean
-
-
-def off(model, u, clean):
-    return np.linalg.norm(model.simulate(u) - model.simulate(np.zeros(u.size)) - clean) / np.linalg.norm(clean)
-
-
-def test_levels_of_states_that_step_are_taken_off_and_put_back():
-    y, u, clean = states(1, 500)
-    broken = y + 15.0 * (np.arange(500) >= 250)[:, None] * [1.0, -1.0]
-    with pytest.warns(UserWarning, match="output 1: the level of y steps by -1[45]"):
-        model = identify(broken, u, StateSpace(2))
-    assert [one.kind for one in model.findings] == ["step", "step"] and off(model, u, clean) < 0.02
-    np.testing.assert_allclose(model.level, [15.0, -15.0], atol=0.2)
-    assert (model.fit(broken, u) > 85.0).all()
-    assert np.abs(np.median(broken - model.predict(broken, u), axis=0)).max() < 0.1
-    assert {one.verdict for one in validate(model, broken, u)} == {"nothing is left in the residuals"}
-    # Another recording has the level at the end, and no step.
-    assert np.abs(np.median(model.residuals(y + [15.0, -15.0], u), axis=0)).max() < 0.1
-    with pytest.warns(UserWarning, match="follow u"):
-        bent = identify(broken, u, StateSpace(2), trend="constant")
-    assert off(bent, u, clean) > 0.1 and not bent.trends
-
-
-def test_a_plant_that_changes_an_angle_and_a_loop_are_said_of_states():
-    y, u, _ = states(4, 500)
-    with pytest.warns(UserWarning, match="the plant is another one there"):
-        identify(y * np.where(np.arange(500) < 300, 1.0, -1.0)[:, None], u, StateSpace(2))
-    limit = 0.6 * np.abs(y).max(axis=0)
-    with pytest.warns(UserWarning, match="an angle or a counter that wraps"):
-        identify((y + limit) % (2.0 * limit) - limit, u, StateSpace(2))
-    rng = np.random.default_rng(5)
-    x, z, v = np.zeros(800), np.zeros(800), lfilter([1.0], [1.0, -0.9], rng.normal(size=800))
-    act = rng.choice([-1.0, 1.0], 800)
-    for k in range(800):
-        x[k] = 0.8 * x[k - 1] + act[k - 1] if k else 0.0
-        z[k] = x[k] + v[k]
-        act[k] -= 0.3 * z[k]
-    with pytest.warns(UserWarning, match="the recording comes from a closed loop"):
-        identify(z, act, StateSpace(1))
-
-
-@support.draws(1, 3)
-def test_nothing_is_found_in_an_ordinary_recording(draws):
-    for seed in range(draws):
-        y, u, clean = states(10 + seed)
-        with silence():
-            model = identify(y, u, StateSpace(2))
-        assert model.findings == () and model.trends == () and off(model, u, clean) < 0.02
 
 
 # Recordings that break an assumption.

@@ -7,22 +7,26 @@ import pytest
 import scipy.optimize
 import statsmodels.api as sm
 import support
-from recordings import THETA, A, B, assert_refused, recording, wild
+from recordings import RIGHT, THETA, A, B, assert_refused, binary, recording, unheard, wild
 from scipy.signal import lfilter
 from statsmodels.tsa.statespace.sarimax import SARIMAX
 
 from robust_filterpy import Huber, TukeyBiweight
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError, identify
-from robust_filterpy.identification.estimation import prediction_error
+from robust_filterpy.identification import (
+    ARMAX,
+    ARX,
+    FIR,
+    GreyBox,
+    LinearRegression,
+    OutputError,
+    StateSpace,
+    identify,
+    validate,
+)
 from robust_filterpy.identification.estimation.starts import output_error_starts
-from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence import Linear
-
-
-def output_error_data(seed=0, length=500, share=0.1):
-    return recording(seed, length, share)
 
 
 def random_plant(rng, order):
@@ -35,17 +39,18 @@ def random_plant(rng, order):
 
 @support.draws(1, 3)
 @pytest.mark.parametrize("order", [2, 4])
-def test_the_cold_start_reaches_the_optimum_that_the_truth_leads_to(order, draws):
+def test_the_cold_start_reaches_the_optimum_to_which_the_truth_leads_scipy(order, draws):
     for seed in range(draws):
         rng = np.random.default_rng([order, seed])
         a, b = random_plant(rng, order)
         u = rng.choice([-1.0, 1.0], 600)
         y = lfilter(b, a, u) + wild(rng, 600)
+        found = identify(y, u, OutputError(order, order), influence=Huber(1.345), R=0.09)
         model = PolynomialModel(OutputError(order, order), y, u[:, None], True)
-        truth, rows = np.concatenate((a[1:], b[1:], np.zeros(1 + order))), model.conditioned
-        best = prediction_error.minimised(model, truth, Noise(Huber(), 0.09), rows, rows)
-        found = identify(y, u, OutputError(order, order), influence=Huber())
-        np.testing.assert_allclose(found.theta, best.p[: 2 * order], atol=1e-5)
+        residual = lambda p, model=model: model.residuals(p) / (1.345 * 0.3)  # noqa: E731
+        start = np.concatenate((a[1:], b[1:], np.zeros(1 + order)))
+        best = scipy.optimize.least_squares(residual, start, loss="huber", xtol=1e-14, ftol=1e-14, gtol=1e-12)
+        np.testing.assert_allclose(found.theta, best.x[: 2 * order], atol=1e-5)
 
 
 def test_of_ends_that_a_robust_loss_hardly_tells_apart_the_noise_of_the_residuals_chooses():
@@ -60,16 +65,6 @@ def test_of_ends_that_a_robust_loss_hardly_tells_apart_the_noise_of_the_residual
     fresh = rng.choice([-1.0, 1.0], 2000)
     clean = lfilter(b, a, fresh)
     assert np.linalg.norm(model.simulate(fresh) - model.level - clean) < 0.03 * np.linalg.norm(clean)
-
-
-def test_the_optimum_is_scipys():
-    y, u = output_error_data()
-    model = PolynomialModel(OutputError(2, 2), y, u[:, None], True)
-    found = identify(y, u, OutputError(2, 2), influence=Huber(1.345), R=0.09)
-    start = np.concatenate((THETA, np.zeros(3)))
-    residual = lambda p: model.residuals(p) / (1.345 * 0.3)  # noqa: E731
-    best = scipy.optimize.least_squares(residual, start, loss="huber", xtol=1e-14, ftol=1e-14, gtol=1e-12)
-    np.testing.assert_allclose(found.theta, best.x[:4], atol=1e-6)
 
 
 @pytest.mark.parametrize("structure", [ARX(2, 2), FIR(3), LinearRegression(2), ARX(1, (1, 2), nk=(0, 2))], ids=str)
@@ -99,7 +94,7 @@ def test_a_robust_regression_is_statsmodels():
 
 
 def test_redescending_influence_functions_serve_too():
-    y, u = output_error_data(share=0.2)
+    y, u = recording(0, 500, 0.2)
     np.testing.assert_allclose(identify(y, u, OutputError(2, 2), influence=TukeyBiweight()).theta, THETA, atol=0.08)
 
 
@@ -123,7 +118,7 @@ def test_missing_outputs_in_the_regressor_are_those_of_the_exact_likelihood(stru
 
 
 def test_no_sample_moves_the_estimate_by_more_than_a_bounded_amount():
-    y, u = output_error_data(length=400)
+    y, u = recording(0, 400)
     base = identify(y, u, OutputError(2, 2))
     for k, size in ((0, 1e6), (1, 1e90), (200, 1e2), (200, 1e6), (len(y) - 1, 1e6)):
         wild = y.copy()
@@ -132,8 +127,8 @@ def test_no_sample_moves_the_estimate_by_more_than_a_bounded_amount():
         assert np.abs(moved.theta - base.theta).max() < base.std.max()
 
 
-def test_the_noise_learnt_is_that_of_the_recording():
-    y, u = output_error_data(length=2000)
+def test_the_noise_is_that_of_the_recording():
+    y, u = recording(0, 2000)
     model = identify(y, u, OutputError(2, 2))
     assert model.R == pytest.approx(0.09, rel=5 * np.sqrt(2 / 1800) + 0.02)
     assert model.noise.influence.contamination == pytest.approx(0.1, abs=5 * np.sqrt(0.09 / 2000) + 0.01)
@@ -143,25 +138,19 @@ def test_the_noise_learnt_is_that_of_the_recording():
 
 
 @support.draws(2, 6)
-@pytest.mark.parametrize("share", [pytest.param(0.02, marks=pytest.mark.nightly), 0.1])
+@pytest.mark.parametrize("share", support.by_night([0.02, 0.1], 0.1))
 def test_outliers_in_the_regressor_cost_little(share, draws):
-    ours, labels, plain = [], [], []
+    errors = np.empty((draws, 3))
     for seed in range(draws):
+        y, u = recording(seed, 1500, share=0.0, sigma=0.5, inside=True)
         rng = np.random.default_rng(seed)
-        u = rng.choice([-1.0, 1.0], 1500)
-        y = lfilter(B, A, u) + lfilter([1.0], A, 0.5 * rng.normal(size=1500))
-        wild = rng.random(1500) < share
-        y[wild] += 5.0 * rng.normal(size=wild.sum())
-        errors = [
-            np.linalg.norm(model.theta - THETA)
-            for model in (identify(y, u, ARX(2, 2)), identify(np.where(wild, np.nan, y), u, ARX(2, 2)))
-        ]
-        X = ARX(2, 2).regressors(u, y)
-        plain.append(np.linalg.norm(np.linalg.lstsq(X, y, rcond=None)[0] - THETA))
-        ours.append(errors[0])
-        labels.append(errors[1])
-    rms = lambda values: np.sqrt(np.mean(np.square(values)))  # noqa: E731
-    assert rms(ours) < 1.5 * rms(labels) < 0.1 * rms(plain)
+        far = rng.random(1500) < share
+        y[far] += 5.0 * rng.normal(size=far.sum())
+        thetas = [identify(one, u, ARX(2, 2)).theta for one in (y, np.where(far, np.nan, y))]
+        thetas.append(np.linalg.lstsq(ARX(2, 2).regressors(u, y), y, rcond=None)[0])
+        errors[seed] = np.linalg.norm(np.array(thetas) - THETA, axis=1)
+    ours, labels, plain = np.sqrt(np.mean(errors**2, axis=0))
+    assert ours < 1.5 * labels < 0.1 * plain
 
 
 def test_the_noise_of_a_model_is_that_of_the_outputs_it_will_predict():
@@ -174,9 +163,9 @@ def test_the_noise_of_a_model_is_that_of_the_outputs_it_will_predict():
 
     y, u, wild = recorded(3)
     model = identify(y, u, ARMAX(2, 2, 1))
-    learnt = model.noise.influence
-    assert learnt.contamination == pytest.approx(wild.mean(), abs=0.02)
-    assert learnt.scale_ratio == pytest.approx(100.0, rel=0.25)
+    mixture = model.noise.influence
+    assert mixture.contamination == pytest.approx(wild.mean(), abs=0.02)
+    assert mixture.scale_ratio == pytest.approx(100.0, rel=0.25)
     assert pytest.approx(0.09, rel=0.15) == model.R
     # The outputs that stand in the regressor show nearly no outliers; who goes by them believes what is measured.
     y, u, wild = recorded(4)
@@ -192,7 +181,7 @@ def test_the_noise_of_a_model_is_that_of_the_outputs_it_will_predict():
     [OutputError(2, 2), ARX(2, 2), ARMAX(2, 2, 1), FIR(4)], OutputError(2, 2), FIR(4)
 ), ids=str)  # fmt: skip
 def test_neither_units_nor_the_offset_change_the_model(structure):
-    y, u = output_error_data(length=300)
+    y, u = recording(0, 300)
     y[100:110] = np.nan
     one = identify(y, u, structure)
     inputs = np.array([name.startswith("b") for name in structure.names])
@@ -209,7 +198,7 @@ def test_neither_units_nor_the_offset_change_the_model(structure):
 
 
 def test_without_offset_the_constant_is_zero():
-    y, u = output_error_data()
+    y, u = recording(0, 500)
     model = identify(y, u, OutputError(2, 2), offset=False)
     assert model.offset == model.offset_std == model.level == 0.0
     np.testing.assert_allclose(model.theta, THETA, atol=0.05)
@@ -227,23 +216,8 @@ def test_a_recording_may_begin_in_motion():
 # Uncertainty.
 
 
-@support.draws(20, 60)
-def test_the_standard_deviations_are_honest_under_outliers(draws):
-    inside = 0
-    for seed in range(draws):
-        rng = np.random.default_rng([11, seed])
-        u = rng.choice([-1.0, 1.0], 400)
-        y = lfilter([0.0, 1.0, 0.5], [1.0], u) + wild(rng, 400, share=0.15)
-        model = identify(y, u, FIR(2))
-        lower, upper = model.confidence_intervals()
-        inside += ((lower < [1.0, 0.5]) & ([1.0, 0.5] < upper)).sum()
-    # Binomial, nominal .95 less a little for a normal quantile; five standard errors.
-    assert inside > 2 * draws * (0.93 - 5 * np.sqrt(0.93 * 0.07 / (2 * draws)))
-    assert inside < 2 * draws or draws < 60
-
-
 def test_the_endings_say_which_start_won_and_whether_others_agreed():
-    y, u = output_error_data()
+    y, u = recording(0, 500)
     model = identify(y, u, OutputError(2, 2))
     best = model.endings[0]
     assert best.excess == best.difference == 0.0 and "Steiglitz-McBride from poles at 0.8" in best.starts
@@ -292,6 +266,10 @@ def test_bad_arguments_are_refused_by_name():
     (U, OutputError(1, 1), {"fixed": {"a1": -3.0}}, "limits that a stable model .* keeps"),
     (U, ARX(1, 1), {"fixed": {"a1": -0.5}, "bounds": {"a1": (-2.0, 0.0)}}, "that are not fixed, got 'a1'"),
     (U, ARX(1, 1), {"trend": "line", "offset": False}, 'expected "none" with offset=False'),
+    (U, ARX(2, 1, integrated=True), {"fixed": {"d1": -0.5}}, "which has it at -1"),
+    (U, StateSpace(1), {"fixed": {"a1": 1.0}}, "fixed: expected None"),
+    (U, StateSpace(1), {"R": 1.0}, "R: expected None"),
+    (U, GreyBox(lambda x, u, p: [u[0] - p[0] * x[0]], [1.0], x0=[0.0]), {"fixed": {"a1": 1.0}}, "fixed: expected None"),
 ])  # fmt: skip
 def test_bad_input_is_refused_with_its_remedy(u, structure, options, words):
     with pytest.raises(ValueError, match=words):
@@ -299,7 +277,7 @@ def test_bad_input_is_refused_with_its_remedy(u, structure, options, words):
 
 
 def test_an_interruption_leaves_nothing_half_done(monkeypatch):
-    y, u = output_error_data(length=300)
+    y, u = recording(0, 300)
     before = y.copy(), u.copy()
 
     def interrupted(*_):
@@ -332,7 +310,7 @@ def test_forty_parameters_of_a_clean_recording_are_those_of_least_squares(sample
 @pytest.mark.parametrize("structure", [ARX(2, 2), ARMAX(2, 2, 1)], ids=repr)
 @pytest.mark.parametrize("every", [2, 3])
 def test_an_output_that_is_slower_than_the_input_is_refused_where_outputs_are_regressors(every, structure):
-    y, u = output_error_data(length=600)[:2]
+    y, u = recording(0, 600)
     y[np.arange(600) % every > 0] = np.nan
     with pytest.raises(ValueError, match=r"^y: expected somewhere 3 measured samples in a row"):
         identify(y, u, structure)
@@ -347,3 +325,65 @@ def test_starts_of_high_order_are_numbers():
     starts = list(output_error_starts(model, np.ones(u.size - model.first, dtype=bool)))
     assert len(starts) > 4
     assert all(np.isfinite(start.p).all() for start in starts)
+
+
+# Parameters that are given, as numbers or between bounds; noise that is summed up.
+
+
+def quiet(**options):
+    return recording([31, 0], 400, sigma=0.1, **options)
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
+def test_a_fixed_parameter_stays_has_no_variance_and_helps_the_others(structure):
+    y, u = quiet(inside=structure.na > 0)
+    free, held = identify(y, u, structure), identify(y, u, structure, fixed={"a1": -1.5})
+    assert held.theta[0] == -1.5
+    assert held.std[0] == 0.0
+    assert (held.std[1:4] < 1.05 * free.std[1:4]).all()
+    assert held.std[1] < 0.9 * free.std[1]
+    assert np.abs((held.theta - free.theta)[:4]).max() < 4.0 * free.std[:4].max()
+
+
+def test_a_fixed_parameter_is_one_of_the_recording_as_it_was_measured():
+    y, u = quiet()
+    model = identify(1e3 * y + 7.0, 1e-2 * u + 50.0, OutputError(2, 2), fixed={"b2": 5e4})
+    assert model.theta[3] == 5e4
+    np.testing.assert_allclose(model.theta / [1.0, 1.0, 1e5, 1e5], THETA, atol=0.02)
+
+
+def test_a_bound_that_does_not_bind_changes_nothing():
+    y, u = quiet()
+    free, bounded = identify(y, u, OutputError(2, 2)), identify(y, u, OutputError(2, 2), bounds={"b2": (0.0, None)})
+    np.testing.assert_allclose(bounded.theta, free.theta, rtol=1e-6)
+    np.testing.assert_allclose(bounded.std, free.std, rtol=1e-5)
+
+
+def test_a_bound_that_binds_is_kept_and_named():
+    y, u = quiet()
+    with pytest.warns(UserWarning, match="b2 ended at a bound"):
+        model = identify(y, u, OutputError(2, 2), bounds={"b2": (None, 0.4)})
+    assert model.theta[3] == 0.4
+    assert model.std[3] == 0.0
+    with unheard():
+        fixed = identify(y, u, OutputError(2, 2), fixed={"b2": 0.4})
+    np.testing.assert_allclose(model.theta, fixed.theta, atol=1e-6)
+    np.testing.assert_allclose(model.std, fixed.std, rtol=1e-3)
+
+
+# Noise that is summed up.
+
+
+def test_with_a_level_that_wanders_and_jumps_the_dynamics_are_found_from_differences():
+    rng, u = binary([37, 0], 500)
+    y = 40.0 + lfilter(B, A, u) + np.cumsum(wild(rng, 500, sigma=0.1, share=0.05, size=20.0))
+    y[[100, 101, 300]] += [9.0, -7.0, 5.0]
+    model = identify(y, u, OutputError(2, 2, integrated=True))
+    np.testing.assert_allclose(model.theta, [*THETA, -1.0], atol=0.03)
+    assert not model.findings
+    assert model.std[4] == 0.0
+    # The level is nobody's.
+    assert np.isinf(model.offset_std)
+    left = y - model.predict(y, u)
+    assert np.nanmedian(np.abs(left[5:60])) < 0.15
+    assert validate(model, y, u).verdict == RIGHT

@@ -11,20 +11,9 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from statsmodels.tsa.arima.model import ARIMA
 
-from robust_filterpy import Huber
+from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import START, Contaminated
-from robust_filterpy.identification import (
-    AR,
-    ARMA,
-    ARMAX,
-    ARX,
-    BoxJenkins,
-    OutputError,
-    ParameterTracker,
-    compare,
-    identify,
-    validate,
-)
+from robust_filterpy.identification import AR, ARMA, ARMAX, BoxJenkins, compare, validate
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.influence import Linear
 from robust_filterpy.influence.regression import mad_scale
@@ -99,7 +88,7 @@ def test_without_robustness_box_and_jenkins_is_least_squares():
 
     model = identify(y, u, BJ, influence=Linear(), offset=False)
     found = least_squares(residuals, THETA)
-    # The recording begins at rest, which scipy is told and identify estimates.
+    # The recording begins at rest, which scipy assumes and identify estimates.
     assert np.abs((model.theta - found.x) / model.std).max() < 0.25
     covariance = np.linalg.inv(found.jac.T @ found.jac) * 2.0 * found.cost / (y.size - 6)
     np.testing.assert_allclose(model.std, np.sqrt(covariance.diagonal()), rtol=0.1)
@@ -165,7 +154,7 @@ def test_the_gradient_is_the_derivative_of_the_prediction():
     theta = np.array([*B, *F, 0.6, 0.1, -0.9, 0.2])
 
     def tracker(shift):
-        found = support.told_tracker(structure, theta=theta + shift, P=1e-30, Q=0.0)
+        found = support.paper_tracker(structure, theta=theta + shift, P=1e-30, Q=0.0)
         return found, found.run(y, u).prediction[-1]
 
     derivative = [(tracker(step * e)[1] - tracker(-step * e)[1]) / (2.0 * step) for e in np.eye(8)]
@@ -204,29 +193,7 @@ def test_the_recursion_ends_where_the_recording_does(structure):
     assert pytest.approx(model.R, rel=0.5) == tracker.R
 
 
-@pytest.mark.parametrize("guard", ["halve", "reject"])
-def test_the_guard_keeps_f_and_c_stable(guard):
-    y, u = recorded(400, share=0.3)
-    tracker = support.told_tracker(BJ, R=0.01, Q=0.02, guard=guard, influence=Linear())
-    with unheard():
-        result = tracker.run(y, u)
-    assert (result.guard != 0).sum() > 20
-    radii = [max(np.abs(np.roots([1.0, *theta[part]])).max() for part in BJ.stable_parts) for theta in result.theta]
-    assert max(radii) < 1.0
-
-
-# Refusals.
-
-
-def test_what_is_unstable_or_has_no_input_is_refused():
-    with pytest.raises(ValueError, match="theta: expected a stable model"):
-        support.told_tracker(BJ, theta=[1, 0, 0, 0, 2.0, 0])
-    with pytest.raises(ValueError, match="an input"):
-        identify(series([1.0, -0.5], [1.0], 200), None, AR(1)).transfer_function()
-
-
-
-# The learnt noise: a density, its score, and the mixture that made the residuals.
+# The noise as it is learned: a density and the mixture that made the residuals.
 
 
 E = np.linspace(-30.0, 30.0, 601)
@@ -240,26 +207,10 @@ def density(e, share=0.1, ratio=7.0):
     return (1 - share) * np.exp(-0.5 * e**2) / np.sqrt(2 * np.pi) + share * wide(e / ratio) / ratio / total
 
 
-def test_rho_and_the_normalizer_are_the_density():
+def test_rho_normalizer_and_likelihood_are_the_density():
     np.testing.assert_allclose(-MIXTURE.rho(E) - MIXTURE.log_normalizer(1), np.log(density(E)), rtol=1e-7)
-    total = quad(lambda e: np.exp(-float(MIXTURE.rho(e))), -400, 400, points=[-21, -3, 3, 21], limit=200)[0]
-    assert np.log(total) == pytest.approx(MIXTURE.log_normalizer(1), abs=1e-8)
-
-
-def test_psi_is_the_derivative_of_rho_and_psi_deriv_that_of_psi():
-    h = 1e-5
-    np.testing.assert_allclose((MIXTURE.rho(E + h) - MIXTURE.rho(E - h)) / (2 * h), MIXTURE.psi(E), atol=1e-7)
-    smooth = E[np.abs(np.abs(E) - 21.0) > 0.05]
-    slope = (MIXTURE.psi(smooth + h) - MIXTURE.psi(smooth - h)) / (2 * h)
-    np.testing.assert_allclose(slope, MIXTURE.psi_deriv(smooth), atol=1e-7)
-    away = E[E != 0.0]
-    np.testing.assert_allclose(MIXTURE.weights(away), MIXTURE.psi(away) / away, rtol=1e-12)
-
-
-@pytest.mark.parametrize("e", [1e10, 1e160, 1e300])
-def test_huge_residuals_stay_finite(e):
-    for function in (MIXTURE.rho, MIXTURE.psi, MIXTURE.psi_deriv, MIXTURE.weights, MIXTURE.ordinary):
-        assert np.isfinite(function([e, -e])).all()
+    within = np.linspace(-20.9, 20.9, 101)
+    assert Noise(MIXTURE, 1.0).log_likelihood(within) == pytest.approx(np.log(density(within)).sum(), rel=1e-7)
 
 
 @pytest.mark.parametrize(("share", "ratio"), [(0.05, 10.0), (0.2, 6.0), (0.3, 20.0)])
@@ -273,16 +224,10 @@ def test_expectation_maximisation_finds_the_mixture(share, ratio):
     assert found.R == pytest.approx(0.16, rel=5 * np.sqrt(2.0 / r.size) + 0.02)
 
 
-def test_a_known_variance_stays():
+def test_a_variance_that_is_given_stays():
     r = np.random.default_rng(6).normal(size=500)
     for influence in (Huber(), START):
         assert Noise(influence, 9.0, given=True).refitted(r).R == 9.0
-
-
-def test_without_outliers_psi_is_the_kalman_filters():
-    np.testing.assert_array_equal(Contaminated(0.0, 8.0).psi(E), E)
-    np.testing.assert_array_equal(Contaminated(0.0, 8.0).rho(E), 0.5 * E**2)
-    np.testing.assert_array_equal(Contaminated(0.0, 8.0).psi_deriv(E), np.ones(E.shape))
 
 
 def test_with_outliers_of_two_sizes_the_likelihood_tells_less_noise_from_more():
@@ -293,8 +238,3 @@ def test_with_outliers_of_two_sizes_the_likelihood_tells_less_noise_from_more():
     less, more = (noise.log_likelihood(one) for noise, one in zip(fitted, (r + gross, 10.0 * r + gross), strict=True))
     # Nearly log(10) a sample; the largest are the same in both.
     assert less - more == pytest.approx(2000 * np.log(10.0), rel=0.05)
-
-
-def test_within_its_reach_the_likelihood_is_that_of_the_density():
-    e = np.linspace(-20.9, 20.9, 101)
-    assert Noise(MIXTURE, 1.0).log_likelihood(e) == pytest.approx(np.log(density(e)).sum(), rel=1e-7)

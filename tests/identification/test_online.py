@@ -1,6 +1,7 @@
 """Samples that come one by one: the numbers of `run` to the last bit, and states that were stored before."""
 
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,31 +14,20 @@ from scipy.signal import lfilter
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.identification import ARX, FIR, OutputError, ParameterTracker, TrackerBank
-from robust_filterpy.identification.models.results import TrackingResult
-from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 STATES = Path(__file__).parent / "states"
 
 
 def recording(n=460, seed=5):
-    """An output-error recording with outliers and gaps."""
-    rng = np.random.default_rng(seed)
-    u, w = rng.choice([-1.0, 1.0], n), np.zeros(n)
+    """A recording with outliers and gaps, that of the states that were stored."""
+    rng, u = recordings.binary(seed, n)
+    w = np.zeros(n)
     for k in range(2, n):
         w[k] = 1.5 * w[k - 1] - 0.7 * w[k - 2] + u[k - 1] + 0.5 * u[k - 2]
     y = w + np.where(rng.random(n) < 0.1, 1.0, 0.1) * rng.normal(size=n)
     y[rng.random(n) < 0.02] = np.nan
     return y, u
-
-
-def one_by_one(tracker, y, u):
-    """What `update` gives, in the columns of a recording."""
-    samples = []
-    for k in range(len(y)):
-        samples.append((*tracker.update(y[k], u[k]), tracker.theta, tracker.std))
-    prediction, residual, weights, guard, theta, std = map(np.array, zip(*samples, strict=True))
-    return theta, std, prediction, residual, weights, guard
 
 
 MADE = [
@@ -52,17 +42,27 @@ MADE = [
 
 @pytest.mark.parametrize("make", MADE)
 def test_update_gives_the_numbers_of_run_to_the_last_bit(make):
-    y, u = recording()
-    # Samples that the kernel leaves to the definition; a sensor that is stuck.
+    y, u = recording(560)
+    # Samples that the kernel leaves to the definition; a sensor that is stuck; a plant that changes, which is said.
     y[[120, 300]] = 1e9, -1e12
     y[350:358] = y[350] + 3.0
-    one, other = make(), make()
-    columns = one_by_one(other, y, u)
-    # A model that is made of the samples so far is in the next row.
-    looks = np.isin(np.arange(1, len(y) + 1), [25, 50, 100, 200])
-    for name, found, expected in zip(TrackingResult._fields, one.run(y, u), columns, strict=True):
-        rows = ~looks if name in ("theta", "std") else slice(None)
-        np.testing.assert_array_equal(found[rows], expected[rows], err_msg=name)
+    y[400:] = -y[400:]
+    one, other, samples = make(), make(), []
+    with warnings.catch_warnings(record=True) as online:
+        warnings.simplefilter("always")
+        for k in range(len(y)):
+            samples.append((*other.update(y[k], u[k]), other.theta, other.std))
+    with warnings.catch_warnings(record=True) as sentences:
+        warnings.simplefilter("always")
+        result = one.run(y, u)
+    assert [str(each.message) for each in online] == [str(each.message) for each in sentences]
+    # A model that is made of the samples so far is in the next row: at a look, and after the change.
+    k = np.arange(1, len(y) + 1)
+    others = (k <= 400) & ~np.isin(k, [25, 50, 100, 200])
+    columns = ("prediction", "residual", "weights", "guard", "theta", "std")
+    for name, expected in zip(columns, zip(*samples, strict=True), strict=True):
+        rows = others if name in ("theta", "std") else slice(None)
+        np.testing.assert_array_equal(getattr(result, name)[rows], np.array(expected)[rows], err_msg=name)
     same(one.state(), other.state())
 
 
@@ -79,39 +79,23 @@ def test_a_bank_that_goes_sample_by_sample_is_its_run_to_the_last_bit():
     same(one.state(), other.state())
 
 
-def test_a_plant_that_changes_is_said_at_the_same_sample():
-    y, u = recording(700, seed=6)
-    y[450:] = -y[450:]
-    said = []
-    for call in ("update", "run"):
-        tracker = ParameterTracker(OutputError(2, 2), start=200)
-        for k in range(len(y)):
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                tracker.update(y[k], u[k]) if call == "update" else tracker.run(y[k : k + 1], u[k : k + 1])
-            said += [(call, k, str(one.message)) for one in caught if issubclass(one.category, LostTrackerWarning)]
-    first, second = ([row[1:] for row in said if row[0] == call] for call in ("update", "run"))
-    assert first and first == second
-
-
 def test_the_filter_shows_its_last_correction_from_when_it_was_asked_for():
     y, u = recording(60)
-    made = [support.told_tracker(ARX(2, 2), R=0.01) for _ in range(3)]
-    names = "H x_prior P_prior x_post P_post z y S SI K e weights".split()
+    whole, online, defined = (support.paper_tracker(ARX(2, 2), R=0.01) for _ in range(3))
     # The last one goes by the definition.
-    made[2].filter.predict = made[2].filter.predict
-    for tracker in made:
+    defined.filter.predict = defined.filter.predict
+    for tracker in (whole, online, defined):
         tracker.run(y[:30], u[:30])
         assert tracker.filter.x.size == 4
-    for tracker in made[1:]:
+    for tracker in (online, defined):
         for k in range(30, 60):
             tracker.update(y[k], u[k])
-    made[0].run(y[30:], u[30:])
-    for name in names:
-        expected = np.array(getattr(made[2].filter, name), dtype=float)
-        for tracker in made[:2]:
-            found = np.array(getattr(tracker.filter, name), dtype=float)
-            np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9, err_msg=name)
+    whole.run(y[30:], u[30:])
+    for name in "H x_prior P_prior x_post P_post z y S SI K e weights".split():
+        expected = np.array(getattr(defined.filter, name), dtype=float)
+        for tracker in (whole, online):
+            shown = np.array(getattr(tracker.filter, name), dtype=float)
+            np.testing.assert_allclose(shown, expected, rtol=1e-7, atol=1e-9, err_msg=name)
 
 
 def test_a_filter_of_ones_own_is_up_to_date_without_the_tracker():
@@ -127,7 +111,7 @@ def test_a_filter_of_ones_own_is_up_to_date_without_the_tracker():
 
 def test_what_is_set_between_two_samples_counts():
     y, u = recording(80)
-    one, other = (support.told_tracker(ARX(2, 2), R=0.01) for _ in range(2))
+    one, other = (support.paper_tracker(ARX(2, 2), R=0.01) for _ in range(2))
     other.filter.predict = other.filter.predict
     for k in range(80):
         for tracker in (one, other):
@@ -201,40 +185,19 @@ def test_one_reading_of_any_size_is_as_one_that_is_missing(size, at):
 # What a state replaces is said: a tracker that was made with another forgetting does not keep it in silence.
 
 
-RNG = np.random.default_rng(10_300)
-Y, U = RNG.normal(size=(2, 50))
-
-
-def tracker(**options):
-    return ParameterTracker(ARX(1, 1), start=0, **options)
-
-
-def bank(**options):
-    return TrackerBank(2, ARX(1, 1), start=0, **options)
-
-
-SHARED = r"restore: Q of the state, 0, took the place of what was set, 0\.001; forgetting of the state, "
-SAID = {
-    tracker: {
-        "forgetting": r"restore: forgetting of the state, 0\.99, took the place of what was set, 0\.9;",
-        "Q": SHARED + r"0\.99, took the place of what was set, 1;",
-    },
-    bank: {
-        "forgetting": r"forgetting of the state, array\(\[0\.99, 0\.99\]\), .* what was set, array\(\[0\.9, 0\.9\]\);",
-        "Q": SHARED + r"array\(\[0\.99, 0\.99\]\), took",
-    },
-}
-
-
-@pytest.mark.parametrize(("make", "said"), SAID.items())
-def test_another_forgetting_or_q_is_said_with_both_values_and_the_same_is_not(make, said):
-    one = make(forgetting=0.99)
-    one.run(*((Y, U) if make is tracker else (np.tile(Y[:, None], 2), np.tile(U[:, None], 2))))
-    state = one.state()
+@pytest.mark.parametrize("make", [ParameterTracker, partial(TrackerBank, 2)], ids=["tracker", "bank"])
+def test_another_forgetting_or_q_is_said_with_both_values_and_the_same_is_not(make):
+    y, u = np.random.default_rng(10_300).normal(size=(2, 50))
+    several = make is not ParameterTracker
+    one = make(ARX(1, 1), start=0, forgetting=0.99)
+    one.run(*((np.tile(column[:, None], 2) for column in (y, u)) if several else (y, u)))
+    state, number = one.state(), lambda x: rf"array\(\[{x}, {x}\]\)" if several else x
     with silence():
-        make(forgetting=0.99).restore(state)
+        make(ARX(1, 1), start=0, forgetting=0.99).restore(state)
         one.reset()
-    with pytest.warns(UserWarning, match=said["forgetting"]):
-        make(forgetting=0.9).restore(state)
-    with pytest.warns(UserWarning, match=said["Q"]):
-        make(Q=1e-3).restore(state)
+    both = rf"restore: forgetting of the state, {number('0.99')}, took the place of what was set, {number('0.9')};"
+    with pytest.warns(UserWarning, match=both):
+        make(ARX(1, 1), start=0, forgetting=0.9).restore(state)
+    both = rf"Q of the state, 0, took the place of what was set, 0\.001; forgetting of the state, {number('0.99')},"
+    with pytest.warns(UserWarning, match=both):
+        make(ARX(1, 1), start=0, Q=1e-3).restore(state)

@@ -1,22 +1,20 @@
-"""Several recordings of one plant are one model; a simulation begins where it is told to."""
+"""Several recordings of one plant are one model; a simulation begins where it should."""
 
 import numpy as np
 import pandas as pd
 import pytest
+from recordings import THETA, A, B, binary
 from scipy.signal import lfilter
 
 from robust_filterpy import ARX, OutputError, identify
-from robust_filterpy.identification import AR, ARMAX, BoxJenkins
-
-A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
-TRUE = np.array([-1.5, 0.7, 1.0, 0.5])
+from robust_filterpy.identification import AR, ARMAX, BoxJenkins, StateSpace
 
 
 def plant(sizes, seed, inside=False, outliers=0.1, noise=0.3):
     """Recordings at levels that differ much, each cut out of a longer motion."""
     rng, ys, us = np.random.default_rng(seed), [], []
     for n in sizes:
-        u = rng.choice([-1.0, 1.0], n + 60)
+        u = binary(rng, n + 60)[1]
         v = noise * rng.normal(size=n + 60)
         y = lfilter(B, A, u) + (lfilter([1.0], A, v) if inside else v)
         y += np.where(rng.random(n + 60) < outliers, 3.0, 0.0) * rng.normal(size=n + 60) + 20.0 * rng.normal()
@@ -32,24 +30,15 @@ def plant(sizes, seed, inside=False, outliers=0.1, noise=0.3):
 ], ids=str)  # fmt: skip
 def test_several_recordings_tell_as_much_as_one(structure, inside, near):
     model = identify(*plant([250, 150, 200], 1, inside), structure)
-    assert np.abs(model.theta[:4] - TRUE).max() < near
-    assert (np.abs(model.theta[:4] - TRUE) < 5.0 * model.std[:4]).all()
-    assert model.levels.size == 3
+    assert np.abs(model.theta[:4] - THETA).max() < near
+    assert (np.abs(model.theta[:4] - THETA) < 5.0 * model.std[:4]).all()
     assert "Recordings" in model.summary().facts
-
-
-def test_each_recording_is_known_again_with_its_level_and_start():
-    ys, us = plant([250, 150, 200], 2, outliers=0.0)
-    model = identify(ys, us, OutputError(2, 2))
-    for y, u in zip(ys, us, strict=True):
-        assert model.fit(y, u) > 80.0
-    assert np.abs(model.levels - [np.mean(y) for y in ys]).max() < 1.5
-    assert model.level == pytest.approx(model.levels[-1])
-
-
-def test_one_recording_in_a_list_is_one_recording():
-    ys, us = plant([300], 3)
-    assert np.array_equal(identify(ys, us, ARX(2, 2)).theta, identify(ys[0], us[0], ARX(2, 2)).theta)
+    # Each is known again with its level and start.
+    ys, us = plant([250, 150, 200], 2, inside, outliers=0.0)
+    model = identify(ys, us, structure)
+    assert all(model.fit(y, u) > 75.0 for y, u in zip(ys, us, strict=True))
+    assert np.abs(model.levels - [np.mean(y) for y in ys]).max() < 1.5 and model.level == model.levels[-1]
+    assert np.array_equal(identify(ys[:1], us[:1], structure).theta, identify(ys[0], us[0], structure).theta)
 
 
 def test_a_column_groups_the_rows_of_a_table():
@@ -65,7 +54,7 @@ def test_a_step_in_one_recording_is_taken_off_there():
     ys[1][250:] += 4.0
     with pytest.warns(UserWarning, match="recording 1: the level of y steps"):
         model = identify(ys, us, OutputError(2, 2))
-    assert np.abs(model.theta - TRUE).max() < 0.05
+    assert np.abs(model.theta - THETA).max() < 0.05
     assert model.fit(ys[1], us[1]) > 85.0
 
 
@@ -76,7 +65,7 @@ def test_without_input_and_with_a_disturbance():
     ys, us = plant([300, 300], 7, outliers=0.05)
     wandering = [y + 0.5 * lfilter([1.0], [1.0, -0.9], rng.normal(size=y.size)) for y in ys]
     boxed = identify(wandering, us, BoxJenkins(2, 0, 1, 2))
-    assert np.abs(boxed.theta[:2] - TRUE[2:]).max() < 0.25
+    assert np.abs(boxed.theta[:2] - THETA[2:]).max() < 0.25
 
 
 def test_a_long_gap_in_u_makes_two_recordings_and_a_short_one_is_held():
@@ -86,7 +75,7 @@ def test_a_long_gap_in_u_makes_two_recordings_and_a_short_one_is_held():
     with pytest.warns(UserWarning, match="2 recordings"):
         model = identify(y, gap, OutputError(2, 2))
     assert model.levels.size == 2
-    assert np.abs(model.theta - TRUE).max() < 0.05
+    assert np.abs(model.theta - THETA).max() < 0.05
     u[100] = np.nan
     with pytest.warns(UserWarning, match="u is missing in 1 samples"):
         assert identify(y, u, OutputError(2, 2)).levels.size == 0
@@ -99,48 +88,40 @@ def test_a_long_jump_of_the_time_axis_makes_two_recordings():
     with pytest.warns(UserWarning, match="1 jumps of the time axis: 2 recordings"):
         model = identify(pd.Series(y, index).iloc[kept], pd.Series(u, index).iloc[kept], OutputError(2, 2))
     assert (model.levels.size, model.dt) == (2, 2.0)
-    assert np.abs(model.theta - TRUE).max() < 0.05
+    assert np.abs(model.theta - THETA).max() < 0.05
 
 
 @pytest.mark.parametrize(("change", "says"), [
-    (lambda ys, us: (ys, us[:1]), "list of 2 recordings like y, got 1"),
     (lambda ys, us: (ys, us[0]), "list of 2 recordings like y, got ndarray"),
     (lambda ys, us: ([ys[0], ys[1][:3]], [us[0], us[1][:3]]), "in recording 1"),
     (lambda ys, us: ([ys[0], np.full(150, np.nan)], us), "got 0 in recording 1"),
     (lambda ys, us: (ys, [us[0], us[1][:-1]]), "150 samples like y, got 149"),
+    (lambda ys, us: (ys[0], us[0], [1] * 199), "a label for each of the 200"),
+    (lambda ys, us: (ys[0], us[0], [1.0, np.nan] * 100), "sample 1"),
 ])  # fmt: skip
-def test_recordings_that_do_not_fit_are_refused_by_number(change, says):
-    ys, us = plant([200, 150], 10)
+def test_recordings_and_labels_that_do_not_fit_are_refused_by_number(change, says):
+    y, u, *groups = change(*plant([200, 150], 10))
     with pytest.raises(ValueError, match=says):
-        identify(*change(ys, us), OutputError(2, 2))
-
-
-def test_labels_that_do_not_fit_are_refused():
-    ys, us = plant([200], 11)
-    with pytest.raises(ValueError, match="a label for each of the 200"):
-        identify(ys[0], us[0], ARX(1, 1), groups=[1] * 199)
-    with pytest.raises(ValueError, match="sample 1"):
-        identify(ys[0], us[0], ARX(1, 1), groups=[1.0, np.nan] * 100)
+        identify(y, u, OutputError(2, 2), groups=groups[0] if groups else None)
 
 
 @pytest.mark.pairwise(1)
-@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), BoxJenkins(2, 0, 1, 2)], ids=str)
+@pytest.mark.parametrize("structure", [
+    OutputError(2, 2), ARX(2, 2), BoxJenkins(2, 0, 1, 2), StateSpace(2),
+    pytest.param(StateSpace(2, disturbance=True), marks=pytest.mark.nightly),
+], ids=str)  # fmt: skip
 @pytest.mark.parametrize("about", [0.0, 500.0])
 def test_a_simulation_goes_on_where_a_recording_ended(structure, about):
-    (y,), (u,) = plant([400], 12, inside=structure.na > 0, outliers=0.0, noise=1e-3)
+    (y,), (u,) = plant([400], 12, inside=structure == ARX(2, 2), outliers=0.0, noise=1e-3)
     u = u + about
     model = identify(y[:300], u[:300], structure)
     for start in ("continued", (y[:300], u[:300]), (y[250:300], u[250:300])):
-        assert np.abs(model.simulate(u[300:], start=start) - y[300:]).max() < 0.05
-    assert np.abs(model.simulate(u[300:]) - y[300:])[:3].max() > 0.05
-
-
-def test_outliers_and_gaps_at_its_end_do_not_spoil_where_a_recording_ended():
-    (y,), (u,) = plant([400], 13, inside=True, outliers=0.0, noise=1e-3)
-    model = identify(y[:300], u[:300], ARX(2, 2))
-    y = y.copy()
-    y[298], y[297] = 1e6, np.nan
-    assert np.abs(model.simulate(u[300:], start=(y[:300], u[:300])) - y[300:]).max() < 0.05
+        assert np.abs(np.ravel(model.simulate(u[300:], start=start)) - y[300:]).max() < 0.05
+    assert np.abs(np.ravel(model.simulate(u[300:])) - y[300:])[:3].max() > 0.05
+    # Outliers and gaps at the end do not spoil it.
+    before = y[:300].copy()
+    before[298], before[297] = 1e6, np.nan
+    assert np.abs(np.ravel(model.simulate(u[300:], start=(before, u[:300]))) - y[300:]).max() < 0.05
 
 
 def test_a_missing_input_keeps_its_value_and_that_is_said():

@@ -6,19 +6,10 @@ import pickle
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from recordings import silence, unchanged
+from recordings import recording, silence, unchanged
 
-from robust_filterpy import OutputError, ParameterTracker
-from robust_filterpy.identification import (
-    ARX,
-    FIR,
-    LinearRegression,
-    TrackerBank,
-    compare,
-    identify,
-    select_structure,
-    validate,
-)
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify
+from robust_filterpy.identification import FIR, LinearRegression, TrackerBank, compare, select_structure, validate
 
 pd = pytest.importorskip("pandas")
 
@@ -27,17 +18,10 @@ N = 600
 
 def table(index=None):
     """A first-order plant with a gap and outliers."""
-    rng = np.random.default_rng(1)
-    u = rng.choice([-1.0, 1.0], N)
-    y = np.zeros(N)
-    for k in range(1, N):
-        y[k] = 0.8 * y[k - 1] + 2.0 * u[k - 1]
-    y += 5.0 + np.where(rng.random(N) < 0.05, 3.0, 0.1) * rng.normal(size=N)
+    y, u = recording(1, N, share=0.05, sigma=0.1, a=[1.0, -0.8], b=[0.0, 2.0])
     y[100:110] = np.nan
-    return pd.DataFrame(
-        {"y": y, "u": u},
-        index=pd.date_range("2024-03-01", periods=N, freq="10s", name="when") if index is None else index,
-    )
+    dates = pd.date_range("2024-03-01", periods=N, freq="10s", name="when")
+    return pd.DataFrame({"y": 5.0 + y, "u": u}, index=dates if index is None else index)
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +39,12 @@ def test_a_series_gives_the_model_of_its_numbers_and_its_period(model):
     assert model.transfer_function(dt=0.5).dt == 0.5
 
 
-@pytest.mark.parametrize("name", ["predict", "residuals", "free_run"])
-def test_signals_of_a_model_come_back_on_the_index(model, name):
+def test_signals_of_a_model_come_back_on_the_index(model):
     df = table()
-    found = getattr(model, name)(df.y, df.u)
-    assert found.index.equals(df.index)
-    assert_array_equal(found.to_numpy(), getattr(model, name)(df.y.to_numpy(), df.u.to_numpy()))
+    for name in ("predict", "residuals", "free_run"):
+        found = getattr(model, name)(df.y, df.u)
+        assert found.index.equals(df.index)
+        assert_array_equal(found.to_numpy(), getattr(model, name)(df.y.to_numpy(), df.u.to_numpy()))
 
 
 def test_simulation_fit_validation_and_comparison_take_a_table(model):
@@ -97,15 +81,10 @@ def test_a_run_comes_back_on_the_index_with_the_names_of_the_parameters():
     assert list(frame) == ["a1", "b1", "a1_std", "b1_std", "prediction", "residual", "weight", "guard"]
     assert_array_equal(frame[["a1", "b1"]].to_numpy(), result.theta)
     assert tracker.dt == 10.0 and tracker.transfer_function().dt == 10.0
-    assert len(result) == 6
+    counted = ParameterTracker(OutputError(1, 1), Q=1e-6).run(df.y.to_numpy(), df.u.to_numpy()).to_frame()
+    assert len(result) == 6 and counted.index.name == "sample" and list(counted.index[:2]) == [0, 1]
     for same in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
         assert same.names == ("a1", "b1") and same.index.equals(df.index)
-
-
-def test_a_run_of_arrays_counts_the_samples():
-    df = table()
-    frame = ParameterTracker(ARX(1, 1), start=0).run(df.y.to_numpy(), df.u.to_numpy()).to_frame()
-    assert frame.index.name == "sample" and list(frame.index[:2]) == [0, 1]
 
 
 def test_a_bank_comes_back_with_the_names_of_the_actuators():
@@ -172,21 +151,35 @@ def test_uniform_indexes_of_all_kinds_are_taken(index, dt):
     assert found == (None if dt is None else pytest.approx(dt, rel=1e-4))
 
 
-@pytest.mark.parametrize("kind", [str, lambda time: time.to_pydatetime()], ids=["text", "objects"])
-def test_times_that_pandas_has_not_read_are_refused(kind):
-    times = pd.date_range("2024-03-30", periods=N, freq="h", tz="Europe/Berlin")
-    df = table(pd.Index([kind(time) for time in times], dtype=object))
-    with pytest.raises(ValueError, match=r"y: expected times in the index.*2024-03-30 00:00:00\+01:00.*to_datetime"):
-        identify(df.y, df.u, FIR(2))
-    df.index = pd.to_datetime(df.index, utc=True)
-    assert identify(df.y, df.u, FIR(2)).dt == 3600.0
+DAY = pd.date_range("2026-01-10", periods=60, freq="6h")
+LOCAL = pd.date_range("2024-03-30", periods=60, freq="h", tz="Europe/Berlin")
+HOLE = pd.Index([*range(5), *range(6, 61)])
 
 
-def test_a_count_with_a_hole_is_refused_but_not_for_a_regression():
-    df = table(pd.RangeIndex(N)).drop(5)
-    with pytest.raises(ValueError, match=r"steps of 1, got a step of 2 from 4 to 6.*reset_index"):
-        identify(df.y, df.u, FIR(1))
-    identify(df.y, df.u, LinearRegression(1))
+@pytest.mark.parametrize(("index", "said"), [
+    # Dates that are text: with the order of day and month that pandas would get wrong.
+    (DAY.strftime("%d.%m.%Y %H:%M"), r"pd\.to_datetime\(df\.index, dayfirst=True, utc=True\)$"),
+    (DAY.strftime("%d/%m/%Y %H:%M"), r"pd\.to_datetime\(df\.index, utc=True\); with dayfirst=True where the day st.*"),
+    (DAY.strftime("%Y-%m-%d %H:%M"), r"pd\.to_datetime\(df\.index, utc=True\)$"),
+    (pd.Index([str(time) for time in LOCAL], dtype=object), r"y: expected times in the index.*00:00:00\+01:00.*to_dat"),
+    (pd.Index([time.to_pydatetime() for time in LOCAL], dtype=object), "y: expected times in the index.*to_datetime"),
+    (pd.Index([True, False] * 30), "expected times or numbers in the index, got bools"),
+    (pd.Index(pd.array([True, False] * 30, dtype="boolean")), "expected times or numbers in the index, got bools"),
+    (HOLE, r"steps of 1, got a step of 2 from 4 to 6.*reset_index"),
+])  # fmt: skip
+def test_an_index_that_is_no_time_is_refused_with_what_makes_it_one(index, said):
+    y, u = pd.Series(np.arange(60.0), index), pd.Series(np.arange(60.0) % 7, index)
+    with pytest.raises(ValueError, match=said):
+        identify(y, u, FIR(1))
+    if index is HOLE:
+        # Regressors may come in any order.
+        identify(y, u, LinearRegression(1))
+
+
+def test_of_a_column_of_text_the_first_that_is_no_number_is_named_with_the_way_out():
+    column = pd.Series(["1.5", "2", "ERR", "-"] * 20)
+    with pytest.raises(TypeError, match=r"y: expected real numbers, got 'ERR' at index 2; pandas.to_numeric"):
+        identify(column, np.ones(80), OutputError(1, 1))
 
 
 def test_one_signal_without_index_goes_by_position(model):
@@ -209,14 +202,13 @@ def test_parameters_of_trackers_make_them_again():
 
 
 @pytest.mark.parametrize("unit", ["ns", "us", "ms"])
-@pytest.mark.parametrize("ms", [100, 300, 700])
-def test_a_period_is_the_number_that_one_would_write(unit, ms):
-    index = pd.date_range("2024-03-01", periods=N, freq=f"{ms}ms").as_unit(unit)
-    df = table(index)
-    tracker = ParameterTracker(ARX(1, 1), start=0, offset=True)
-    tracker.run(df.y, df.u)
-    assert tracker.dt == tracker.transfer_function().dt == ms / 1000
-    assert f" {ms / 1000:g} s\n" in tracker.summary().to_text()
+def test_a_period_is_the_number_that_one_would_write(unit):
+    for ms in (100, 300, 700):
+        df = table(pd.date_range("2024-03-01", periods=N, freq=f"{ms}ms").as_unit(unit))
+        tracker = ParameterTracker(ARX(1, 1), start=0, offset=True)
+        tracker.run(df.y, df.u)
+        assert tracker.dt == tracker.transfer_function().dt == ms / 1000
+        assert f" {ms / 1000:g} s\n" in tracker.summary().to_text()
     tracker.dt = 0.1234567890123
     assert " 0.123457 s\n" in tracker.summary().to_text()
 
@@ -254,7 +246,7 @@ def test_a_recording_that_goes_back_in_time_is_refused_and_one_that_goes_on_is_n
 
 
 @pytest.mark.parametrize("name", ["dates", "durations", "daylight saving"])
-def test_a_gap_between_two_recordings_is_told_and_how_to_fill_it(name):
+def test_a_gap_between_two_recordings_is_said_and_how_to_fill_it(name):
     tracker, rest = split(300, 342, TIMES[name])
     with pytest.warns(UserWarning, match=r"^y: 42 missing sample.s. between .*numpy.full\(42, numpy.nan\)"):
         tracker.run(rest.y, rest.u)
@@ -299,31 +291,3 @@ def test_a_refused_run_leaves_the_time_as_it_was():
         tracker.update(1.0, np.inf)
     with silence():
         tracker.run(rest.y, rest.u)
-
-
-def test_of_a_column_of_text_the_first_that_is_no_number_is_named_with_the_way_out():
-    column = pd.Series(["1.5", "2", "ERR", "-"] * 20)
-    with pytest.raises(TypeError, match=r"y: expected real numbers, got 'ERR' at index 2; pandas.to_numeric"):
-        identify(column, np.ones(80), OutputError(1, 1))
-
-
-@pytest.mark.parametrize("kind", ["bool", "boolean"])
-def test_an_index_of_bools_is_none(kind):
-    index = pd.Index(pd.array([True, False] * 50, dtype=kind))
-    with pytest.raises(ValueError, match="expected times or numbers in the index, got bools"):
-        identify(pd.Series(1.0, index=index), pd.Series(1.0, index=index), ARX(1, 1))
-
-
-# A message about dates that are text names the order of day and month that pandas would get wrong.
-
-
-@pytest.mark.parametrize(("form", "said"), [
-    ("%d.%m.%Y %H:%M", r"pd\.to_datetime\(df\.index, dayfirst=True, utc=True\)$"),
-    ("%d/%m/%Y %H:%M", r"pd\.to_datetime\(df\.index, utc=True\); with dayfirst=True where the day stands first$"),
-    ("%Y-%m-%d %H:%M", r"pd\.to_datetime\(df\.index, utc=True\)$"),
-])  # fmt: skip
-def test_text_that_reads_as_a_date(form, said):
-    times = pd.date_range("2026-01-10", periods=60, freq="6h").strftime(form)
-    df = pd.DataFrame({"y": range(60), "u": range(60)}, index=times, dtype=float)
-    with pytest.raises(ValueError, match=said):
-        identify(df["y"], df["u"], ARX(1, 1))

@@ -8,6 +8,7 @@ import pickle
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
 import support
 from filterpy.kalman import InformationFilter, KalmanFilter, SquareRootKalmanFilter
@@ -17,7 +18,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from interruption import interrupted
 from recordings import assert_refused, same, unchanged
 
-from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, RobustKalmanFilter
+from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Huber, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError, ParameterTracker
 from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.plants import simulate_output_error
@@ -53,9 +54,9 @@ def test_the_baseline_is_filterpys_kalman_filter():
     before = copy.deepcopy(vars(kf))
     options = {"P": 3.0, "Q": 1e-4, "R": 0.5}
     trackers = [
-        support.told_tracker(structure, influence=Linear(), **options),
-        support.told_tracker(structure, filter=KalmanFilter, **options),
-        support.told_tracker(structure, filter=kf),
+        support.paper_tracker(structure, influence=Linear(), **options),
+        support.paper_tracker(structure, filter=KalmanFilter, **options),
+        support.paper_tracker(structure, filter=kf),
     ]
     found = [tracker.run(y, u) for tracker in trackers]
     # The object is copied.
@@ -69,38 +70,25 @@ def test_the_baseline_is_filterpys_kalman_filter():
 
 
 def test_recordings_may_be_lists_or_pandas_columns():
-    pd = pytest.importorskip("pandas")
     y, u = recording()
     frame = pd.DataFrame({"y": y, "u": u, "w": -u})
-    expected = support.told_tracker(ARX(2, 2)).run(y, u)
-    same(expected, support.told_tracker(ARX(2, 2)).run(frame["y"], frame["u"]))
-    same(expected, support.told_tracker(ARX(2, 2)).run([None if v != v else v for v in y], list(u)))
-    same(expected, support.told_tracker(ARX(2, 2)).run(y[:, None], u[:, None]))
     two = ARX(2, (2, 1))
-    same(support.told_tracker(two).run(frame["y"], frame[["u", "w"]]), support.told_tracker(two).run(y, np.c_[u, -u]))
+    expected, both = support.paper_tracker(ARX(2, 2)).run(y, u), support.paper_tracker(two).run(y, np.c_[u, -u])
+    for given in ((frame["y"], frame["u"]), ([None if v != v else v for v in y], list(u)), (y[:, None], u[:, None])):
+        same(expected, support.paper_tracker(ARX(2, 2)).run(*given))
+    same(both, support.paper_tracker(two).run(frame["y"], frame[["u", "w"]]))
 
 
 def test_result_has_a_row_for_each_sample():
     y, u = recording()
-    result = support.told_tracker(OutputError(2, 2), R=0.25).run(y, u)
+    result = support.paper_tracker(OutputError(2, 2), R=0.25).run(y, u)
     assert result.theta.shape == result.std.shape == (150, 4)
     gap = np.isnan(y)
-    np.testing.assert_array_equal(np.isnan(result.residual), gap)
-    np.testing.assert_array_equal(np.isnan(result.weights), gap)
+    for column in (result.residual, result.weights):
+        np.testing.assert_array_equal(np.isnan(column), gap)
     np.testing.assert_allclose(result.residual[~gap], (y - result.prediction)[~gap])
-    assert np.isfinite(result.prediction).all()
+    assert np.isfinite(result.prediction).all() and result.guard.dtype.kind == "i"
     assert ((result.weights[~gap] > 0) & (result.weights[~gap] <= 1)).all() and (result.weights < 0.5).any()
-    assert result.guard.dtype.kind == "i"
-
-
-def test_model_without_input():
-    y = np.sin(0.3 * np.arange(60))
-    tracker = support.told_tracker(ARX(2, 0), R=1e-6)
-    tracker.run(y)
-    np.testing.assert_allclose(tracker.theta, [-2 * np.cos(0.3), 1.0], atol=1e-5)
-    assert tracker.predict() == pytest.approx(np.sin(0.3 * 60), abs=1e-4)
-    with pytest.raises(ValueError, match="input"):
-        tracker.transfer_function()
 
 
 # The model
@@ -110,7 +98,7 @@ def test_model_without_input():
 def test_transfer_function_answers_as_simulate_does(nk):
     u = np.random.default_rng(0).normal(size=(2, 80))
     theta = [-0.9, 0.4, 1.0, 0.5, 0.0, -2.0]
-    tracker = support.told_tracker(OutputError(2, (3, 1), nk=(nk, 2)), theta=theta)
+    tracker = support.paper_tracker(OutputError(2, (3, 1), nk=(nk, 2)), theta=theta)
     tf = tracker.transfer_function(0.1)
     assert (tf.ninputs, tf.noutputs, tf.dt) == (2, 1, 0.1)
     parts = [control.forced_response(tf[0, i], None, u[i]).outputs for i in range(2)]
@@ -120,14 +108,14 @@ def test_transfer_function_answers_as_simulate_does(nk):
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 def test_continued_simulation_is_the_tracker_with_every_sample_missing(structure):
     y, u = recording()
-    tracker = support.told_tracker(structure, R=0.25, gradient="filtered")
+    tracker = support.paper_tracker(structure, R=0.25, gradient="filtered")
     tracker.run(y[:100], u[:100])
     free = tracker.simulate(u[100:], continued=True)
     np.testing.assert_allclose(free, tracker.run(np.full(50, np.nan), u[100:]).prediction, rtol=1e-9, atol=1e-9)
 
 
 def test_simulation_of_an_unstable_model_is_refused_when_it_overflows():
-    tracker = support.told_tracker(ARX(1, 1), theta=[-3.0, 1.0])
+    tracker = support.paper_tracker(ARX(1, 1), theta=[-3.0, 1.0])
     assert np.isfinite(tracker.simulate(np.ones(20))).all()
     with pytest.raises(ValueError, match="unstable"):
         tracker.simulate(np.ones(2000))
@@ -136,7 +124,7 @@ def test_simulation_of_an_unstable_model_is_refused_when_it_overflows():
 def test_fit_and_intervals():
     assert ParameterTracker.fit([0.0, 2.0], [0.0, 2.0]) == 100.0
     assert ParameterTracker.fit([0.0, 2.0], [1.0, 1.0]) == pytest.approx(0.0)
-    tracker = support.told_tracker(FIR(2), theta=[1.0, 2.0], P=np.diag([4.0, 9.0]))
+    tracker = support.paper_tracker(FIR(2), theta=[1.0, 2.0], P=np.diag([4.0, 9.0]))
     lower, upper = tracker.confidence_intervals(0.95)
     same(tracker.confidence_intervals(), (lower, upper))
     np.testing.assert_allclose(lower, [1 - 1.959964 * 2, 2 - 1.959964 * 3], rtol=1e-6)
@@ -149,34 +137,18 @@ def test_fit_and_intervals():
 
 
 def test_print_shows_parameters_with_their_deviations_level_and_noise():
-    tracker = support.told_tracker(FIR(1), theta=2.0, P=0.25)
-    assert str(tracker).splitlines()[1].split() == ["b1", "2", "+-", "0.5"]
-    assert [line.split()[0] for line in str(tracker).splitlines()[2:]] == ["level", "R"]
-    for structure in (ARX(20, 20), LinearRegression(3), BoxJenkins(1, 1, 1, 1)):
-        for filter in (None, AdaptiveKalmanFilter):
-            shown = str(ParameterTracker(structure, **({} if filter is None else {"filter": filter})))
-            assert 4 <= len(shown.splitlines()) <= 16 and max(map(len, shown.splitlines())) <= 110
+    shown = str(support.paper_tracker(FIR(1), theta=2.0, P=0.25)).splitlines()
+    assert shown[1].split() == ["b1", "2", "+-", "0.5"] and [line.split()[0] for line in shown[2:]] == ["level", "R"]
+    assert len(str(ParameterTracker(ARX(20, 20))).splitlines()) <= 16
 
 
 # Missing samples, freezing, forgetting
 
 
-def test_missing_sample_is_replaced_by_the_prediction():
-    y, u = recording(missing=False)
-    gap, filled = support.told_tracker(ARX(2, 2)), support.told_tracker(ARX(2, 2))
-    for tracker in (gap, filled):
-        tracker.run(y[:50], u[:50])
-    missing = gap.update(None, u[50])
-    filled.enabled = False
-    filled.update(missing.prediction, u[50])
-    filled.enabled = True
-    same(gap.run(y[51:], u[51:]), filled.run(y[51:], u[51:]))
-
-
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 def test_frozen_tracker_predicts_and_does_not_learn(structure):
     y, u = recording()
-    tracker = support.told_tracker(structure, R=0.25, Q=1e-3)
+    tracker = support.paper_tracker(structure, R=0.25, Q=1e-3)
     tracker.run(y[:100], u[:100])
     theta, P = tracker.theta, tracker.P
     tracker.enabled = False
@@ -193,28 +165,10 @@ def test_forgetting_is_recursive_least_squares():
         gain = P @ row / (factor + row @ P @ row)
         theta = theta + gain * (value - row @ theta)
         P = (P - np.outer(gain, row @ P)) / factor
-    tracker = support.told_tracker(LinearRegression(3), forgetting=factor, P=10.0, influence=Linear())
+    tracker = support.paper_tracker(LinearRegression(3), forgetting=factor, P=10.0, influence=Linear())
     tracker.run(y, phi)
     np.testing.assert_allclose(tracker.theta, theta, rtol=1e-10)
     np.testing.assert_allclose(tracker.P, P, rtol=1e-10)
-
-
-def test_forgetting_without_excitation_does_not_blow_up():
-    tracker = support.told_tracker(FIR(2), forgetting=0.5)
-    tracker.run(np.zeros(3000), np.zeros(3000))
-    assert np.isfinite(tracker.P).all()
-    tracker.run([0.0, 2.0, 3.0, 2.0], [1.0, 1.0, 0.0, 0.0])
-    np.testing.assert_allclose(tracker.theta, [2.0, 1.0], atol=1.01)
-
-
-def test_reset_goes_back_to_the_start():
-    y, u = recording()
-    tracker = support.told_tracker(ARMAX(2, 2, 1), theta=0.1, P=2.0)
-    first = tracker.run(y, u)
-    tracker.enabled = False
-    tracker.reset()
-    assert tracker.enabled
-    same(first, tracker.run(y, u))
 
 
 # Bad input
@@ -225,21 +179,15 @@ class Moody(KalmanFilter):
 
 
 def test_bad_arguments_are_refused_by_name():
-    assert_refused(support.told_tracker, {"structure": OutputError(2, 2)}, {
+    """Those that a bank has as well are in its table."""
+    assert_refused(support.paper_tracker, {"structure": OutputError(2, 2)}, {
         "structure": [4],
         "theta": [[1.0, 2.0], [np.nan, 0, 0, 0], [-2.0, 1.5, 1.0, 1.0]],
-        "P": [-1.0, np.ones(4)],
-        "Q": [np.triu(np.ones((4, 4)))],
-        "R": [0.0, np.eye(2)],
-        "F": [np.eye(3)],
-        "forgetting": [1.1, 0.0],
-        "guard": ["project"],
-        "gradient": ["exact"],
         "filter": [KalmanFilter(3, 1), KalmanFilter(4, 2), object(), InformationFilter, SquareRootKalmanFilter(4, 1),
                    Moody, Moody(4, 1), lambda dim_x, dim_z: 3],
     })  # fmt: skip
     with pytest.raises(ValueError, match="influence: expected only without"):
-        support.told_tracker(OutputError(2, 2), filter=KalmanFilter, influence=Huber())
+        support.paper_tracker(OutputError(2, 2), filter=KalmanFilter, influence=Huber())
 
 
 @pytest.mark.parametrize(("call", "good", "wrong"), [
@@ -253,7 +201,7 @@ def test_bad_arguments_are_refused_by_name():
 ], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
 def test_bad_data_are_refused_by_name_and_nothing_changes(call, good, wrong):
     y, u = recording()
-    tracker = support.told_tracker(OutputError(2, 2))
+    tracker = support.paper_tracker(OutputError(2, 2))
     tracker.run(y, u)
     assert_refused(getattr(tracker, call), good, wrong, of=tracker)
 
@@ -263,12 +211,12 @@ def test_bad_data_are_refused_by_name_and_nothing_changes(call, good, wrong):
     (lambda t: t.update(1.0, 1e200), r"the order is y, u\), got 1e\+200"),
     (lambda t: t.run([1.0, 2.0], [1.0, 1.0], [1.0, 0.0]), "R: expected variances > 0, got 0.0 in sample 1"),
     (lambda t: t.run([1.0, 2.0], [1.0, 1.0], [1.0, np.inf]), "R: expected variances > 0, got inf in sample 1"),
-    (lambda t: support.told_tracker(FIR(2, nk=0)).predict(), "next input"),
-    (lambda t: support.told_tracker(FIR(4), P=np.ones(4)), r"P: expected shape \(4, 4\).*np.diag\(P\)"),
+    (lambda t: support.paper_tracker(FIR(2, nk=0)).predict(), "next input"),
+    (lambda t: support.paper_tracker(FIR(4), P=np.ones(4)), r"P: expected shape \(4, 4\).*np.diag\(P\)"),
 ])  # fmt: skip
 def test_what_helps_is_said(call, words):
     with pytest.raises(ValueError, match=words):
-        call(support.told_tracker(OutputError(2, 2)))
+        call(support.paper_tracker(OutputError(2, 2)))
 
 
 class Failing(AdaptiveKalmanFilter):
@@ -285,7 +233,7 @@ class Failing(AdaptiveKalmanFilter):
 @pytest.mark.parametrize("call", ["run", "update"])
 def test_what_a_filter_is_made_of_is_undone_too(call):
     y, u = recording(60, missing=False)
-    tracker, twin = (support.told_tracker(ARX(2, 2), filter=Failing) for _ in range(2))
+    tracker, twin = (support.paper_tracker(ARX(2, 2), filter=Failing) for _ in range(2))
     for one in (tracker, twin):
         one.run(y[:20], u[:20])
     tracker.filter.fails = True
@@ -298,21 +246,19 @@ def test_what_a_filter_is_made_of_is_undone_too(call):
 # A variance for each sample
 
 
-@pytest.mark.parametrize("make", [RobustKalmanFilter, KalmanFilter])
-def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand(make):
+def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand():
     y, u = recording(70)
     R = np.where(np.arange(len(y)) % 3 == 0, 25.0, 0.25)
-    for structure in STRUCTURES[:4]:
-        given, stepped, by_hand = (support.told_tracker(structure, filter=make, P=1.0, R=0.25) for _ in range(3))
-        result = given.run(y, u, R)
-        for k in range(len(y)):
-            stepped.update(y[k], u[k], R[k])
-            by_hand.filter.R = np.array([[R[k]]])
-            by_hand.update(y[k], u[k])
-            np.testing.assert_array_equal(result.theta[k], stepped.theta)
-            np.testing.assert_allclose(by_hand.theta, stepped.theta, rtol=1e-12, atol=1e-14)
-        assert given.filter.R.item() == 0.25
-        same(given.state(), stepped.state())
+    given, stepped, by_hand = (support.paper_tracker(OutputError(2, 2), P=1.0, R=0.25) for _ in range(3))
+    result = given.run(y, u, R)
+    for k in range(len(y)):
+        stepped.update(y[k], u[k], R[k])
+        by_hand.filter.R = np.array([[R[k]]])
+        by_hand.update(y[k], u[k])
+        np.testing.assert_array_equal(result.theta[k], stepped.theta)
+        np.testing.assert_allclose(by_hand.theta, stepped.theta, rtol=1e-12, atol=1e-14)
+    assert given.filter.R.item() == 0.25
+    same(given.state(), stepped.state())
 
 
 # What a filter holds before, while and after
@@ -321,17 +267,17 @@ def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand(make):
 @pytest.mark.parametrize("length", [1, 40, 300])
 def test_nothing_but_gaps_and_a_whole_number_as_theta(length):
     y, u = np.full(length, np.nan), np.ones(length)
-    tracker = support.told_tracker(ARX(1, 1), theta=[-0.5, 1.0])
+    tracker = support.paper_tracker(ARX(1, 1), theta=[-0.5, 1.0])
     np.testing.assert_array_equal(tracker.run(y, u).theta[-1], [-0.5, 1.0])
     y, u = recording(length, missing=False)
     for x in (np.zeros(2, dtype=int), np.zeros(2, dtype=np.float32), np.zeros((2, 1)), [0.0, 0.0]):
-        tracker, plain = support.told_tracker(ARX(1, 1)), support.told_tracker(ARX(1, 1))
+        tracker, plain = support.paper_tracker(ARX(1, 1)), support.paper_tracker(ARX(1, 1))
         tracker.filter.x = x
         np.testing.assert_allclose(tracker.run(y, u).theta, plain.run(y, u).theta, rtol=1e-9)
 
 
 def test_predict_knows_that_a_wound_up_tracker_stands_still():
-    tracker = support.told_tracker(ARX(1, 1), forgetting=0.5, F=1.5 * np.eye(2), theta=[-0.5, 1.0])
+    tracker = support.paper_tracker(ARX(1, 1), forgetting=0.5, F=1.5 * np.eye(2), theta=[-0.5, 1.0])
     for k in range(40):
         tracker.update(np.nan, 0.0 if k < 39 else 1.0)
         assert tracker.predict() == tracker.update(np.nan, 0.0).prediction
@@ -339,7 +285,8 @@ def test_predict_knows_that_a_wound_up_tracker_stands_still():
 
 def test_matrices_are_the_filters():
     y, u = recording()
-    one, other = support.told_tracker(ARX(2, 2), R=0.25), support.told_tracker(ARX(2, 2), R=4.0, Q=1e-3, forgetting=0.9)
+    one = support.paper_tracker(ARX(2, 2), R=0.25)
+    other = support.paper_tracker(ARX(2, 2), R=4.0, Q=1e-3, forgetting=0.9)
     one.R, one.Q, one.forgetting = 4.0, 1e-3, 0.9
     assert one.R == one.filter.R.item() == 4.0 and one.forgetting == pytest.approx(0.9)
     np.testing.assert_array_equal(one.Q, 1e-3 * np.eye(4))
@@ -353,40 +300,34 @@ def test_matrices_are_the_filters():
 
 
 @pytest.mark.parametrize("R", [np.nan, -1.0, None, np.array([[np.nan]]), np.array([[-1.0]])])
-@pytest.mark.parametrize("structure", STRUCTURES[:3], ids=str)
-def test_a_bad_variance_in_the_filter_is_named(structure, R):
-    y, u = recording(1200)
-    for length in (20, 1200):
-        tracker = support.told_tracker(structure)
-        tracker.filter.R = R
-        with pytest.raises(ValueError, match=r"sample 0: R: expected a variance > 0"):
-            tracker.run(y[:length], u[:length])
-        with pytest.raises(ValueError, match="R: expected a variance > 0"):
-            tracker.update(1.0, 1.0)
+def test_a_bad_variance_in_the_filter_is_named(R):
+    tracker = support.paper_tracker(OutputError(2, 2))
+    tracker.filter.R = R
+    with pytest.raises(ValueError, match=r"sample 0: R: expected a variance > 0"):
+        tracker.run(np.zeros(20), np.zeros(20))
+    with pytest.raises(ValueError, match="R: expected a variance > 0"):
+        tracker.update(1.0, 1.0)
 
 
-@pytest.mark.parametrize(("change", "error", "message"), [
-    ({"theta": np.full(4, np.nan)}, ValueError, "expected finite numbers in theta"),
-    ({"theta": "a"}, ValueError, "state: theta: expected real numbers"),
-    ({"undisturbed": np.full(2, np.inf)}, ValueError, "expected finite numbers in undisturbed"),
-    ({"R": np.array([[-1.0]])}, ValueError, "state: R: expected a positive"),
-    ({"R": np.zeros((1, 1))}, ValueError, "state: expected R > 0"),
-    ({"alpha_sq": np.array(0.0)}, ValueError, "state: expected alpha_sq >= 1"),
-    ({"P": -np.eye(4)}, ValueError, "state: P: expected a positive"),
-    ({"P": np.diag([1e12, -1e3, 1.0, 1.0])}, ValueError, "state: P: expected a positive"),
-    ({"recursion": np.full(7, -1e9)}, ValueError, "state: expected a limit"),
-    ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 0.5, -1.0])}, ValueError, "begun"),
-    ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 1.0, -2.0])}, ValueError, "next look"),
+@pytest.mark.parametrize(("change", "message"), [
+    ({"theta": np.full(4, np.nan)}, "expected finite numbers in theta"),
+    ({"theta": "a"}, "state: theta: expected real numbers"),
+    ({"undisturbed": np.full(2, np.inf)}, "expected finite numbers in undisturbed"),
+    ({"R": np.array([[-1.0]])}, "state: R: expected a positive"),
+    ({"P": -np.eye(4)}, "state: P: expected a positive"),
+    ({"P": np.diag([1e12, -1e3, 1.0, 1.0])}, "state: P: expected a positive"),
+    ({"recursion": np.full(7, -1e9)}, "state: expected a limit"),
+    ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 0.5, -1.0])}, "begun"),
+    ({"recursion": np.array([0.0, 1.0, 0.0, 0.9, 1.0, 1.0, -2.0])}, "next look"),
 ])  # fmt: skip
-def test_a_bad_state_is_refused(change, error, message):
-    tracker = support.told_tracker(OutputError(2, 2))
-    before = tracker.state()
-    with pytest.raises(error, match=message):
-        tracker.restore(before | change)
+def test_a_bad_state_is_refused(change, message):
+    """A bank's table has R = 0, alpha_sq = 0 and what is not symmetric."""
+    tracker = support.paper_tracker(OutputError(2, 2))
+    with unchanged(tracker), pytest.raises(ValueError, match=message):
+        tracker.restore(tracker.state() | change)
     for wrong in (None, "state.npz", 3):
-        with pytest.raises(TypeError, match=r"what numpy\.load makes of a file"):
+        with unchanged(tracker), pytest.raises(TypeError, match=r"what numpy\.load makes of a file"):
             tracker.restore(wrong)
-    same(before.values(), tracker.state().values())
 
 
 class Called(RobustKalmanFilter):
@@ -406,28 +347,19 @@ def test_what_updates_is_a_filter_even_if_it_can_be_called():
 
 
 ANY_STRUCTURE = [ARX(2, 2), OutputError(2, 2), ARMAX(1, 1, 1), FIR(2, nk=0), ARX(1, 2, nk=3), BoxJenkins(1, 1, 1, 1)]
-values = st.one_of(st.floats(-50.0, 50.0), st.sampled_from([0.0, np.nan, 1e6, -1e12, 1e150]))
+ANY_OPTIONS = st.fixed_dictionaries({
+    "offset": st.booleans(), "R": st.sampled_from([None, 0.25]), "forgetting": st.sampled_from([None, 0.98]),
+    "regressor": st.sampled_from(["measured", "cleaned"]), "gradient": st.sampled_from(["filtered", "pseudolinear"]),
+    "guard": st.sampled_from(["halve", "reject", "none"]), "scaling": st.sampled_from([None, "bounded"]),
+    "influence": st.sampled_from([None, Hampel(), Linear(), TukeyBiweight()]),
+})  # fmt: skip
+values = st.one_of(st.floats(-50.0, 50.0), st.sampled_from([0.0, np.nan, 1e6, -1e12, 1e300]))
 
 
 class Calls(RuleBasedStateMachine):
     """Draw calls of a tracker, and of a twin that takes the same samples one by one."""
 
-    @initialize(
-        structure=st.sampled_from(ANY_STRUCTURE),
-        start=st.sampled_from([0, 0, 40]),
-        options=st.fixed_dictionaries(
-            {
-                "offset": st.booleans(),
-                "R": st.sampled_from([None, 0.25]),
-                "regressor": st.sampled_from(["measured", "cleaned"]),
-                "forgetting": st.sampled_from([None, 0.98]),
-                "gradient": st.sampled_from(["filtered", "pseudolinear"]),
-                "guard": st.sampled_from(["halve", "reject"]),
-                "influence": st.sampled_from([None, Hampel()]),
-                "scaling": st.sampled_from([None, "bounded"]),
-            }
-        ),
-    )
+    @initialize(structure=st.sampled_from(ANY_STRUCTURE), start=st.sampled_from([0, 0, 40]), options=ANY_OPTIONS)
     def begin(self, structure, start, options):
         self.options = {"start": start, **options}
         self.structure = structure

@@ -1,18 +1,15 @@
 """ParameterTracker estimates: exact where the data are, least squares where it must be, and the paper's equations."""
 
-import math
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 import support
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from support import told_tracker, two_sided
+from support import paper_tracker, two_sided
 
 from robust_filterpy import Contaminated, Huber, StudentT, TukeyBiweight
-from robust_filterpy.identification import ARMAX, ARX, FIR, LinearRegression, OutputError
+from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 from robust_filterpy.plants.linear import random_walk
@@ -35,7 +32,7 @@ def white(length, seed=0):
 def test_without_noise_the_truth_stays_where_it_is(structure, c, gradient):
     theta, u = np.array([*PLANT, *c]), white(500)
     y = simulate_arx(PLANT, u, na=2, nb=2).y
-    result = support.told_tracker(structure, theta=theta, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
+    result = support.paper_tracker(structure, theta=theta, Q=1e-6, R=0.01, gradient=gradient).run(y, u)
     assert np.abs(result.theta - theta).max() < 1e-10
 
 
@@ -43,7 +40,7 @@ def test_without_noise_the_truth_stays_where_it_is(structure, c, gradient):
 def test_noiseless_output_error_is_approached_from_zero(gradient, factor):
     u = white(2000)
     y = simulate_output_error(PLANT, u, na=2, nb=2).y
-    path = support.told_tracker(OutputError(2, 2), P=1.0, Q=1e-6, R=0.01, gradient=gradient).run(y, u).theta
+    path = support.paper_tracker(OutputError(2, 2), P=1.0, Q=1e-6, R=0.01, gradient=gradient).run(y, u).theta
     error = np.linalg.norm(path - PLANT, axis=1)
     # From 500 samples to 2000 the filtered gradient wins a factor of 1000, the pseudo-linear form of 5.
     assert error[-1] < factor * error[500] and error[-1] < 0.01, error[[100, 500, 1000, -1]]
@@ -57,7 +54,7 @@ def test_without_drift_and_bounds_it_is_regularised_least_squares(structure):
     rng = np.random.default_rng(3)
     u, y = rng.normal(size=(120, structure.n_inputs)), rng.normal(size=120)
     prior, P, R = rng.normal(size=structure.n_theta), 2.5, 0.3
-    tracker = support.told_tracker(structure, theta=prior, P=P, R=R, influence=Linear())
+    tracker = support.paper_tracker(structure, theta=prior, P=P, R=R, influence=Linear())
     tracker.run(y, u)
     phi = structure.regressors(u, y)
     information = phi.T @ phi / R + np.eye(structure.n_theta) / P
@@ -70,7 +67,7 @@ def test_without_drift_and_bounds_it_is_regularised_least_squares(structure):
 
 
 def test_equations_8_and_48_random_walk_adds_w():
-    tracker = support.told_tracker(FIR(2), P=2.0, Q=[[0.3, 0.1], [0.1, 0.2]])
+    tracker = support.paper_tracker(FIR(2), P=2.0, Q=[[0.3, 0.1], [0.1, 0.2]])
     tracker.update(None, 1.0)
     np.testing.assert_allclose(tracker.P, [[2.3, 0.1], [0.1, 2.2]])
 
@@ -80,9 +77,9 @@ def test_equations_9_and_10_parameters_follow_c():
     path = random_walk([1.0, -1.0], 0.0, 200, C=C)
     phi = np.random.default_rng(0).normal(size=(200, 2))
     y = np.sum(phi * path, axis=1)
-    following = support.told_tracker(LinearRegression(2), F=C, R=1e-4).run(y, phi).theta
+    following = support.paper_tracker(LinearRegression(2), F=C, R=1e-4).run(y, phi).theta
     np.testing.assert_allclose(following[50:], path[50:], atol=1e-6)
-    still = support.told_tracker(LinearRegression(2), R=1e-4).run(y, phi).theta
+    still = support.paper_tracker(LinearRegression(2), R=1e-4).run(y, phi).theta
     assert np.abs(still - path)[50:].max() > 1e-3
 
 
@@ -92,8 +89,8 @@ def test_equations_15_to_17_outliers_cost_little():
         phi = rng.normal(size=(200, 2))
         y = phi @ [1.0, 2.0] + Contaminated(0.1, 10.0).rvs(size=200, random_state=rng)
         robust, kalman = (
-            support.told_tracker(LinearRegression(2)),
-            support.told_tracker(LinearRegression(2), influence=Linear()),
+            support.paper_tracker(LinearRegression(2)),
+            support.paper_tracker(LinearRegression(2), influence=Linear()),
         )
         robust.run(y, phi)
         kalman.run(y, phi)
@@ -107,7 +104,7 @@ def test_equations_15_to_17_outliers_cost_little():
 def test_equations_18_to_23_the_regressor_holds_the_models_own_outputs(gradient):
     u = white(60)
     y = simulate_output_error(PLANT, u, noise=Contaminated(0.1, 10.0, 0.5), rng=2, na=2, nb=2).y
-    tracker = support.told_tracker(OutputError(2, 2), R=0.25, gradient=gradient)
+    tracker = support.paper_tracker(OutputError(2, 2), R=0.25, gradient=gradient)
     result = tracker.run(y, u)
     yhat, before = np.zeros(62), np.zeros(4)
     past = np.concatenate((np.zeros(2), u))
@@ -125,7 +122,7 @@ def test_equation_53_and_table_1_in_the_papers_own_letters():
     y = simulate_output_error(PLANT, u, noise=Contaminated(0.1, 10.0, 0.5), rng=2, na=2, nb=2).y
     theta, P, yhat = np.zeros(4), 0.01 * np.eye(4), np.zeros(122)
     past = np.concatenate((np.zeros(2), u))
-    tracker = support.told_tracker(
+    tracker = support.paper_tracker(
         OutputError(2, 2), P=P, Q=W, R=1.0, influence=Huber(k_eps), scaling="unit", gradient="pseudolinear",
         guard="none",
     )  # fmt: skip
@@ -145,40 +142,25 @@ def test_equation_53_and_table_1_in_the_papers_own_letters():
 # Robustness
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    y=st.lists(st.floats(allow_infinity=False, allow_subnormal=False), min_size=1, max_size=40),
-    scale=st.sampled_from([1.0, 1e6, 1e90]),
-    structure=st.sampled_from([OutputError(2, 2), ARMAX(2, 1, 2), ARX(2, 2), OutputError(3, 1, 0)]),
-    gradient=st.sampled_from(["filtered", "pseudolinear"]),
-    guard=st.sampled_from(["none", "reject", "halve"]),
-    influence=st.sampled_from([Linear(), Huber(), TukeyBiweight()]),
-    extra=st.sampled_from([{}, {"Q": 1.0, "P": 1e6, "R": 1e-6}, {"forgetting": 0.9}]),
-)
-def test_nothing_overflows_whatever_the_data(y, scale, structure, gradient, guard, influence, extra):
-    u = scale * np.random.default_rng(len(y)).normal(size=len(y))
-    tracker = support.told_tracker(structure, gradient=gradient, guard=guard, influence=influence, **extra)
-    result = tracker.run(y, u)
-    for column in (result.theta, result.std, result.prediction):
-        assert np.isfinite(column).all()
-    assert math.isfinite(tracker.predict(0.0))
-    assert np.linalg.eigvalsh(tracker.P)[0] >= -1e-8 * np.abs(tracker.P).max()
-
-
 @pytest.mark.parametrize("guard", ["reject", "halve"])
-def test_guard_keeps_every_model_stable(guard):
+@pytest.mark.parametrize("structure", [OutputError(2, 2), BoxJenkins(2, 1, 1, 2)], ids=str)
+def test_guard_keeps_every_model_stable(structure, guard):
     rng = np.random.default_rng(0)
     u, y = rng.normal(size=500), 20.0 * rng.standard_t(1, size=500)
-    result = support.told_tracker(OutputError(2, 2), Q=0.01, guard=guard, influence=Linear()).run(y, u)
-    assert (result.guard != 0).any()
-    assert all(np.abs(np.roots([1.0, *theta[:2]])).max() < 1.0 for theta in result.theta)
-    wild = support.told_tracker(OutputError(2, 2), Q=0.01, guard="none", influence=Linear()).run(y, u)
-    assert not (wild.guard != 0).any()
-    assert any(np.abs(np.roots([1.0, *theta[:2]])).max() > 1.0 for theta in wild.theta)
+
+    def radii(guard):
+        result = support.paper_tracker(structure, Q=0.01, guard=guard, influence=Linear()).run(y, u)
+        parts = [theta[part] for theta in result.theta for part in structure.stable_parts]
+        return (result.guard != 0).any(), max(np.abs(np.roots([1.0, *part])).max() for part in parts)
+
+    acted, largest = radii(guard)
+    assert acted and largest < 1.0
+    acted, largest = radii("none")
+    assert not acted and largest > 1.0
 
 
 def test_guard_watches_a_transition_matrix_too():
-    tracker = support.told_tracker(OutputError(1, 1), theta=[0.9, 1.0], F=1.2 * np.eye(2), guard="reject")
+    tracker = support.paper_tracker(OutputError(1, 1), theta=[0.9, 1.0], F=1.2 * np.eye(2), guard="reject")
     result = tracker.run([np.nan] * 5, np.ones(5))
     assert (np.abs(result.theta[:, 0]) < 1).all() and (result.guard == -1).all()
 
@@ -197,8 +179,8 @@ def test_two_sided_filter_follows_jumping_parameters_better_than_a_random_walk()
         u = rng.choice([-1.0, 1.0], 1200)
         noise = Contaminated(0.1, 10.0, 0.5).rvs(size=1200, random_state=rng)
         y = np.einsum("ij,ij->i", structure.regressors(u), theta) + noise
-        walk = support.told_tracker(structure, P=1.0, Q=jump**2 / 300, R=0.25)
-        doubting = support.told_tracker(structure, filter=two_sided(4, 1), P=1.0, Q=(jump / 100) ** 2, R=0.25)
+        walk = support.paper_tracker(structure, P=1.0, Q=jump**2 / 300, R=0.25)
+        doubting = support.paper_tracker(structure, filter=two_sided(4, 1), P=1.0, Q=(jump / 100) ** 2, R=0.25)
         errors.append([np.linalg.norm(t.run(y, u).theta - theta, axis=1)[200:].mean() for t in (walk, doubting)])
     walks, doubts = np.transpose(errors)
     # .80 was measured, standard error .01; a random walk with the same small Q is at 1.5.
@@ -209,11 +191,11 @@ def test_two_sided_filter_follows_jumping_parameters_better_than_a_random_walk()
 
 
 TRACKERS = {
-    "Huber": told_tracker,
-    "Linear": partial(told_tracker, influence=Linear()),
-    "Student": partial(told_tracker, influence=StudentT(4.0)),
-    "Tukey": partial(told_tracker, influence=TukeyBiweight()),
-    "pseudolinear": partial(told_tracker, gradient="pseudolinear"),
+    "Huber": paper_tracker,
+    "Linear": partial(paper_tracker, influence=Linear()),
+    "Student": partial(paper_tracker, influence=StudentT(4.0)),
+    "Tukey": partial(paper_tracker, influence=TukeyBiweight()),
+    "pseudolinear": partial(paper_tracker, gradient="pseudolinear"),
 }
 EVERY = pytest.mark.parametrize("make", TRACKERS.values(), ids=TRACKERS)
 ROBUST = pytest.mark.parametrize("make", [make for name, make in TRACKERS.items() if name != "Linear"])
@@ -287,15 +269,15 @@ def test_one_output_moves_parameters_by_a_bounded_amount(make, size):
 def test_intervals_hold_the_truth_and_moving_parameters_are_followed():
     linear = TRACKERS["Linear"]
     assert_interval_coverage(runs(linear, "fir", 80, 30), level=0.9)
-    assert_interval_coverage(runs(told_tracker, "fir", 80, 30), level=0.9, tolerance=0.05)
-    assert_tracks(runs(told_tracker, "fir", 30, 80, drift=0.05), at_least=0.5, skip=20)
+    assert_interval_coverage(runs(paper_tracker, "fir", 80, 30), level=0.9, tolerance=0.05)
+    assert_tracks(runs(paper_tracker, "fir", 30, 80, drift=0.05), at_least=0.5, skip=20)
     wild = {"mixture": {"scale_ratio": 30.0}}
-    assert_tracks(runs(told_tracker, "fir", 40, 120, contamination=wild), at_least=0.4, skip=40)
+    assert_tracks(runs(paper_tracker, "fir", 40, 120, contamination=wild), at_least=0.4, skip=40)
 
 
 @pytest.mark.parametrize(("plant", "limits"), [("output error", {0: 0.2}), ("armax", {0: 0.1, 4: 0.4})])
 def test_noise_with_a_colour_gives_no_bias(plant, limits):
-    found = runs(told_tracker, plant, 9, 400, sigma=1.0)
+    found = runs(paper_tracker, plant, 9, 400, sigma=1.0)
     median, truth = np.median([run.theta[-1] for run in found], axis=0), found[0].over.theta[-1]
     assert all(abs(median[i] - truth[i]) <= limit for i, limit in limits.items())
 
@@ -303,4 +285,4 @@ def test_noise_with_a_colour_gives_no_bias(plant, limits):
 @pytest.mark.parametrize("contamination", ["mixture", "bursts", "student", ("mixture", "missing")], ids=str)
 @pytest.mark.parametrize("plant", ["arx", "fir"])
 def test_parameters_are_recovered_through_every_kind_of_outlier(plant, contamination):
-    assert_recovers_parameters(runs(told_tracker, plant, 4, 300, contamination=contamination), factor=4.0)
+    assert_recovers_parameters(runs(paper_tracker, plant, 4, 300, contamination=contamination), factor=4.0)

@@ -12,7 +12,17 @@ from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from robust_filterpy.identification import AR, ARX, FIR, LinearRegression, OutputError, ParameterTracker, identify
+from robust_filterpy.identification import (
+    AR,
+    ARMAX,
+    ARX,
+    FIR,
+    BoxJenkins,
+    LinearRegression,
+    OutputError,
+    ParameterTracker,
+    identify,
+)
 from robust_filterpy.identification.estimation import estimate
 from robust_filterpy.influence import Linear
 
@@ -43,6 +53,13 @@ def drawn(model, count=20_000):
     thetas = np.random.default_rng(3).multivariate_normal(model.theta, model.P, count)
     a1, a2 = thetas[:, 0], thetas[:, 1]
     return thetas[(np.abs(a2) < 1.0) & (np.abs(a1) < 1.0 + a2)]
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2, 3), ARMAX(1, 2, 1), FIR(4), BoxJenkins(2, 0, 1, 2)], ids=str)
+def test_the_frequency_response_of_every_structure_is_python_controls(structure):
+    found = identify(*recorded(length=300), structure)
+    expected = control.frequency_response(found.transfer_function(), OMEGA[1:-1]).complex
+    np.testing.assert_allclose(found.frequency_response(OMEGA[1:-1]).response, expected, atol=1e-9)
 
 
 def test_responses_are_those_of_python_control(model):
@@ -142,15 +159,10 @@ def test_bands_hold_the_truth_as_often_as_they_say(draws):
         model = identify(*recorded([1.0], truth, 200, seed), FIR(3))
         found, step = model.frequency_response(OMEGA[3:-3:6]), model.step_response(5)
         answer = np.abs(np.exp(-1j * np.outer(found.omega, [1, 2, 3])) @ truth)
-        rise = np.cumsum([0.0, *truth, 0.0])
-        inside.append(
-            np.concatenate(
-                (
-                    (found.magnitude_lower <= answer) & (answer <= found.magnitude_upper),
-                    ((step.lower <= rise) & (rise <= step.upper))[1:],
-                )
-            )
-        )
+        lower = np.concatenate((found.magnitude_lower, step.lower[1:], model.confidence_intervals().lower))
+        upper = np.concatenate((found.magnitude_upper, step.upper[1:], model.confidence_intervals().upper))
+        true = np.concatenate((answer, np.cumsum([*truth, 0.0]), truth))
+        inside.append((lower <= true) & (true <= upper))
     # Five standard errors of one column.
     assert abs(np.mean(inside) - 0.95) < 5.0 * np.sqrt(0.95 * 0.05 / draws)
 
@@ -210,7 +222,7 @@ def test_bad_arguments_are_refused_by_name(model):
 def test_what_has_no_response_says_so():
     y, u = recorded(length=100)
     alone = identify(y, None, AR(1))
-    for call in (lambda: alone.frequency_response([0.1]), alone.step_response, alone.zeros):
+    for call in (lambda: alone.frequency_response([0.1]), alone.step_response, alone.zeros, alone.transfer_function):
         with pytest.raises(ValueError, match="expected a model with an input"):
             call()
     assert alone.poles().values == pytest.approx(-alone.theta)

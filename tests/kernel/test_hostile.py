@@ -65,7 +65,7 @@ def calls():
                 moments.correct(Choices(scaling="learnt"), spread.begin(m), np.eye(n), z, z, problem.H, None, problem.R)
         y, u = g.normal(size=60), g.normal(size=60)
         for structure in (OutputError(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 2, 2)):
-            support.told_tracker(structure).run(y, u)
+            support.paper_tracker(structure).run(y, u)
     assert track.kernel is kernel
     assert set(watched.calls) == {"filter_series", "smooth", "learnt_steps", "correct_moments", "track"}
     return watched.calls

@@ -54,7 +54,7 @@ def recording(length=300, seed=1):
 
 def pair(structure, **options):
     """Two trackers, the same; the second goes by the definition: a method of its filter is wrapped."""
-    one, other = (support.told_tracker(structure, **{"R": 0.25, "P": 1.0} | options) for _ in range(2))
+    one, other = (support.paper_tracker(structure, **{"R": 0.25, "P": 1.0} | options) for _ in range(2))
     other.filter.predict = other.filter.predict
     return one, other
 
@@ -190,7 +190,7 @@ def test_a_model_that_was_made_unstable_by_hand(handed_back):
 
 def test_a_refused_sample_is_named_and_changes_nothing(handed_back):
     y, u = recording()
-    tracker = support.told_tracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
+    tracker = support.paper_tracker(ARX(2, 2), P=1e-4, R=0.25, scaling="unit")
     u[250:] *= 300.0
     before = tracker.state()
     with pytest.raises(NotPositiveDefiniteError, match=r"sample 264: scaling"):
@@ -209,14 +209,14 @@ def test_what_the_loop_is_not_for(handed_back, monkeypatch):
         assert handed_back == list(range(len(y)))
 
     assert_not_compiled(
-        support.told_tracker(ARX(2, 2), filter=RobustKalmanFilter(4, 1, grouping="joint", influence=Odd()))
+        support.paper_tracker(ARX(2, 2), filter=RobustKalmanFilter(4, 1, grouping="joint", influence=Odd()))
     )
-    crooked = support.told_tracker(ARX(2, 2))
+    crooked = support.paper_tracker(ARX(2, 2))
     crooked.filter.P = np.eye(4) + np.triu(np.full((4, 4), 1e-6), 1)
     crooked.run(y, u)
     assert handed_back[0] == 0
     monkeypatch.setattr(track, "rules_of", lambda choices: None)
-    assert_not_compiled(support.told_tracker(ARX(2, 2)))
+    assert_not_compiled(support.paper_tracker(ARX(2, 2)))
 
 
 class Odd(Huber):

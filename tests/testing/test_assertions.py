@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 import wrong_filters
 from filterpy.kalman import KalmanFilter
-from support import told_tracker
+from support import paper_tracker
 
 from robust_filterpy import ParameterTracker, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.influence import Linear
@@ -162,19 +162,19 @@ def altered(runs, change):
 
 def test_parameters_are_recovered_in_every_unit_of_noise():
     for sigma in (0.01, 0.5):
-        assert_recovers_parameters(tracked(told_tracker, "arx", sigma=sigma))
-    assert_recovers_parameters(tracked(told_tracker, "fir", contamination="mixture"), factor=3.0)
-    signs = altered(tracked(told_tracker, "arx"), lambda theta: theta * [-1.0, -1.0, 1.0, 1.0])
+        assert_recovers_parameters(tracked(paper_tracker, "arx", sigma=sigma))
+    assert_recovers_parameters(tracked(paper_tracker, "fir", contamination="mixture"), factor=3.0)
+    signs = altered(tracked(paper_tracker, "arx"), lambda theta: theta * [-1.0, -1.0, 1.0, 1.0])
     fails(lambda: assert_recovers_parameters(signs), "a1 = 1.", "signs are not")
-    order = altered(tracked(told_tracker, "fir", samples=400, sigma=0.1), lambda theta: theta[:, ::-1])
+    order = altered(tracked(paper_tracker, "fir", samples=400, sigma=0.1), lambda theta: theta[:, ::-1])
     fails(lambda: assert_recovers_parameters(order), "run 0: b", "their order is not")
 
 
 def test_drifting_parameters_are_tracked_against_a_reference():
-    runs = tracked(told_tracker, "fir", drift=0.01)
+    runs = tracked(paper_tracker, "fir", drift=0.01)
     assert_tracks(runs, at_least=0.5, skip=20)
     assert_tracks(runs, at_least=1.0, relative_to=runs)
-    still = altered(tracked(told_tracker, "fir", range(30), drift=0.01), lambda theta: 0.0 * theta + theta[20])
+    still = altered(tracked(paper_tracker, "fir", range(30), drift=0.01), lambda theta: 0.0 * theta + theta[20])
     fails(lambda: assert_tracks(still, at_least=0.5, skip=20), "efficiency")
 
 
@@ -213,7 +213,7 @@ def test_coverage_bounds_are_binomial():
 def test_bad_input_is_named(call, error, match):
     scenario = draw("fir", 30, rng=0)
     with pytest.raises(error, match=match):
-        call(run_tracker(scenario.load(told_tracker(scenario.structure)), scenario))
+        call(run_tracker(scenario.load(paper_tracker(scenario.structure)), scenario))
 
 
 def test_a_single_innovation_among_zeros_is_no_correlation():
