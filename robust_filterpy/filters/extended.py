@@ -21,8 +21,6 @@ from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import ExtendedKalmanFilter
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
-    difference_of,
-    innovation_of,
     require_finite,
 )
 from robust_filterpy.filters.policies import Options, with_options
@@ -304,18 +302,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         at = Hx(x.copy(), *_arguments(hx_args))
         if residual is np.subtract and self._stepped(z, at, None, H, None, R):
             return
-        x, P = state_of(self)
         H = self._checked(H, len(x))
-        R = noise_covariance(self.R, R, len(H))
-        values, y = innovation_of(z, at, len(H), residual, "Hx")
-        if values is None:
-            self._skip()
-            return
-        shape = np.shape(at) or (1,)
-        if self._stepped(values, None, y, H, None, R, difference_of(residual, shape)):
-            return
-        last, carried = self._corrected(P, values, y, H, None, R, residual, shape)
-        self._keep(last._replace(x=x.ravel() + last.x), carried, values)
+        self._correct_by_moments("Hx", z, at, H, None, noise_covariance(self.R, R, len(H)), residual)
 
     def _checked(self, H: Any, n: int) -> Array:
         """Return the Jacobian that the user's function gave, checked."""

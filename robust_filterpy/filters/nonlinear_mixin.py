@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter, unscented_transform
 
-from robust_filterpy._arrays import measured
+from robust_filterpy._arrays import measured, state_of
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
 from robust_filterpy.filters.driver import columns_of, take_steps, without_rounding
@@ -57,6 +57,26 @@ class NonlinearFilterMixin(Shell):
     # A model of the process as a function has no scale of Q to doubt.
     _takes_process = False
     _none_is_column = True
+
+    def _correct_by_moments(
+        self, source: str, z: Any, at: Any, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],
+        add: Callable[[Any, Any], Any] = np.add,
+    ) -> bool:  # fmt: skip
+        """Correct by z, which is predicted to be at; return False where nothing was measured. C, S as in `_corrected`.
+        """
+        x, P = state_of(self)
+        values, y = innovation_of(z, at, len(R), residual, source)
+        if values is None:
+            self._skip()
+            return False
+        shape = np.shape(at) or (1,)
+        if add is np.add and self._stepped(values, None, y, C, S, R, difference_of(residual, shape)):
+            return True
+        last, carried = self._corrected(P, values, y, C, S, R, residual, shape)
+        last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
+        require_finite(x=last.x)
+        self._keep(last, carried, values)
+        return True
 
     def _corrected(
         self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],

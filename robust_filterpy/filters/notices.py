@@ -17,9 +17,10 @@ from robust_filterpy.kernel.moments import judged_of
 
 __all__ = ["CorrelatedInnovationsWarning", "OutlierShareWarning", "StuckSensorWarning"]
 
-# Corrections are looked at in periods of so many, from the ninth on, when a start is over: how many, and every which.
-# Where noise is learned they are few, so that a short recording is judged too; what psi clips moves slowly.
-_PERIOD, _FIRST, _SIGNS, _CLIPS = 240, 9, (49, 1), (64, 3)
+#: Corrections are looked at in periods of so many, from the ninth on, when a start is over: how many, and every which,
+#: by whether psi bounds them. Where noise is learned they are few, so that a short recording is judged too; what psi
+#: clips moves slowly.
+PERIOD, FIRST, LOOKS = 240, 9, {False: (49, 1), True: (64, 3)}
 # So many of 48 signs must be kept: a fair coin does that once in six hundred thousand periods.
 _KEPT = 40
 # More than this of what psi expects unclipped is too much.
@@ -44,12 +45,8 @@ class CorrelatedInnovationsWarning(RobustFilterWarning):
     """
 
 
-def look(kf: Any, last: Any) -> None:
-    """Note a correction where it is looked at, and judge the period's corrections with the last of them."""
-    count, stride = _looks(kf)
-    place, rest = divmod(kf._updates % _PERIOD - _FIRST, stride)
-    if rest or not 0 <= place < count:
-        return
+def look(kf: Any, last: Any, place: int, count: int) -> None:
+    """Note a correction at its place among those that are looked at, and judge them with the last."""
     row = noted(kf, last.weights, last.lags) if hasattr(last, "lags") else noted(kf, *_weights_and_innovations(last))
     if place == 0 or kf._window.shape != (count, len(row)):
         kf._window = np.zeros((count, len(row)), np.int8)
@@ -58,24 +55,13 @@ def look(kf: Any, last: Any) -> None:
         _judge(kf, kf._window, "")
 
 
-def is_judged_next(kf: Any) -> bool:
-    """Return whether something may be said of the next correction."""
-    count, stride = _looks(kf)
-    return bool((kf._updates + 1) % _PERIOD == _FIRST + (count - 1) * stride)
-
-
 def look_at_recording(kf: Any, weights: Array, y: Array, first: int, lagging: Callable[[list[int]], Array]) -> None:
     """Look at a recording's corrections, shape (N, m), as `look` does; lagging: the innovations of some steps."""
-    seen, (count, stride) = np.flatnonzero(~np.isnan(y).all(axis=1)), _looks(kf)
-    for begin in range(_FIRST - 1, len(seen), _PERIOD):
+    seen, (count, stride) = np.flatnonzero(~np.isnan(y).all(axis=1)), LOOKS[kf.noise is None]
+    for begin in range(FIRST - 1, len(seen), PERIOD):
         window = seen[begin : begin + count * stride : stride].tolist()
         if len(window) == count:
             _judge(kf, noted(kf, weights[window], lagging(window)), f": step {first + window[-1]}")
-
-
-def _looks(kf: Any) -> tuple[int, int]:
-    """Return how many corrections of a period are looked at, and how far apart."""
-    return _CLIPS if kf.noise is None else _SIGNS
 
 
 def noted(kf: Any, weights: Array, y: Array) -> Array:

@@ -19,7 +19,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters._insistence import jump_of, watched
 from robust_filterpy.filters._parts import Parts, as_arrays, log_density
 from robust_filterpy.filters.driver import require_finite_correction
-from robust_filterpy.filters.notices import is_judged_next, look, look_for_repeats, look_for_stuck
+from robust_filterpy.filters.notices import FIRST, LOOKS, PERIOD, look, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
@@ -266,7 +266,8 @@ class Shell(StateMixin):
         """Return whether something may be said of the next correction, or raised behind its back."""
         # Psi of the user's may write into anything before it raises.
         calls = self._policy.noise is None and (self._policy.patience is not None or self._choices.kernel_psi is None)
-        return calls or is_judged_next(self)
+        count, stride = LOOKS[self._policy.noise is None]
+        return calls or (self._updates + 1) % PERIOD == FIRST + (count - 1) * stride
 
     def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
         """Count a correction that the kernel took, and widen P where enough refused ones agreed."""
@@ -304,9 +305,14 @@ class Shell(StateMixin):
     def _look(self, last: Any) -> None:
         """Count a correction, and look now and then whether most of them clip or all innovations keep their sign."""
         self._updates += 1
+        bounded = self._policy.noise is None
         # Under "learnt" psi follows from what is typical, and expects no share.
-        if self._counts_clipped and (self._policy.noise is not None or self._choices.scaling == "innovation"):
-            look(self, last)
+        if not self._counts_clipped or (bounded and self._choices.scaling != "innovation"):
+            return
+        count, stride = LOOKS[bounded]
+        place, rest = divmod(self._updates % PERIOD - FIRST, stride)
+        if not rest and 0 <= place < count:
+            look(self, last, place, count)
 
     def _keep(self, last: Any, carried: Any, z: Array, passed: Array | None = None) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""

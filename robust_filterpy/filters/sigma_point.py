@@ -10,16 +10,14 @@ from filterpy.kalman.CubatureKalmanFilter import ckf_transform
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import noise_covariance, process_noise, state_of
+from robust_filterpy._arrays import noise_covariance, process_noise
 from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import CubatureKalmanFilter, UnscentedKalmanFilter
 from robust_filterpy.filters.nonlinear_mixin import (
     REDRAWS,
     NonlinearFilterMixin,
     covariance,
-    difference_of,
     drawn,
-    innovation_of,
     require_finite,
     transformed,
 )
@@ -42,23 +40,12 @@ class _SigmaPoint(NonlinearFilterMixin):
     def _correct(self, z: Any, sigmas_h: Array, zp: Any, C: Array, S: Array, R: Array, residual: Any) -> None:
         """Correct by a whole measurement; every check comes before the first assignment."""
         add = getattr(self, "state_add", np.add)
-        if residual is np.subtract and add is np.add and self._stepped(z, zp, None, C, S, R):
+        taken = residual is np.subtract and add is np.add and self._stepped(z, zp, None, C, S, R)
+        if not taken:
+            require_finite(hx=sigmas_h, S=S, C=C)
+            taken = self._correct_by_moments("hx", z, zp, C, S, R, residual, add)
+        if taken:
             self.sigmas_h = sigmas_h
-            return
-        x, P = state_of(self)
-        require_finite(hx=sigmas_h, S=S, C=C)
-        values, y = innovation_of(z, zp, len(S), residual, "hx")
-        if values is None:
-            self._skip()
-            return
-        if add is np.add and self._stepped(values, None, y, C, S, R, difference_of(residual, np.shape(zp))):
-            self.sigmas_h = sigmas_h
-            return
-        last, carried = self._corrected(P, values, y, C, S, R, residual, np.shape(zp))
-        last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
-        require_finite(x=last.x)
-        self._keep(last, carried, values)
-        self.sigmas_h = sigmas_h
 
 
 class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
