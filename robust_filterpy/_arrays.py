@@ -76,7 +76,7 @@ def noise_covariance(default: Any, given: Any, m: int) -> Array:
             raise ValueError(f"R: expected a variance >= 0, got {R.item()}; use NaN in z for a sensor that is absent")
     elif m <= _REMEMBERED:
         # By content, since users write into R, and by the bytes, since most never do.
-        _require("R", R.tobytes(), m, _checks.TOLD)
+        _require("R", R.tobytes(), m, _checks.GIVEN)
     else:
         _checks.covariance("R", R)
     return R

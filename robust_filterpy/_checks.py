@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
 
-#: How far below 0 an eigenvalue may be where the variances are 1: of what a user tells, and of what a recursion gives.
-TOLD, GATHERED = 1e-10, 1e-8
+#: How far below 0 an eigenvalue may be where the variances are 1: of what a user passes, and of what a recursion gives.
+GIVEN, GATHERED = 1e-10, 1e-8
 #: What rounding leaves of a variance of 0 in a recursion, as a share of the largest one.
 ROUNDING = 1e-15
 
@@ -209,7 +209,7 @@ def described(array: Array) -> str:
     return f"scalar {array}" if array.ndim == 0 else f"shape {array.shape}"
 
 
-def covariance(name: str, stack: Array, slack: float = TOLD, gathered: float = 0.0) -> None:
+def covariance(name: str, stack: Array, slack: float = GIVEN, gathered: float = 0.0) -> None:
     """Raise ValueError unless a matrix, or every matrix of a stack, is a covariance, in whatever units."""
     bad = ~are_covariances(stack, slack, gathered)
     if not bad.any():
@@ -231,7 +231,7 @@ def covariance(name: str, stack: Array, slack: float = TOLD, gathered: float = 0
     )
 
 
-def are_covariances(stack: Array, slack: float = TOLD, gathered: float = 0.0) -> NDArray[np.bool_]:
+def are_covariances(stack: Array, slack: float = GIVEN, gathered: float = 0.0) -> NDArray[np.bool_]:
     """Return which matrices of a stack `covariance` takes, shape (..); quickly, if all are positive definite."""
     if stack.shape[-1] == 1:
         return (stack[..., 0, 0] >= 0.0) & (stack[..., 0, 0] < math.inf)

@@ -292,7 +292,7 @@ def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> lis
         return _by_innovations(figures, recording)
     causes = search.find(recording.model, z[:_SEARCHED], e[:_SEARCHED])
     return [
-        _told(repair, gain, figures, recording.is_told)
+        _in_words(repair, gain, figures, recording.by_noise)
         for repair, gain in causes
         if repair.cause != "more outliers" or _is_excessive(repair.value, recording.contamination)
     ]
@@ -316,7 +316,7 @@ def _by_innovations(figures: dict[str, Any], recording: FilterRecord) -> list[Fi
             findings.append(Finding("not white", i, r, math.nan, text))
         share = float(figures["outliers"][i])
         if not findings and _is_excessive(share, recording.contamination):
-            text = _many_outliers(f"z[{i}]", share, recording.is_told)
+            text = _many_outliers(f"z[{i}]", share, recording.by_noise)
             findings.append(Finding("more outliers", i, share, math.nan, text))
     return findings
 
@@ -326,15 +326,15 @@ def _is_excessive(share: float, contamination: float) -> bool:
     return share > max(2.0 * contamination, contamination + 0.1)
 
 
-def _many_outliers(z: str, share: float, is_told: bool) -> str:
+def _many_outliers(z: str, share: float, by_noise: bool) -> str:
     """Return the advice for many outliers."""
     than, mend = "psi is made for", f"Huber.from_contamination({share:.2g}) is made for them."
-    if is_told:
+    if by_noise:
         than, mend = "noise= tells", f"Contaminated({share:.2g}, ..) tells so many, Learnt() learns how many."
     return f"{z} has more outliers than {than}: about {share:.0%} among ordinary samples; {mend}"
 
 
-def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -> Finding:
+def _in_words(repair: Repair, gain: float, figures: dict[str, Any], by_noise: bool) -> Finding:
     """Return a repair in words."""
     i, value = repair.sensor, repair.value
     z = "z" if i is None else f"z[{i}]"
@@ -363,7 +363,7 @@ def _told(repair: Repair, gain: float, figures: dict[str, Any], is_told: bool) -
         "correlated noise": f"The noise of z is correlated in time, about {value:+.2g} from sample to sample: model it "
         "as a state.",
         "coupled noise": f"The noise of two sensors is correlated, by roughly {value:+.1g} more than R says.",
-        "more outliers": _many_outliers(z, value, is_told),
+        "more outliers": _many_outliers(z, value, by_noise),
         "state jump": f"A level shift at sample {value:.0f}: {z} moves to another level and stays there.",
         "level shift": f"A level shift of one sensor at sample {value:.0f}: {z} moves and the other sensors do not "
         "follow.",

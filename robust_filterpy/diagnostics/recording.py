@@ -45,7 +45,7 @@ class FilterRecord:
     scaling: str
     grouping: str
     contamination: float  # share of outliers that it is made for
-    is_told: bool  # by noise= rather than by psi
+    by_noise: bool  # by noise= rather than by psi
     model: LinearModel | None
 
 
@@ -59,7 +59,7 @@ def of_saver(saver: Any) -> FilterRecord:
     epochs = saver.__dict__
     for name in ("z", "y", "S"):
         if name not in epochs:
-            raise ValueError(f"saver: expected one that kept {name}, found {sorted(k for k in epochs if k[:1] != '_')}")
+            raise ValueError(f"saver: expected one that kept {name}, got {sorted(k for k in epochs if k[:1] != '_')}")
     if not len(epochs["y"]):
         raise ValueError("saver: expected at least one epoch, got an empty Saver; call save() after each update")
     # Lists, or what `to_array` has made of them; the Saver's other attributes are no columns.

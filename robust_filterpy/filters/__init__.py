@@ -7,8 +7,8 @@
 * `series`: `filter_series`, many recordings, the noise of each learned on request.
 * `driver`: many steps, by the kernel where it serves, else by the definition.
 * `ensemble`: the ensemble Kalman filter.
-* `functions`: filterpy's functions update, predict, batch_filter, rts_smoother.
-* `conversion`: code of filterpy's made robust: `robust`, and `AdaptiveKalmanFilter`, which learns the noises.
+* `conversion`: code of filterpy's made robust: `robust`; `AdaptiveKalmanFilter`, which learns the noises; filterpy's
+  functions update, predict, batch_filter, rts_smoother.
 * `shell`, `nonlinear_mixin`: what these classes share: options, steps by the kernel, what a correction shows.
 * `states`: what a filter holds and has learned, put away and taken up again.
 * `problem`: a recording of a linear filter, read once, and `batch_filter`.

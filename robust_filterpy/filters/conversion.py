@@ -1,4 +1,6 @@
-"""Code of filterpy's made robust: a filter that is set up, by `robust`; an import line, by `AdaptiveKalmanFilter`."""
+"""Code of filterpy's made robust: a filter that is set up, by `robust`; an import line, by `AdaptiveKalmanFilter`; the
+functions `update`, `predict`, `batch_filter` and `rts_smoother`, with a bounded correction.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from filterpy.kalman import CubatureKalmanFilter, ExtendedKalmanFilter, KalmanFilter, UnscentedKalmanFilter
 
+from robust_filterpy import _checks
+from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Grouping
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
@@ -20,7 +24,7 @@ from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, Robu
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["AdaptiveKalmanFilter", "robust"]
+__all__ = ["AdaptiveKalmanFilter", "batch_filter", "predict", "robust", "rts_smoother", "update"]
 
 _OURS: dict[type, Any] = {
     KalmanFilter: RobustKalmanFilter,
@@ -158,3 +162,215 @@ class AdaptiveKalmanFilter(RobustKalmanFilter):
     ) -> None:
         """Set up filterpy's attributes, the models and the noise."""
         super().__init__(dim_x, dim_z, dim_u, grouping=grouping, noise=noise, process=process)
+
+
+@with_options
+def update(
+    x: Any,
+    P: Any,
+    z: Any,
+    R: Any,
+    H: Any = None,
+    return_all: bool = False,
+    **options: Unpack[Options],
+) -> tuple[Any, ...]:
+    """Correct a state by a measurement whose influence is bounded: `filterpy.kalman.update` and the choices.
+
+    A function keeps nothing from one call to the next, so no typical innovation is learned: after several steps x is
+    another one than that of `RobustKalmanFilter` with its default scaling, which is "learnt".
+
+    Parameters
+    ----------
+    x : array_like, shape (dim_x,) or (dim_x, 1), or float
+        Predicted mean.
+    P : array_like, shape (dim_x, dim_x), or float
+        Its covariance.
+    z : array_like, shape (dim_z,) or (dim_z, 1), or float, or None
+        Measurement; NaN marks a missing component, None a missing measurement.
+    R : array_like, shape (dim_z, dim_z), or float
+        Noise covariance; a float means times I.
+    H : array_like, shape (dim_z, dim_x), or float, optional
+        Measurement matrix, by default 1.
+    return_all : bool, default False
+        Whether y, K, S and log_likelihood are returned too.
+    influence, scaling, information, grouping, noise, process, patience
+        As in `RobustKalmanFilter`, but for the default scaling, "innovation": a single call knows no typical
+        innovation, so "learnt" bounds nothing here.
+
+    Returns
+    -------
+    x, P : as given
+        Corrected mean and covariance; floats if x is one.
+    y, K, S, log_likelihood : ndarray, ndarray, ndarray, float
+        With return_all: innovation, gain before psi, innovation covariance, and the log-likelihood of the innovation
+        under the density of psi (filterpy's function takes the residual at the corrected state); None if z is.
+
+    Raises
+    ------
+    ValueError, TypeError, LinAlgError
+        As in `RobustKalmanFilter.update`.
+
+    Examples
+    --------
+    >>> x, P = update(1.0, 2.0, 1e6, 1.0)
+    >>> bool(x < 4.0)
+    True
+    """
+    if z is None:
+        return (x, P, None, None, None, None) if return_all else (x, P)
+    mean = _checks.numbers("x", x)
+    n = max(mean.size, 1)
+    H = np.eye(1, n) if H is None else _checks.numbers("H", H)
+    H = H.reshape(1, n) if H.ndim < 2 and H.size == n else H
+    options.setdefault("scaling", "innovation")
+    kf = _filter(x, P, len(H) if H.ndim else 1, **options)
+    kf.update(z, R, H)
+    x_post, P_post = _as_given(kf, mean)
+    if not return_all:
+        return x_post, P_post
+    return x_post, P_post, kf.y, kf.K, kf.S, kf.log_likelihood
+
+
+def predict(x: Any, P: Any, F: Any = 1, Q: Any = 0, u: Any = 0, B: Any = 1, alpha: float = 1.0) -> tuple[Any, Any]:
+    """Predict the next state: `filterpy.kalman.predict`, with shapes checked and a scalar Q taken as times I.
+
+    Parameters
+    ----------
+    x : array_like, shape (dim_x,) or (dim_x, 1), or float
+        Mean.
+    P : array_like, shape (dim_x, dim_x), or float
+        Its covariance.
+    F : array_like, shape (dim_x, dim_x), or float
+        Transition matrix; a float means times I.
+    Q : array_like, shape (dim_x, dim_x), or float
+        Process noise covariance; a float means times I.
+    u : array_like, shape (dim_u,) or (dim_u, 1), or float
+        Control input.
+    B : array_like, shape (dim_x, dim_u), or float
+        Control matrix; a float means times I.
+    alpha : float, default 1
+        Fading memory factor, >= 1.
+
+    Returns
+    -------
+    x, P : as given
+        Predicted mean and covariance; floats if x is one.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As in `RobustKalmanFilter.predict`.
+    """
+    mean = _checks.numbers("x", x)
+    kf = _filter(x, P, 1)
+    kf.alpha = alpha
+    n = kf.dim_x
+    moved = np.dot(_checks.numbers("B", B), _checks.numbers("u", u))
+    if moved.size not in (1, n) or not np.isfinite(moved).all():
+        raise ValueError(f"B, u: expected a finite product B u of {n} number(s), got {moved}")
+    kf.predict(F=np.eye(n) * F if np.ndim(F) == 0 else F, Q=Q)
+    kf.x = kf.x + (moved.reshape(kf.x.shape) if moved.size == n else moved)
+    return _as_given(kf, mean)
+
+
+@with_options
+def batch_filter(
+    x: Any,
+    P: Any,
+    zs: Any,
+    Fs: Any,
+    Qs: Any,
+    Hs: Any,
+    Rs: Any,
+    Bs: Any = None,
+    us: Any = None,
+    update_first: bool = False,
+    saver: Any = None,
+    **options: Unpack[Options],
+) -> tuple[Array, Array, Array, Array]:
+    """Filter a recording: `filterpy.kalman.batch_filter` and the choices.
+
+    Parameters
+    ----------
+    x : array_like, shape (dim_x,) or (dim_x, 1)
+        Mean before the first step.
+    P : array_like, shape (dim_x, dim_x)
+        Its covariance.
+    zs : sequence of length N
+        Measurements: numbers, arrays, rows with NaN, None.
+    Fs, Qs, Hs, Rs : sequence of length N
+        Matrices of each step.
+    Bs, us : sequence of length N, optional
+        Control matrices and inputs of each step.
+    update_first : bool, default False
+        Whether each step corrects first and then predicts.
+    saver : filterpy.common.Saver, optional
+        Its ``save()`` is called after each step.
+    influence, scaling, information, grouping, noise, process, patience
+        As in `RobustKalmanFilter`.
+
+    Returns
+    -------
+    means, covariances, means_p, covariances_p : ndarray
+        As in `RobustKalmanFilter.batch_filter`.
+
+    Raises
+    ------
+    ValueError, TypeError, LinAlgError
+        As in `RobustKalmanFilter.batch_filter`.
+    """
+    if not hasattr(Hs, "__len__") or len(Hs) == 0:
+        raise ValueError(f"Hs: expected an entry for each measurement, got {_checks.shown(Hs)}")
+    kf = _filter(x, P, len(np.atleast_2d(Hs[0])), **options)
+    return kf.batch_filter(zs, Fs, Qs, Hs, Rs, None if us is None else Bs, us, update_first, saver)
+
+
+def rts_smoother(Xs: Array, Ps: Array, Fs: Any, Qs: Any) -> tuple[Array, Array, Array, Array]:
+    """Smooth what `batch_filter` returned, by Rauch, Tung and Striebel.
+
+    Parameters
+    ----------
+    Xs : ndarray, shape (N, dim_x) or (N, dim_x, 1)
+        Corrected states.
+    Ps : ndarray, shape (N, dim_x, dim_x)
+        Their covariances.
+    Fs, Qs : sequence of length N
+        Matrices of each step, as in `batch_filter`: the entry of index k leads to step k.
+
+    Returns
+    -------
+    x, P, K, Pp : ndarray
+        As in `RobustKalmanFilter.rts_smoother`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the lengths or shapes do not fit.
+
+    Notes
+    -----
+    filterpy's function, other than its method and its own `batch_filter`, takes the entry of index k for the step
+    from k to k + 1. With matrices that do not change the results are the same.
+
+    See Also
+    --------
+    robust_filterpy.smooth : The robust smoother, which looks at the measurements again.
+    """
+    Xs = _checks.numbers("Xs", Xs)
+    n = Xs.shape[1] if Xs.ndim > 1 else 1
+    return RobustKalmanFilter(n, 1).rts_smoother(Xs, Ps, Fs, Qs)
+
+
+def _filter(x: Any, P: Any, m: int, **options: Unpack[Options]) -> RobustKalmanFilter:
+    """Return a filter at this state."""
+    mean = _checks.numbers("x", x)
+    n = max(mean.size, 1)
+    kf = RobustKalmanFilter(n, m, **options)
+    kf.x = mean.reshape(1) if mean.ndim == 0 else mean.copy()
+    kf.P = _checks.numbers("P", P)
+    return kf
+
+
+def _as_given(kf: RobustKalmanFilter, mean: Array) -> tuple[Any, Any]:
+    """Return x and P, as floats if x was one."""
+    return (float(kf.x[0]), float(kf.P[0, 0])) if mean.ndim == 0 else (kf.x, kf.P)

@@ -12,12 +12,12 @@ from filterpy.kalman import spherical_radial_sigmas as spherical_radial_sigmas
 from filterpy.kalman import unscented_transform as unscented_transform
 from filterpy.kalman import update_steadystate as update_steadystate
 
+from robust_filterpy.filters.conversion import batch_filter as batch_filter
+from robust_filterpy.filters.conversion import predict as predict
+from robust_filterpy.filters.conversion import rts_smoother as rts_smoother
+from robust_filterpy.filters.conversion import update as update
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter as EnsembleKalmanFilter
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter as ExtendedKalmanFilter
-from robust_filterpy.filters.functions import batch_filter as batch_filter
-from robust_filterpy.filters.functions import predict as predict
-from robust_filterpy.filters.functions import rts_smoother as rts_smoother
-from robust_filterpy.filters.functions import update as update
 from robust_filterpy.filters.kalman import RobustKalmanFilter as KalmanFilter
 from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter as CubatureKalmanFilter
 from robust_filterpy.filters.sigma_point import RobustUnscentedKalmanFilter as UnscentedKalmanFilter

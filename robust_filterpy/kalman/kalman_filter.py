@@ -3,7 +3,7 @@
 from filterpy.kalman.kalman_filter import predict_steadystate as predict_steadystate
 from filterpy.kalman.kalman_filter import update_steadystate as update_steadystate
 
-from robust_filterpy.filters.functions import batch_filter, predict, rts_smoother, update
+from robust_filterpy.filters.conversion import batch_filter, predict, rts_smoother, update
 from robust_filterpy.filters.kalman import RobustKalmanFilter as KalmanFilter
 
 __all__ = [

@@ -224,8 +224,8 @@ def estimate_noise(
     >>> zs = level + np.where(rng.random(600) < 0.1, 20.0, 2.0) * rng.standard_normal(600)
     >>> kf = RobustKalmanFilter(1, 1)
     >>> kf.H = np.eye(1)
-    >>> found = estimate_noise(kf, zs)
-    >>> bool(2.8 < found.R[0, 0] < 5.2), bool(0.1 < found.Q[0, 0] < 0.5)
+    >>> fit = estimate_noise(kf, zs)
+    >>> bool(2.8 < fit.R[0, 0] < 5.2), bool(0.1 < fit.Q[0, 0] < 0.5)
     (True, True)
     """
     per_step = (Fs, Qs, Hs, Rs)

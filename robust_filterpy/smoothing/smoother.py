@@ -165,8 +165,8 @@ def smooth(
     >>> kf.F, kf.H, kf.Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 1e-4 * np.eye(2)
     >>> zs = np.arange(50.0) + np.random.default_rng(0).normal(size=50)
     >>> zs[20:23] = 1e6
-    >>> found = smooth(kf, zs)
-    >>> bool(abs(found.x[21, 0, 0] - 21.0) < 1.0), bool(found.weights[21, 0] < 1e-3), found.converged
+    >>> smoothed = smooth(kf, zs)
+    >>> bool(abs(smoothed.x[21, 0, 0] - 21.0) < 1.0), bool(smoothed.weights[21, 0] < 1e-3), smoothed.converged
     (True, True, True)
     """
     grouping = getattr(kf, "grouping", "component") if grouping is None else grouping
@@ -229,8 +229,8 @@ def smooth_series(
     --------
     >>> zs = np.array([[[1.0], [2.0], [3e6], [4.0]], [[0.0], [np.nan], [0.5], [0.3]]])
     >>> F = np.array([[1.0, 1.0], [0.0, 1.0]])
-    >>> found = smooth_series(zs, F, [[1.0, 0.0]], 0.01 * np.eye(2), np.eye(1), np.zeros(2), np.eye(2))
-    >>> found.x.shape, found.converged
+    >>> smoothed = smooth_series(zs, F, [[1.0, 0.0]], 0.01 * np.eye(2), np.eye(1), np.zeros(2), np.eye(2))
+    >>> smoothed.x.shape, smoothed.converged
     ((2, 4, 2), array([ True,  True]))
     """
     if 0 in np.shape(zs):
