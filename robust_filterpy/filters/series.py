@@ -105,26 +105,20 @@ def series_arguments(
     return SeriesArguments(z, model, x, P, output, every, skips)
 
 
-def threads(n_threads: int | None) -> int:
-    """Return how many threads to use: by default as many as the process may."""
-    if n_threads is not None:
-        return _checks.count("n_threads", n_threads, 1)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def spread(part: Callable[[int, int], np.ndarray], series: int, n_threads: int) -> np.ndarray:
-    """Call part(low, high) over all series, which lets go of the interpreter, on threads; join the results."""
-    n_threads = min(n_threads, max(series, 1))
-    edges = np.unique(np.linspace(0, series, 4 * n_threads + 1).astype(int)).tolist() if n_threads > 1 else [0, series]
-    spans = list(itertools.pairwise(edges))
-    if len(spans) < 2:
-        done = [part(*span) for span in spans or [(0, 0)]]
+def _in_parts(part: Callable[[int, int], None], series: int, n_threads: int | None) -> None:
+    """Call part(low, high), which lets go of the interpreter, over all series on threads, as many as may be used."""
+    if n_threads is None:
+        most = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     else:
-        # Compile, or load from the cache, in one thread, before two do the same work.
-        part(0, 0)
-        with ThreadPoolExecutor(n_threads) as pool:
-            done = list(pool.map(lambda span: part(*span), spans))
-    return np.concatenate(done)
+        most = _checks.count("n_threads", n_threads, 1)
+    edges = np.linspace(0, series, 4 * most + 1 if 1 < most <= series else 2).astype(int)
+    spans = list(itertools.pairwise(np.unique(edges).tolist()))
+    if len(spans) < 2:
+        for span in spans:
+            part(*span)
+        return
+    with ThreadPoolExecutor(most) as pool:
+        list(pool.map(lambda span: part(*span), spans))
 
 
 def leading(name: str, value: Any, shape: tuple[int, int], series: int, steps: int) -> Array:
@@ -358,14 +352,13 @@ def filter_series(
     scale = np.empty(output.means.shape) if is_mixture else None
     outlying = np.empty(output.weights.shape) if is_mixture else None
 
-    def part(low: int, high: int) -> np.ndarray:
+    def part(low: int, high: int) -> None:
         """Advance some series: all together by psi and the kernel, then each from where that declined."""
         done = np.zeros(high - low, dtype=int) if is_mixture else _together(policy.choices, given, stands, low, high)
         for s in (low + np.flatnonzero(done < steps)).tolist():
             _alone(policy, given, stands, scale, outlying, s, int(done[s - low]))
-        return done
 
-    spread(part, len(given.z), threads(n_threads))
+    _in_parts(part, len(given.z), n_threads)
     if is_mixture or before is not None:
         stuck = (output.weights == 0.0).any(axis=1) if before is None else stands["spread"][:, :, FILLED] > before
         say_stuck_among("filter_series", "series", stuck)
