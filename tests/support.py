@@ -198,17 +198,6 @@ def with_(problem, **changes):
     return replace(problem, **changes)
 
 
-def inverse_root(S):
-    """S^(-1/2), by Schur decomposition of the inverse rather than by the eigenvalues of S."""
-    return np.real(scipy.linalg.sqrtm(np.linalg.inv(S)))
-
-
-def whitening(S):
-    """Z^(-1/2) diag(S)^(-1/2), Z being the correlation matrix of S."""
-    unit = np.sqrt(np.diag(S))
-    return inverse_root(S / np.outer(unit, unit)) / unit
-
-
 def mild(dim_x=4, dim_z=2, seed=21):
     """A problem with H P H' < 1, where even unit scaling is a filter."""
     problem = random_problem(seed, dim_x, dim_z)

@@ -88,7 +88,7 @@ def test_redundant_sensors_with_a_minority_bad_stay_bounded():
             assert P[0, 0] <= 1.0 / n_good + 0.01
 
 
-def test_a_block_beside_others_is_uncorrelated_with_them():
+def test_a_block_of_its_own_is_uncorrelated_with_them():
     """What a joint correction before had between this block and the others is gone from S and from the information."""
     rng = np.random.default_rng(0)
     x, P, H, R = np.zeros(3), support.spd(rng, 3), rng.normal(size=(3, 3)), np.eye(3)

@@ -163,8 +163,8 @@ def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_neve
     assert learn(start(4), ordinary, 1.0, 8.0, 1.0, noise)[0] == pytest.approx(1.0 + 8.0 / (1.0 + 0.98 * 19.0 + 1.0))
 
 
-def test_a_sensor_whose_noise_hides_in_the_motion_is_learnt_beside_one_that_takes_turns_with_it():
-    """Sigma 5 and .1, told 1, steps of .3: were each sample counted as one, the better r would still be at .13."""
+def test_a_sensor_whose_noise_hides_in_the_motion_is_learnt_with_one_that_takes_turns_with_it():
+    """Sigma 5 and .1, R 1, steps of .3: were each sample counted as one, the better r would still be at .13."""
     rng, noise, process = np.random.default_rng(3), NoiseClasses(), Scales((1.0,), jump=0.0)
     models, memory, x = one([0.0], [[1.0]]), noise.start(2), 0.0
     for k in range(400):
@@ -203,6 +203,22 @@ def test_describe_reads_a_chain_that_is_known():
     rho = 0.8 - 20.0 / 900.0
     assert noise.contamination_std[0] == pytest.approx(np.sqrt(0.09 / 1001 * (1 + rho) / (1 - rho)))
     assert describe(learnt, scales, sensors=4).r_std[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_r_does_not_depend_on_how_wild_an_outlier_is(grouping):
+    """Of classes so narrow that no outlier is surely one; a jump would have a size."""
+    noise, process = NoiseClasses(scales=(1.0, 1.1), grouping=grouping), Scales(jump=0.0)
+    P, H, R = spd(np.random.default_rng(6), 3), np.random.default_rng(7).normal(size=(2, 3)), np.diag([1.0, 2.0])
+    memory, learned = noise.start(1 if grouping == "joint" else 2), []
+    for wild in (1e9, 1e12, 1e290):
+        models = side_by_side.start(np.zeros(3), P, process)
+        y = np.array([wild if grouping == "joint" else 0.3, wild])
+        found = correct(models, memory, y, H, R, noise, process)
+        # All but the reading itself, and what the recursion as given takes it for.
+        learned.append(np.delete(found.memory, np.r_[-17 - NUMBERS : -17, -2:0], axis=1))
+    for other in learned[1:]:
+        assert_allclose(other, learned[0], rtol=1e-6)
 
 
 def test_parity_does_not_depend_on_the_state_and_has_the_variance_that_R_gives_it():

@@ -62,7 +62,7 @@ def predicted(s):
 EQUATIONS = {
     # x(k|k) = F x(k-1|k-1) + P(k|k-1) H' T psi[v]
     26: (BOTH, EXPECTED + REALIZED, lambda s: (s.kf.x, F @ s.x + s.P @ H.T * s.T * psi(s.v))),
-    # P(k|k-1) = F P(k-1|k-1) F' + W, beside each form of the correction
+    # P(k|k-1) = F P(k-1|k-1) F' + W, with each form of the correction
     27: (BOTH, EXPECTED, predicted),
     38: (INNOVATION, EXPECTED, predicted),
     43: (UNIT, EXPECTED, predicted),
@@ -88,7 +88,7 @@ EQUATIONS = {
     45: (BOTH, EXPECTED, lambda s: (((s.P - s.kf.P) / (s.P[0, 0] * s.T) ** 2)[0, 0], EXPECTATION)),
     # E{psi'} is approximated by psi' of the innovation itself, which is 1 or 0 for Huber's function
     46: (BOTH, REALIZED, lambda s: (((s.P - s.kf.P) / (s.P[0, 0] * s.T) ** 2)[0, 0] + 1.0, psi_deriv(s.v) + 1.0)),
-    # x(k|k) = F x + P H' psi(y - H F x), beside (49)
+    # x(k|k) = F x + P H' psi(y - H F x), with (49)
     47: (UNIT, REALIZED, lambda s: (s.kf.x, F @ s.x + s.P @ H.T * psi(s.y))),
     # P(k|k) = P - P H' H P psi'(y - H F x)
     49: (UNIT, REALIZED, lambda s: (s.kf.P, s.P - s.P @ H.T @ H @ s.P * psi_deriv(s.y))),

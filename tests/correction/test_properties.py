@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.correction.hypotheses import corrected
+from robust_filterpy.correction.spread import _ratio
 from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
@@ -112,18 +113,6 @@ def test_unit_scaling_keeps_p_positive_definite_or_says_that_it_cannot(data, pro
         except NotPositiveDefiniteError:
             support.assert_unchanged(before, kf)
         support.assert_positive_definite(kf.P, size=size)
-
-
-@pytest.mark.parametrize(("H", "R", "grouping"), [
-    ([[0.0, 0.0], [0.0, 1.0]], [[0.1, 0.0], [0.0, 0.1]], "component"),
-    ([[0.0, 0.0], [0.0, 1.0], [0.0, 1.0]], [[1.6625, 0.0, 1.25], [0.0, 0.1, 0.0], [1.25, 0.0, 1.1]], "joint"),
-])  # fmt: skip
-def test_unit_scaling_says_so_where_nothing_would_be_left_of_a_variance(H, R, grouping):
-    """H P H' is 1, or a sensor that sees nothing takes more from the others than there is."""
-    kf = RobustKalmanFilter(2, len(H), scaling="unit", grouping=grouping)
-    kf.H, kf.R = np.array(H), np.array(R)
-    with pytest.raises(NotPositiveDefiniteError):
-        kf.update(np.zeros(len(H)))
 
 
 def away_from_kinks(kf):
@@ -243,3 +232,11 @@ def test_many_models_are_corrected_by_the_posterior_over_the_scales_of_a_sensors
         np.testing.assert_allclose(x[k], weights @ means, rtol=1e-9)
         expected = np.einsum("s,sij->ij", weights, covs + np.einsum("si,sj->sij", apart, apart))
         np.testing.assert_allclose(P[k], expected, rtol=1e-8, atol=1e-12)
+
+
+def test_how_much_a_prediction_is_worth_to_a_sensor_does_not_depend_on_units():
+    """Also of one without noise, next to which all but rounding of S is the prediction's."""
+    unit, seen, R, S = np.array([1.0, 1e-4, 1e4]), np.array([1.0, 2.0, 3.0]), np.diag([0.0, 0.0, 1.0]), np.eye(3) + 1.0
+    for u in (np.ones(3), unit):
+        ratio = _ratio(seen * u**2, R * np.outer(u, u), S * np.outer(u, u))
+        np.testing.assert_allclose(ratio, [0.5e12, 1e12, 3.0])

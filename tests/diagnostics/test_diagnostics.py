@@ -10,7 +10,7 @@ from filterpy.common import Saver
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
-from support import by_night
+from support import by_night, of_matrices
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -49,27 +49,9 @@ def world(seed, sensors=2, contamination=0.05, memory=0.0, coupling=0.0, Q=Q, ju
     return x, (x @ H.T + noise * np.sqrt(np.diag(R)))[:, :sensors]
 
 
-def robust(sensors=2, R_factor=1.0, Q_factor=1.0, H=H, **choices):
-    kf = RobustKalmanFilter(2, sensors, **choices)
-    kf.F, kf.H, kf.Q, kf.R = F.copy(), H[:sensors].copy(), Q_factor * Q, (R_factor * R)[:sensors, :sensors]
-    kf.P = np.diag([0.3, 0.1])
-    return kf
-
-
-def healthy(seed):
-    return robust(), world(seed)[1]
-
-
-def clean(seed):
-    return robust(), world(seed, contamination=0.0)[1]
-
-
-def R_too_small(seed):
-    return robust(1, R_factor=1 / 9), world(seed, 1)[1]
-
-
-def R_too_large(seed):
-    return robust(R_factor=25.0), world(seed)[1]
+def robust(sensors=2, R_factor=1.0, Q_factor=1.0, H=H, cls=RobustKalmanFilter, **choices):
+    R_ = (R_factor * R)[:sensors, :sensors]
+    return of_matrices(cls, F, H[:sensors], Q_factor * Q, R_, np.diag([0.3, 0.1]), **choices)
 
 
 def altered(alter, **options):
@@ -82,20 +64,13 @@ def altered(alter, **options):
     return setup
 
 
-def with_H(row):
-    """A set-up whose second sensor is taken for another one."""
-    return lambda seed: (robust(H=np.array([H[0], row])), world(seed)[1])
+def wrong(sensors=2, contamination=0.05, **changes):
+    """A set-up whose R, Q or H is not that of the recording."""
+    return lambda seed: (robust(sensors, **changes), world(seed, sensors, contamination)[1])
 
 
-def wrong(sensors=2, **factors):
-    """A set-up whose R or Q is not that of the recording."""
-    return lambda seed: (robust(sensors, **factors), world(seed, sensors)[1])
-
-
-def R_of_one_too_small(seed):
-    kf = robust()
-    kf.R[1, 1] /= 16
-    return kf, world(seed)[1]
+healthy, clean, R_too_large = wrong(), wrong(contamination=0.0), wrong(R_factor=25.0)
+R_too_small = wrong(1, R_factor=1 / 9)
 
 
 def shifted(z):
@@ -115,14 +90,14 @@ SETUPS = {
     "R too small": (R_too_small, "R too small", None),
     "R too small, both": (wrong(R_factor=1 / 25), "R too small", None),
     "R too large": (R_too_large, "R too large", None),
-    "R of one sensor too small": (R_of_one_too_small, "R too small", 1),
+    "R of one sensor too small": (wrong(R_factor=np.diag([1.0, 1 / 16])), "R too small", 1),
     "Q too small": (wrong(Q_factor=1e-3), "Q too small", None),
     "Q too small, one sensor": (wrong(1, Q_factor=1e-3), "Q too small", None),
     "Q too large": (wrong(Q_factor=1e3), "Q too large", None),
     "R and Q too small": (wrong(R_factor=1 / 25, Q_factor=1 / 25), "R and Q too small", None),
-    "wrong row of H": (with_H([1.0, 0.0]), "wrong H", 1),
+    "wrong row of H": (wrong(H=np.array([[1.0, 0.0], [1.0, 0.0]])), "wrong H", 1),
     # Which row has the wrong sign is a matter of the sign of the state.
-    "wrong sign in H": (with_H([0.0, -1.0]), "wrong H", None),
+    "wrong sign in H": (wrong(H=np.diag([1.0, -1.0])), "wrong H", None),
     "mm instead of m": (altered(lambda z: z * [1000.0, 1.0]), "lost units", 0),
     "km/h instead of m/s": (altered(lambda z: z * [1.0, 3.6]), "lost units", 1),
     "mm instead of m, one sensor": (altered(lambda z: z * 1000.0, sensors=1), "lost units", None),
@@ -173,30 +148,20 @@ def test_names_the_true_cause_for_every_seed(name, seed):
     assert_named(name, seed)
 
 
-def test_a_saver_is_diagnosed_as_the_filter_is():
-    (kf, zs), expected = R_too_small(0), diagnosed("R too small")
+def test_a_saver_and_filterpys_filter_are_diagnosed_in_words_with_the_factor_and_left_as_they_were():
+    (kf, zs), expected = R_too_small(0), str(diagnosed("R too small"))
+    assert expected.startswith("R is about ") and "times too small" in expected and "clips good data" in expected
+    before = repr(kf)
+    assert str(diagnose(kf, zs)) == expected and repr(kf) == before
     saver = Saver(kf)
     for z in zs:
         kf.predict()
         kf.update(z)
         saver.save()
-    kept = diagnose(saver)
-    assert str(kept) == str(expected)
+    assert str(diagnose(saver)) == expected
     saver.to_array()
-    assert str(diagnose(saver)) == str(expected)
-
-
-def test_the_filter_is_left_as_it_was():
-    kf, zs = healthy(0)
-    before = repr(kf)
-    diagnose(kf, zs[:50])
-    assert repr(kf) == before
-
-
-def test_filterpys_own_filter_is_diagnosed_too():
-    kf = KalmanFilter(2, 1)
-    kf.F, kf.H, kf.Q, kf.R = F, H[:1], Q, R[:1, :1] / 25
-    d = diagnose(kf, world(0, 1, contamination=0.0)[1])
+    assert str(diagnose(saver)) == expected
+    d = diagnose(robust(1, R_factor=1 / 25, cls=KalmanFilter), world(0, 1, contamination=0.0)[1])
     assert d.causes == ("R too small",)
     assert d.clipped.max() == 0.0
 
@@ -245,11 +210,6 @@ def test_without_a_linear_model_the_innovations_are_judged():
     assert d.causes[0] == "S too small" and np.isnan(d.R_scale).all()
 
 
-def test_words_name_the_factor_and_what_it_does():
-    text = str(diagnosed("R too small"))
-    assert text.startswith("R is about ") and "times too small" in text and "clips good data" in text
-
-
 @pytest.mark.parametrize("seed", by_night(range(3), 0))
 def test_factor_of_R_is_found_within_a_third(seed):
     (finding,) = diagnosed("R too small", seed).findings
@@ -259,7 +219,7 @@ def test_factor_of_R_is_found_within_a_third(seed):
 @pytest.mark.parametrize("influence", by_night([Huber(1.345), Huber(2.5), Linear()], Huber(1.345)))
 def test_figures_of_a_right_model_are_those_of_the_normal_distribution(influence):
     kf, zs = clean(1)
-    # Where psi clips is known beforehand only by a told S.
+    # Where psi clips is known beforehand only by a given S.
     kf.influence, kf.scaling = influence, "innovation"
     d = diagnose(kf, zs)
     k = getattr(influence, "threshold", np.inf)
@@ -333,8 +293,7 @@ def test_a_recording_of_nothing_says_nothing():
 
 def test_a_data_frame_is_diagnosed_by_its_rows():
     pd = pytest.importorskip("pandas")
-    plain = KalmanFilter(2, 1)
-    plain.F, plain.H, plain.Q, plain.R = F, H[:1], Q, R[:1, :1]
+    plain = robust(1, cls=KalmanFilter)
     zs = np.random.default_rng(4).normal(size=(60, 2))
     for kf, measurements in ((robust(), zs), (plain, zs[:, :1])):
         ours, theirs = diagnose(kf, pd.DataFrame(measurements)), diagnose(kf, measurements)
@@ -342,14 +301,13 @@ def test_a_data_frame_is_diagnosed_by_its_rows():
         np.testing.assert_array_equal(ours.scale, theirs.scale)
 
 
-@pytest.mark.parametrize("told, cause", [
+@pytest.mark.parametrize("R, cause", [
     (1.0, ()), (100.0, ("R too large",)), pytest.param(0.01, ("R too small",), marks=pytest.mark.nightly),
 ])  # fmt: skip
-def test_a_filter_that_learns_its_noise_is_diagnosed_by_the_R_that_it_was_told(told, cause):
+def test_a_filter_that_learns_its_noise_is_diagnosed_by_the_R_that_it_was_given(R, cause):
     rng = np.random.default_rng(4)
     level = np.cumsum(0.3 * rng.normal(size=600))
-    kf = AdaptiveKalmanFilter(1, 1)
-    kf.H[:], kf.Q[:], kf.R[:] = 1.0, 0.09, told
+    kf = of_matrices(AdaptiveKalmanFilter, 1.0, [[1.0]], 0.09, R)
     found = diagnose(kf, level + np.where(rng.random(600) < 0.1, 10.0, 1.0) * rng.normal(size=600))
     assert found.causes == cause
     # Learnt noise has no threshold, so that no share of clipped samples is known beforehand.
@@ -357,33 +315,28 @@ def test_a_filter_that_learns_its_noise_is_diagnosed_by_the_R_that_it_was_told(t
 
 
 @pytest.mark.parametrize("share", by_night([0.02, 0.1], 0.1))
-def test_noise_that_is_told_says_how_much_may_be_clipped(share):
-    kf, zs = robust(), np.random.default_rng(5).normal(size=(300, 2))
-    told = RobustKalmanFilter(2, 2, noise=Contaminated(share, 10.0))
-    told.F, told.H, told.Q, told.R, told.P = kf.F, kf.H, kf.Q, kf.R, kf.P
-    low, high = diagnose(told, zs).clipped_expected.T
+def test_noise_that_is_given_says_how_much_may_be_clipped(share):
+    kf = robust(noise=Contaminated(share, 10.0))
+    low, high = diagnose(kf, np.random.default_rng(5).normal(size=(300, 2))).clipped_expected.T
     np.testing.assert_allclose(high, (1.0 - share) * low + share)
 
 
-def test_more_outliers_than_told_are_advised_on_in_the_words_of_the_filter():
+def test_more_outliers_than_given_are_advised_on_in_the_words_of_the_filter():
     rng = np.random.default_rng(3)
     zs = np.cumsum(0.1 * rng.normal(size=600)) + np.where(rng.random(600) < 0.35, 15.0, 1.0) * rng.normal(size=600)
 
     def found(**noise):
-        kf = RobustKalmanFilter(1, 1, **noise)
-        kf.F, kf.H, kf.Q, kf.R = np.eye(1), np.eye(1), 0.01 * np.eye(1), np.eye(1)
-        return diagnose(kf, zs)
+        return diagnose(of_matrices(RobustKalmanFilter, 1.0, [[1.0]], 0.01, **noise), zs)
 
     assert "made for: about" in str(found()) and "Huber.from_contamination" in str(found())
-    told = str(found(noise=Contaminated(0.05, 10.0)))
-    assert "than noise= tells" in told and "Huber" not in told
+    text = str(found(noise=Contaminated(0.05, 10.0)))
+    assert "than noise= tells" in text and "Huber" not in text
     assert "more outliers" not in found(noise=Learnt()).causes
 
 
 def test_a_diagnosis_fits_a_screen():
     rng = np.random.default_rng(6)
-    kf = RobustKalmanFilter(2, 6)
-    kf.F, kf.H, kf.Q, kf.R = F, np.tile(H[:1], (6, 1)), Q, np.eye(6)
+    kf = of_matrices(RobustKalmanFilter, F, np.tile(H[:1], (6, 1)), Q)
     for zs in (9.0 * rng.normal(size=(200, 6)), np.full((30, 6), np.nan)):
         assert max(map(len, str(diagnose(kf, zs)).splitlines())) <= 100
 

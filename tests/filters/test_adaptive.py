@@ -1,4 +1,4 @@
-"""AdaptiveKalmanFilter: exact on small mixtures, told nothing it finds the noise; what it has learnt is safe."""
+"""AdaptiveKalmanFilter: it finds the noise that nobody gave; what it has learnt is safe."""
 
 
 import numpy as np

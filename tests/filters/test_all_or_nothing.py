@@ -5,7 +5,6 @@ import copy
 import numpy as np
 import pytest
 import support
-from filterpy.kalman import MerweScaledSigmaPoints
 from support import recovering, told, two_sided
 
 from robust_filterpy import (
@@ -97,44 +96,36 @@ def test_a_saver_a_psi_or_a_step_of_ones_own_that_fails_leaves_the_filter_of_bef
 def test_a_model_function_that_writes_into_its_argument_and_fails_changes_nothing(cls, error):
     spoils = []
 
-    def spoilt(x):
-        if spoils:
-            x[:] = 7.0
-            if error is not None:
-                raise error("on purpose")
+    def spoiling(function):
+        """The function, that writes into x and raises when it is its turn."""
 
-    def hx(x):
-        found = np.ravel(x) ** 2
-        spoilt(x)
-        return found
+        def called(x):
+            value = function(np.ravel(x))
+            if spoils:
+                x[:] = 7.0
+                if error is not None:
+                    raise error("on purpose")
+            return value
 
-    def jacobian(x):
-        found = np.diag(2.0 * np.ravel(x))
-        spoilt(x)
-        return found
+        return called
 
-    given = (
-        {"hx": hx, "fx": lambda x, dt: np.ravel(x) * 0.9, "dt": 1.0} if cls is not RobustExtendedKalmanFilter else {}
-    )
-    if cls is RobustUnscentedKalmanFilter:
-        given["points"] = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
-    kf = cls(2, 2, **given)
-    kf.x, kf.Q = np.array([1.0, 2.0]), 0.1 * np.eye(2)
-    extra = (jacobian, hx) if cls is RobustExtendedKalmanFilter else ()
+    hx, jacobian = spoiling(np.square), spoiling(lambda x: np.diag(2.0 * x))
+    kf, z = support.of_matrices(cls, 0.9, np.eye(2), 0.1, x=[1.0, 2.0]), np.array([1.0, 2.0])
+    kf.hx, functions = hx, (jacobian, hx) if cls is RobustExtendedKalmanFilter else ()
     for _ in range(2):
         kf.predict()
-        kf.update(np.array([1.0, 2.0]), *extra)
+        kf.update(z, *functions)
     kf.predict()
     before, twin = contents(kf), copy.deepcopy(kf)
-    twin.update(np.array([1.0, 2.0]), *extra)
+    twin.update(z, *functions)
     spoils.append(True)
     if error is None:
-        kf.update(np.array([1.0, 2.0]), *extra)
+        kf.update(z, *functions)
         np.testing.assert_array_equal(kf.x, twin.x)
         np.testing.assert_array_equal(kf.P, twin.P)
     else:
         with pytest.raises(error, match="on purpose"):
-            kf.update(np.array([1.0, 2.0]), *extra)
+            kf.update(z, *functions)
         assert_same(contents(kf), before)
 
 
@@ -163,22 +154,13 @@ def test_what_a_model_function_wrote_into_any_kind_of_array_is_undone(kept, monk
         np.testing.assert_array_equal(getattr(kf, name), before[name], err_msg=name)
 
 
-@pytest.mark.parametrize("cls", [RobustKalmanFilter, RobustExtendedKalmanFilter])
+@pytest.mark.parametrize("cls", [RobustKalmanFilter, support.Extended])
 def test_what_the_last_correction_showed_is_the_same_when_a_missing_one_is_looked_at_late(cls):
-    H = np.array([[1.0, 0.0], [0.5, 1.0]])
-    model = (lambda x: H, lambda x: H @ x) if cls is RobustExtendedKalmanFilter else ()
-    kf = cls(2, 2)
-    kf.x = np.zeros(2)
-    if not model:
-        kf.H = H
-    kf.update([1.0, 30.0], *model)
-    looked = copy.deepcopy(kf)
-    before = {name: np.copy(getattr(looked, name)) for name in ("S", "SI", "T", "K")}
+    kf = support.of_matrices(cls, 1.0, [[1.0, 0.0], [0.5, 1.0]], x=np.zeros(2))
+    kf.update([1.0, 30.0])
+    before = support.snapshot(copy.deepcopy(kf), ("S", "SI", "T", "K"))
     for _ in range(2):
-        kf.predict()
-        kf.update(None, *model)
-    kept = copy.deepcopy(kf)
-    for name, value in before.items():
-        np.testing.assert_array_equal(getattr(kept, name), value, err_msg=name)
+        support.predict_and_update(kf, None)
+    support.assert_unchanged(before, copy.deepcopy(kf))
     assert kf.log_likelihood == kf.mahalanobis == 0.0
     assert np.isnan(kf.weights).all() and not kf.y.any() and not kf.e.any()

@@ -237,7 +237,7 @@ OPTIONS = [
     *((partial(RobustKalmanFilter, *dims), {}, "dim_") for dims in (
         (0, 1), (1, 0), (1, 1, -1), (-2, 1), (2.5, 1), ("2", 1),
     )),
-    *((Scales, {name: value}, f"^{told}: expected") for told, name, value in (
+    *((Scales, {name: value}, f"^{shown}: expected") for shown, name, value in (
         ("process_scales", "scales", []), ("process_scales", "scales", [1.0, np.nan]),
         ("process_scales", "scales", [0.0, 1.0]), ("dwell", "dwell", 1.0), ("dwell", "dwell", "long"),
         ("jump", "jump", 1.0), ("jump", "jump", -0.1),

@@ -25,17 +25,10 @@ from robust_filterpy.testing.consistency import assert_efficient
 pytestmark = pytest.mark.core
 
 
-def of_a_linear_model(cls, **options):
-    """Make a sigma-point filter whose functions are its own F and H."""
-    return lambda dim_x, dim_z: support.of_matrices(cls, np.eye(dim_x), np.zeros((dim_z, dim_x)), **options)
-
-
-SIGMA = ("memoryless", "pickle", "validates")
-TOLD = Contaminated(0.1, 10.0)
 by_S = partial(RobustKalmanFilter, scaling="innovation")
 learnt = partial(RobustKalmanFilter, noise="learnt")
-#: Factory, what it does not claim. Under scaling "learnt", the default, a sensor's custom is remembered beside x and P,
-#: and a psi that is nowhere linear bends what is ordinary for a sensor, however small that is.
+#: Factory, what it does not claim. Under scaling "learnt", the default, what is typical of a sensor is remembered with
+#: x and P, and a psi that is nowhere linear bends what is ordinary for a sensor, however small that is.
 FILTERS = {
     "Linear": (partial(RobustKalmanFilter, influence=Linear()), ("robust",)),
     "Huber": (RobustKalmanFilter, ("memoryless",)),
@@ -50,33 +43,39 @@ FILTERS = {
     "Student": (partial(by_S, influence=StudentT()), ("recovers",)),
     "Student, learnt": (partial(RobustKalmanFilter, influence=StudentT()), ("recovers", "memoryless", "linear")),
     "Tukey": (partial(by_S, influence=TukeyBiweight()), ("recovers", "likelihood")),
-    "extended": (RobustExtendedKalmanFilter, ("memoryless",)),
     "extended by S": (partial(RobustExtendedKalmanFilter, scaling="innovation"), ()),
-    "unscented": (of_a_linear_model(RobustUnscentedKalmanFilter), SIGMA),
-    "cubature": (of_a_linear_model(RobustCubatureKalmanFilter), SIGMA),
     "recovering": (recovering, ("likelihood", "memoryless")),
-    "recovering extended": (partial(RobustExtendedKalmanFilter, **RECOVERING), ("likelihood", "memoryless")),
-    "recovering unscented": (of_a_linear_model(RobustUnscentedKalmanFilter, **RECOVERING), ("likelihood", *SIGMA)),
-    "recovering cubature": (of_a_linear_model(RobustCubatureKalmanFilter, **RECOVERING), ("likelihood", *SIGMA)),
     "noise-matched": (partial(told, grouping="joint"), ("recovers",)),
     "noise-matched, each sensor": (told, ("recovers", "linear")),
     "two-sided": (two_sided, ("linear", "prediction", "memoryless")),
-    "two-sided, told": (partial(told, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "recovers")),
+    "two-sided, given": (partial(told, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "recovers")),
     "adaptive": (AdaptiveKalmanFilter, ("linear", "prediction", "memoryless")),
     "adaptive, joint": (partial(AdaptiveKalmanFilter, grouping="joint"), ("linear", "prediction", "memoryless")),
     "learnt": (learnt, ("linear", "memoryless", "recovers")),
-    "learnt, process told": (
+    "learnt, process given": (
         partial(learnt, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "memoryless", "recovers")
     ),
-    "extended told": (partial(RobustExtendedKalmanFilter, noise=TOLD), ("linear", "recovers")),
-    "extended learnt": (partial(RobustExtendedKalmanFilter, noise="learnt"), ("linear", "memoryless", "recovers")),
-    "unscented told": (of_a_linear_model(RobustUnscentedKalmanFilter, noise=TOLD), ("linear", "recovers", *SIGMA)),
-    "unscented learnt": (
-        of_a_linear_model(RobustUnscentedKalmanFilter, noise="learnt"), ("linear", "recovers", *SIGMA)
-    ),
-    "cubature told": (of_a_linear_model(RobustCubatureKalmanFilter, noise=TOLD), ("linear", "recovers", *SIGMA)),
-    "cubature learnt": (of_a_linear_model(RobustCubatureKalmanFilter, noise="learnt"), ("linear", "recovers", *SIGMA)),
 }  # fmt: skip
+
+
+def nonlinear(kind, **options):
+    """Make a nonlinear filter of a linear model: one of sigma points has functions of its own F and H."""
+    return lambda dim_x, dim_z: support.of_matrices(kind, 1.0, np.zeros((dim_z, dim_x)), **options)
+
+
+GIVEN, SIGMA = {"noise": Contaminated(0.1, 10.0)}, ("memoryless", "pickle", "validates")
+for name, kind, own in (
+    ("extended", RobustExtendedKalmanFilter, ("memoryless",)), ("unscented", RobustUnscentedKalmanFilter, SIGMA),
+    ("cubature", RobustCubatureKalmanFilter, SIGMA),
+):  # fmt: skip
+    # The extended filter's own functions are asked for by its methods.
+    make = nonlinear if own is SIGMA else partial
+    FILTERS |= {
+        name: (make(kind), own),
+        f"recovering {name}": (make(kind, **RECOVERING), ("likelihood", *own)),
+        f"{name} given": (make(kind, **GIVEN), ("linear", "recovers", *(SIGMA if own is SIGMA else ()))),
+        f"{name} learnt": (make(kind, noise="learnt"), ("linear", "recovers", *own)),
+    }
 #: A policy of each kind on the linear filter and a shell keep every promise on every commit; of the
 #: others each name keeps a sixth of them then, another sixth than the name before.
 WHOLE = ("Huber", "extended", "learnt", "adaptive")
@@ -97,7 +96,7 @@ EXPECTED = {
         **SIGMA_POINTS,
     },
 }
-EXPECTED |= {f"{name} {noise}": EXPECTED[name] for name in ("unscented", "cubature") for noise in ("told", "learnt")}
+EXPECTED |= {f"{name} {noise}": EXPECTED[name] for name in ("unscented", "cubature") for noise in ("given", "learnt")}
 EXPECTED |= {f"recovering {name}": EXPECTED[name] for name in ("unscented", "cubature")}
 if not support.FILTERPY_2:
     EXPECTED["unscented"] |= SIGMA_POINTS

@@ -62,14 +62,6 @@ LINEAR = {
 }
 
 
-def linear_state(kf):
-    """Another state of the same filter, later."""
-    later = copy.deepcopy(kf)
-    later.predict()
-    update(later, 0.3)
-    return later.state()
-
-
 def seen(kf):
     """All that a call moves, and all that it shows."""
     found = {name: value for name, value in kf.state().items() if name != "format"}
@@ -98,7 +90,8 @@ def test_an_interrupt_leaves_no_half_step(name, call, every):
         kf.predict()
     make = {**CALLS, **LINEAR}[call]
     if call == "restore":
-        later = linear_state(kf)
-        make = lambda one: one.restore(later)  # noqa: E731
+        later = copy.deepcopy(kf)
+        update(later, 0.3)
+        make = lambda one: one.restore(later.state())  # noqa: E731
     half, lines = half_steps(kf, make, seen, every=every)
     assert half == [] and lines > 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 import support
+from filterpy.kalman import KalmanFilter
 from statsmodels.robust import norms
 
 from robust_filterpy import AdaptiveKalmanFilter, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
@@ -96,12 +97,16 @@ def test_a_sensor_with_a_zero_row_in_h_is_not_one_of_the_group():
 
 
 def test_as_it_is_built():
-    kf = RobustKalmanFilter(3, 2)
-    assert kf.influence == Huber(1.345)
-    assert (kf.scaling, kf.information, kf.grouping) == ("learnt", "realized", "component")
+    kf, plain = RobustKalmanFilter(3, 2, 1), KalmanFilter(3, 2, 1)
+    assert isinstance(kf, KalmanFilter)
+    for name in (*support.STATE, "y", "K", "S", "SI", "F", "H", "Q", "R", "B", "M", "alpha", "inv", "dim_x", "dim_z"):
+        expected = np.zeros((3, 2)) if name == "M" else getattr(plain, name)
+        np.testing.assert_array_equal(getattr(kf, name), expected, err_msg=name)
+    assert kf.log_likelihood == plain.log_likelihood and kf.likelihood == plain.likelihood
+    kf.test_matrix_dimensions()
+    assert (kf.influence, kf.scaling, kf.information, kf.grouping) == (Huber(1.345), "learnt", "realized", "component")
     assert np.all(np.isnan(kf.weights)) and not kf.clipped.any() and not kf.e.any() and not kf.y_bounded.any()
-    assert kf.weights.shape == kf.clipped.shape == kf.e.shape == kf.y_bounded.shape == (2, 1)
-    assert kf.T.shape == (2, 2)
+    assert kf.weights.shape == kf.clipped.shape == kf.e.shape == kf.y_bounded.shape == (2, 1) and kf.T.shape == (2, 2)
     text = repr(RobustKalmanFilter(2, 1, influence=Huber(1.5), scaling="bounded", information="weight"))
     for part in ("RobustKalmanFilter", "Huber(threshold=1.5)", "bounded", "weight", "component", "dim_x = 2"):
         assert part in text, part
@@ -127,6 +132,14 @@ def test_choices_can_be_changed_between_calls(missing_first):
                 for one in (kf, fresh):
                     one.update([0.1, 30.0])
                 support.assert_same_state(kf, fresh, ("x", "P", "K", "T", "e", "weights"), rtol=1e-14)
+
+
+def test_numbers_of_a_state_come_back_as_numbers():
+    kf, other = robust(), robust()
+    kf.Q, kf.R, kf.alpha = 0.5, 2.0, 1.02
+    other.restore(kf.state())
+    for name in ("Q", "R", "alpha"):
+        assert type(getattr(other, name)) is float and getattr(other, name) == getattr(kf, name), name
 
 
 def test_a_singular_s_is_said_and_a_pseudo_inverse_is_obeyed():
@@ -236,16 +249,22 @@ def test_steady_state_is_not_spoilt_by_the_outlier_before(ndim):
     support.assert_close(calm.x, upset.x)
 
 
-def test_unit_scaling_refuses_to_make_p_indefinite():
-    kf = robust(support.with_(support.cart(), P=10 * np.eye(2)), scaling="unit")
-    before = support.snapshot(kf)
+@pytest.mark.parametrize(("H", "R", "P", "grouping"), [
+    ([[1.0, 0.0]], [[1.0]], 10.0, "component"),
+    # H P H' is 1, or a sensor that sees nothing takes more from the others than there is: nothing would be left.
+    ([[0.0, 0.0], [0.0, 1.0]], [[0.1, 0.0], [0.0, 0.1]], 1.0, "component"),
+    ([[0.0, 0.0], [0.0, 1.0], [0.0, 1.0]], [[1.6625, 0.0, 1.25], [0.0, 0.1, 0.0], [1.25, 0.0, 1.1]], 1.0, "joint"),
+])  # fmt: skip
+def test_unit_scaling_refuses_to_make_p_indefinite(H, R, P, grouping):
+    kf = support.of_matrices(RobustKalmanFilter, 1.0, H, R=R, P=P, scaling="unit", grouping=grouping)
+    before, z = support.snapshot(kf), np.zeros(len(H))
     assert issubclass(NotPositiveDefiniteError, np.linalg.LinAlgError)
     for call in (kf.update, kf.get_update, kf.update_correlated, lambda z: kf.update_sequential(0, z)):
-        with pytest.raises(NotPositiveDefiniteError, match="H P H'"):
-            call(0.5)
+        with pytest.raises(NotPositiveDefiniteError):
+            call(z)
         support.assert_unchanged(before, kf)
     kf.scaling = "bounded"
-    kf.update(0.5)
+    kf.update(z)
     support.assert_positive_definite(kf.P)
 
 

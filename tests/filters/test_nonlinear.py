@@ -13,7 +13,18 @@ from filterpy.kalman import (
     MerweScaledSigmaPoints,
     UnscentedKalmanFilter,
 )
-from support import FILTERPY_2, RECOVERING, load, polar, polar_jacobian, random_problem, simulate, with_, wrapped
+from support import (
+    FILTERPY_2,
+    RECOVERING,
+    load,
+    of_matrices,
+    polar,
+    polar_jacobian,
+    random_problem,
+    simulate,
+    with_,
+    wrapped,
+)
 
 from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.correction import NotPositiveDefiniteError
@@ -64,7 +75,7 @@ def start(cls, west):
 
 
 def radar(cls, west=False, factor=1.0, ndim=1, **options):
-    """A filter of a target in the plane, of its range and bearing, with R told `factor` times what it is."""
+    """A filter of a target in the plane, of its range and bearing, its R `factor` times what it should be."""
     kf = made(cls, 4, 2, straight, polar, **options)
     kf.residual_z = wrapped
     if west and isinstance(kf, UnscentedKalmanFilter):
@@ -250,6 +261,8 @@ def test_copies_states_and_batches_go_on_alike_and_what_is_refused_changes_nothi
     saver = Saver(kf)
     means, covariances = kf.batch_filter(rows[58:], *functions, saver=saver, **last)
     assert len(saver) == 92
+    if cls is RobustUnscentedKalmanFilter:
+        assert kf.rts_smoother(means, covariances)[0].shape == means.shape
     for twin in twins:
         np.testing.assert_array_equal(run(twin, rows[58:]), means)
         np.testing.assert_array_equal(twin.P, covariances[-1])
@@ -257,13 +270,6 @@ def test_copies_states_and_batches_go_on_alike_and_what_is_refused_changes_nothi
             assert (twin.refused, twin.recoveries) == (kf.refused, kf.recoveries) and kf.recoveries > 0
         if policy == "learnt":
             np.testing.assert_array_equal(twin.learnt, kf.learnt)
-
-
-def test_the_unscented_filter_smooths_and_takes_lists():
-    zs, kf, loop = returns(20, 9)[1], radar(RobustUnscentedKalmanFilter), radar(RobustUnscentedKalmanFilter)
-    means, covariances = kf.batch_filter(list(zs), Rs=[R] * 20, dts=DT)
-    np.testing.assert_array_equal(means, run(loop, zs))
-    assert kf.rts_smoother(means, covariances)[0].shape == means.shape
 
 
 def failing():
@@ -312,30 +318,23 @@ def test_extended_predict_update_predicts_then_corrects():
     np.testing.assert_allclose(ours.P, F @ P @ F.T + Q)
 
 
-def test_extended_takes_numbers_for_one_range():
-    """As filterpy's own example: R of each call and what hx returns are plain numbers."""
-    kf, other = (RobustExtendedKalmanFilter(3, 1) for _ in range(2))
-    for one in (kf, other):
-        one.x, one.P = np.array([-10.0, 90.0, 1100.0]), 50.0 * np.eye(3)
-    for z in (1000.0, 1500.0, 990.0):
-        kf.update(z, range_jacobian, lambda x: np.hypot(x[0], x[2]), R=2500.0)
-        other.update(np.array([z]), range_jacobian, lambda x: np.array([np.hypot(x[0], x[2])]), R=np.array([[2500.0]]))
-        np.testing.assert_array_equal(kf.x, other.x)
-        assert kf.mahalanobis == pytest.approx(abs(kf.e[0]))
-
-
-def range_jacobian(x):
-    return np.array([[x[0], 0.0, x[2]]]) / np.hypot(x[0], x[2])
-
-
 @pytest.mark.parametrize("ndim", [1, 2])
-@pytest.mark.parametrize("shape", [(2,), (2, 1), (1, 2)])
-def test_rows_and_columns_mean_the_same(ndim, shape):
+def test_rows_columns_and_numbers_mean_the_same(ndim):
+    """As in filterpy's own example R of a call and what hx returns may be plain numbers."""
     z = returns(1, 0)[1][0] + [3.0, 0.1]
-    kf, reference = radar(RobustExtendedKalmanFilter, ndim=ndim), radar(RobustExtendedKalmanFilter)
-    correct(kf, z.reshape(shape)), correct(reference, z)
-    np.testing.assert_allclose(kf.x.ravel(), reference.x)
-    assert kf.x.shape == ((4,) if ndim == 1 else (4, 1))
+    reference = radar(RobustExtendedKalmanFilter)
+    correct(reference, z)
+    for shape in ((2,), (2, 1), (1, 2)):
+        kf = radar(RobustExtendedKalmanFilter, ndim=ndim)
+        correct(kf, z.reshape(shape))
+        np.testing.assert_allclose(kf.x.ravel(), reference.x)
+        assert kf.x.shape == ((4,) if ndim == 1 else (4, 1))
+    given = {"P": 50.0, "x": [90.0, 1100.0]}
+    numbers, arrays = (of_matrices(RobustExtendedKalmanFilter, 1.0, np.eye(1, 2), **given) for _ in "ab")
+    for z in (1000.0, 1500.0):
+        numbers.update(z, lambda x: x[None] / np.hypot(*x), lambda x: np.hypot(*x), R=2500.0)
+        arrays.update(np.array([z]), lambda x: x[None] / np.hypot(*x), lambda x: np.hypot(*x)[None], R=[[2500.0]])
+        np.testing.assert_array_equal(numbers.x, arrays.x)
 
 
 @EVERY_CLASS
@@ -417,28 +416,26 @@ def test_a_run_of_outliers_shorter_than_the_patience_is_left_out(cls, burst, siz
 @EVERY_CLASS
 def test_refused_angles_agree_by_their_residual(cls, column):
     """After half a turn innovations lie on both sides of pi."""
+    extended = cls is RobustExtendedKalmanFilter
 
     def turned(a, b):
-        assert np.shape(a) == np.shape(b) == np.shape(predicted(kf.x))
+        # The cubature filter's predicted measurement is a column.
+        assert cls is RobustCubatureKalmanFilter or np.shape(a) == np.shape(b) == np.shape(predicted(kf.x))
         return (a - b + np.pi) % (2 * np.pi) - np.pi
 
     def predicted(x):
-        return np.reshape(np.ravel(x), (1, 1) if column and isinstance(kf, RobustExtendedKalmanFilter) else (1,))
+        return np.reshape(np.ravel(x), (1, 1) if column and extended else (1,))
 
     # Points of a widened P have to lie within a turn.
     kf = made(cls, 1, 1, lambda x, dt: x, predicted, MerweScaledSigmaPoints(1, 0.1, 2.0, 2.0), **RECOVERING)
-    # The cubature filter's predicted measurement is a column.
-    cubature = cls is RobustCubatureKalmanFilter
-    kf.residual_z = (lambda a, b: (a - b + np.pi) % (2 * np.pi) - np.pi) if cubature else turned
-    kf.x, kf.Q, kf.R = np.zeros((1, 1) if column else 1), 1e-4 * np.eye(1), 0.01 * np.eye(1)
+    kf.residual_z, kf.x = turned, np.zeros((1, 1) if column else 1)
+    kf.Q, kf.R = 1e-4 * np.eye(1), 0.01 * np.eye(1)
+    functions = {"HJacobian": lambda x: np.eye(1), "Hx": predicted, "residual": turned} if extended else {}
     noise = 0.1 * np.random.default_rng(3).normal(size=60)
     for k in range(60):
         kf.predict()
         z = (noise[k] + np.pi * (k >= 20) + np.pi) % (2 * np.pi) - np.pi
-        if isinstance(kf, RobustExtendedKalmanFilter):
-            kf.update(z, lambda x: np.eye(1), predicted, residual=turned)
-        else:
-            kf.update(np.array([z]))
+        kf.update(z if extended else np.array([z]), **functions)
     assert kf.recoveries == 1
     assert abs(abs(kf.x.item()) - np.pi) < 0.2
 
@@ -466,14 +463,13 @@ def test_a_residual_that_fails_while_innovations_are_compared_changes_nothing(fa
     assert kf.refused == 1
 
 
-def test_a_residual_function_may_write_into_what_it_is_given():
-    for residual in (np.subtract, lambda a, b: np.subtract(a, b, out=a)):
-        kf = RobustExtendedKalmanFilter(1, 1, **{**RECOVERING, "patience": 3})
-        kf.x, kf.Q = np.zeros(1), 0.01 * np.eye(1)
-        for _ in range(5):
-            kf.predict()
-            kf.update(np.array([50.0]), lambda x: np.eye(1), lambda x: x, residual=residual)
-        assert kf.recoveries == 1 and abs(kf.x.item() - 50.0) < 1.0
+@pytest.mark.parametrize("residual", [np.subtract, lambda a, b: np.subtract(a, b, out=a)], ids=["new", "in place"])
+def test_a_residual_function_may_write_into_what_it_is_given(residual):
+    kf = of_matrices(RobustExtendedKalmanFilter, 1.0, [[1.0]], 0.01, x=np.zeros(1), **{**RECOVERING, "patience": 3})
+    for _ in range(5):
+        kf.predict()
+        kf.update(np.array([50.0]), lambda x: np.eye(1), lambda x: x, residual=residual)
+    assert kf.recoveries == 1 and abs(kf.x.item() - 50.0) < 1.0
 
 
 # Filters that learn their noise.

@@ -131,3 +131,16 @@ def test_a_direction_that_inv_leaves_out_does_not_count(scaling):
     with np.errstate(all="raise"):
         through(kf, ([0.0, 50.0], [0.0, 50.0], [0.0, 50.0], [5.0, 50.0]))
     assert (kf.refused, kf.recoveries) == (1, 0)
+
+
+def test_noise_that_is_correlated_with_the_state_has_no_part_in_what_a_recovery_opens():
+    """The noise of the refused readings is theirs: P grows along P H', not along P H' + M."""
+    problem, grown = random_problem(4, 3, 2), []
+    for M in (problem.M, 0.0 * problem.M):
+        kf = make(recovering, with_(problem, M=M), patience=2)
+        kf.R = problem.R + problem.H @ (problem.M - M) + (problem.M - M).T @ problem.H.T
+        for z in ([900.0, -800.0], [901.0, -801.0]):
+            kf.update_correlated(z)
+        assert kf.recoveries == 1
+        grown.append(kf.P)
+    np.testing.assert_allclose(*grown, rtol=1e-9)

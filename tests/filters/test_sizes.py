@@ -1,4 +1,4 @@
-"""No size is special: a step is taken with numpy told to raise, or refused in a sentence that names what is wrong."""
+"""No size is special: a step is taken where numpy raises whatever it can, or refused in a sentence of its own."""
 
 import warnings
 
@@ -37,7 +37,7 @@ def raising():
     ("innovation", "expected", "component"),
 ])  # fmt: skip
 @pytest.mark.parametrize("dim_z, ndim", [(1, 2), (2, 1), (2, 2)])
-def test_numpy_told_to_raise_changes_no_number(path, influence, scaling, information, grouping, dim_z, ndim):
+def test_a_numpy_that_raises_changes_no_number(path, influence, scaling, information, grouping, dim_z, ndim):
     """Where e^2 overflows, where psi(e)/e turns subnormal, and everywhere between, after a missing reading too."""
     problem = support.random_problem(64, 2, dim_z)
     options = {"influence": influence, "information": information, "scaling": scaling, "grouping": grouping}

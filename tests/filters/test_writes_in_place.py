@@ -4,7 +4,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 from support import Extended, of_matrices, recovering, told, two_sided
 
 from robust_filterpy import (
@@ -18,11 +17,13 @@ F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.0, 0.95]])
 H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]])
 
 
-LINEAR = (RobustKalmanFilter, partial(RobustKalmanFilter, scaling="innovation"), recovering, told, two_sided)
-LINEAR = *LINEAR, partial(RobustKalmanFilter, noise="learnt"), AdaptiveKalmanFilter
-NAMES = "default", "innovation", "recovering", "told", "two_sided", "learnt", "adaptive"
+LINEAR = {
+    "default": RobustKalmanFilter, "innovation": partial(RobustKalmanFilter, scaling="innovation"),
+    "recovering": recovering, "given": told, "two_sided": two_sided,
+    "learnt": partial(RobustKalmanFilter, noise="learnt"), "adaptive": AdaptiveKalmanFilter,
+}  # fmt: skip
 MAKERS = {
-    **{name: partial(of_matrices, cls, F, H, dim_u=1) for name, cls in zip(NAMES, LINEAR, strict=True)},
+    **{name: partial(of_matrices, cls, F, H, dim_u=1) for name, cls in LINEAR.items()},
     "extended": partial(of_matrices, Extended, F, H, dim_u=1),
     "extended_learnt": partial(of_matrices, Extended, F, H, dim_u=1, noise="learnt"),
     "unscented": partial(of_matrices, RobustUnscentedKalmanFilter, F, H),
@@ -74,36 +75,3 @@ def test_a_write_in_place_is_an_assignment(name):
             for shown in reads:
                 found = np.asarray(getattr(one, shown, np.nan), dtype=float)
                 np.testing.assert_array_equal(found, np.asarray(getattr(other, shown, np.nan), dtype=float), shown)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_box_set_up_in_place_as_sort_does_it_follows_filterpy(name):
-    """abewley/sort, KalmanBoxTracker: x, P, Q and R are written where they stand."""
-
-    def tracker(cls):
-        kf = cls(dim_x=7, dim_z=4)
-        kf.F = np.eye(7) + np.eye(7, k=4)
-        kf.H = np.eye(4, 7)
-        kf.R[2:, 2:] *= 10.0
-        kf.P[4:, 4:] *= 1000.0
-        kf.P *= 10.0
-        kf.Q[-1, -1] *= 0.01
-        kf.Q[4:, 4:] *= 0.01
-        kf.x[:4] = box(0)
-        return kf
-
-    rng = np.random.default_rng(5)
-
-    def box(k):
-        return np.array([300.0 + 4.0 * k, 200.0 - 2.0 * k, 8000.0 + 30.0 * k, 0.5])[:, None]
-
-    ours, theirs = tracker(LINEAR[NAMES.index(name)]), tracker(KalmanFilter)
-    np.testing.assert_array_equal(ours.x, theirs.x)
-    for k in range(1, 30):
-        z = box(k) + np.array([[2.0], [2.0], [60.0], [0.005]]) * rng.normal(size=(4, 1))
-        for kf in (ours, theirs):
-            kf.predict()
-            kf.update(z)
-        if k > 3:
-            off, usual = np.abs(ours.x[:4] - box(k)), np.abs(theirs.x[:4] - box(k))
-            assert (off < usual + [[12.0], [12.0], [360.0], [0.03]]).all(), (k, off.ravel(), usual.ravel())

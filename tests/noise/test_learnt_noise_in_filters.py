@@ -59,17 +59,17 @@ def learnt(request, recording):
 
 
 def test_it_is_the_noise_that_there_was(learnt):
-    # What overlaps with ordinary noise cannot be told from it; differences have two chances of an outlier each.
+    # What overlaps with ordinary noise looks like it; differences have two chances of an outlier each.
     assert 0.08 < learnt.contamination < 0.35 and 5.0 < learnt.scale_ratio < 16.0
 
 
 def test_a_filter_with_it_follows_better_than_the_default_and_as_the_truth(learnt, recording):
     x, zs = recording
-    told, truth = ({"noise": noise} for noise in (learnt, Contaminated(0.15, 10.0)))
-    default, told, truth = (
-        float(np.mean((walk(**options).batch_filter(zs)[0][:, 0] - x) ** 2)) for options in ({}, told, truth)
+    given, truth = ({"noise": noise} for noise in (learnt, Contaminated(0.15, 10.0)))
+    default, given, truth = (
+        float(np.mean((walk(**options).batch_filter(zs)[0][:, 0] - x) ** 2)) for options in ({}, given, truth)
     )
-    assert told < default and told < 1.1 * truth
+    assert given < default and given < 1.1 * truth
 
 
 def test_every_filter_takes_it(learnt):

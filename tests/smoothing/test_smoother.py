@@ -1,4 +1,4 @@
-"""smooth: without doubts it is filterpy's smoother, with a psi the optimum, told nothing close to being told all."""
+"""smooth: without doubts it is filterpy's smoother, with a psi the optimum, with nothing given close to knowing all."""
 
 import dense
 import numpy as np
@@ -99,16 +99,16 @@ CASES = {(0.0, 10.0): 1.02, (0.1, 10.0): 1.15, (0.3, 10.0): 1.40, (0.1, 40.0): 1
 
 
 @pytest.mark.parametrize("contamination, scale", CASES)
-def test_told_nothing_it_is_close_to_the_smoother_that_is_told_the_labels(contamination, scale):
-    """Mean square error over that of the label-told smoother, at most so much and 5 standard errors; many at once."""
+def test_it_is_close_to_the_smoother_that_knows_the_labels(contamination, scale):
+    """Mean square error over the label-knowing smoother's, at most so much and 5 standard errors; many at once."""
     runs = [drive(seed, contamination, scale) for seed in range(20_000, 20_000 + RUNS)]
     zs = np.array([z for _, z, _ in runs])[:, :, None]
     arguments = CART.F, CART.H, CART.Q
     found = smooth_series(zs, *arguments, CART.R, np.zeros(2), CART.P)
     R = np.where(np.array([bad for _, _, bad in runs]), scale**2, 1.0)[:, :, None, None]
-    told = smooth_series(zs, *arguments, R, np.zeros(2), CART.P, influence=Linear())
+    labelled = smooth_series(zs, *arguments, R, np.zeros(2), CART.P, influence=Linear())
     truth = np.array([truth for truth, _, _ in runs])
-    ours, theirs = (((one.x[:, :, 0] - truth) ** 2).mean(axis=1) for one in (found, told))
+    ours, theirs = (((one.x[:, :, 0] - truth) ** 2).mean(axis=1) for one in (found, labelled))
     apart = (ours - theirs) / theirs.mean()
     assert found.converged.all()
     assert 1.0 + apart.mean() < CASES[contamination, scale] + 5.0 * apart.std() / np.sqrt(RUNS)
@@ -165,8 +165,7 @@ def test_state_jumps_are_learnt_with_the_process():
         truth = np.cumsum(w)
         zs = truth + rng.normal(size=400)
         # A level, and a second state that stands still.
-        kf = KalmanFilter(2, 1)
-        kf.H, kf.Q, kf.P = np.eye(1, 2), np.diag([0.01, 0.0]), np.zeros((2, 2))
+        kf = support.of_matrices(KalmanFilter, 1.0, np.eye(1, 2), np.diag([0.01, 0.0]), P=0.0)
         plain, both = smooth(kf, zs), smooth(kf, zs, process=None)
         error = [np.mean((one.x[:, 0, 0] - truth) ** 2) for one in (plain, both)]
         assert error[1] < bound * error[0]
@@ -282,10 +281,8 @@ def test_a_process_whose_noise_is_given_far_too_small_is_smoothed_as_one_that_ju
         rng = np.random.default_rng(seed)
         n, m, steps = 3, int(rng.integers(1, 4)), int(rng.choice([6, 80, 300]))
         F = np.eye(n) + np.triu(rng.random((n, n)), 1)
-        kf = support.of_matrices(RobustKalmanFilter, F, rng.normal(size=(m, n)))
-        kf.P, kf.Q, kf.R = (np.diag(10.0**exponents) for exponents in (
-            np.full(n, 6.0), rng.uniform(-6, -2, n), rng.uniform(-4, -2, m)
-        ))  # fmt: skip
+        H, Q, R = rng.normal(size=(m, n)), 10.0 ** rng.uniform(-6, -2, n), 10.0 ** rng.uniform(-4, -2, m)
+        kf = support.of_matrices(RobustKalmanFilter, F, H, np.diag(Q), np.diag(R), 1e6)
         jumps = 30.0 * (rng.random((steps, 1)) < 0.1) * rng.normal(size=(steps, 1))
         found = smooth(kf, rng.normal(size=(steps, m)) + np.cumsum(jumps, 0), process=None)
         assert np.isfinite(found.x).all() and np.isfinite(found.P).all(), seed
@@ -302,8 +299,7 @@ def test_a_redescending_psi_does_not_lock_out():
 
 def test_each_sensor_has_a_contamination_of_its_own():
     rng = np.random.default_rng(8)
-    kf = support.of_matrices(KalmanFilter, np.eye(2), [[1.0, 0.0], [1.0, 0.0]])
-    kf.Q, kf.R = np.diag([0.01, 0.0]), np.diag([1.0, 2.0])
+    kf = support.of_matrices(KalmanFilter, 1.0, [[1.0, 0.0], [1.0, 0.0]], np.diag([0.01, 0.0]), np.diag([1.0, 2.0]))
     zs = np.cumsum(0.1 * rng.normal(size=600))[:, None] + rng.multivariate_normal(np.zeros(2), kf.R, 600)
     zs[rng.random(600) < 0.2, 1] += 30.0
     contamination = smooth(kf, zs).contamination
@@ -312,9 +308,8 @@ def test_each_sensor_has_a_contamination_of_its_own():
 
 def test_variances_that_are_lost_in_rounding_are_refused():
     """A state that nothing measures grows by 1.02 a step for 900 steps: 1e15 times its variance at the beginning."""
-    kf = RobustKalmanFilter(3, 2)
-    kf.F, kf.H = 1.02 * np.eye(3), np.array([[1.0, -0.5, 0.3], [0.2, 1.0, -0.8]])
-    kf.Q, kf.P = np.diag([0.1, 2e-4, 2e-5]), np.eye(3)
+    Q = np.diag([0.1, 2e-4, 2e-5])
+    kf = support.of_matrices(RobustKalmanFilter, 1.02, [[1.0, -0.5, 0.3], [0.2, 1.0, -0.8]], Q)
     x, zs, rng = np.ones(3), np.empty((900, 2)), np.random.default_rng(0)
     for k in range(900):
         x = kf.F @ x + np.sqrt(np.diag(kf.Q)) * rng.normal(size=3)

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from support import mover, without_kernel
+from support import of_matrices, without_kernel
 
 from robust_filterpy import Huber, smooth
 from robust_filterpy.influence import Linear
@@ -18,9 +18,7 @@ POSITIONS = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
 
 def plane(q=0.05):
-    kf = KalmanFilter(4, 2)
-    kf.F, kf.H, kf.Q, kf.P = PLANE, POSITIONS, q**2 * np.kron(np.eye(2), np.outer(G, G)), 1e4 * np.eye(4)
-    return kf
+    return of_matrices(KalmanFilter, PLANE, POSITIONS, q**2 * np.kron(np.eye(2), np.outer(G, G)), P=1e4)
 
 
 def walk(seed, steps=300, q=0.05):
@@ -99,16 +97,11 @@ def said(kf, zs, **options):
 
 
 def level(q, r):
-    kf = KalmanFilter(1, 1)
-    kf.F = kf.H = np.eye(1)
-    kf.Q, kf.R, kf.P = q * np.eye(1), r * np.eye(1), 100.0 * np.eye(1)
-    return kf
+    return of_matrices(KalmanFilter, 1.0, [[1.0]], q, r, 100.0)
 
 
 def moving(q, r):
-    kf = mover(KalmanFilter, r)
-    kf.Q = q * 0.01 * np.outer(G, G)
-    return kf
+    return of_matrices(KalmanFilter, [[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]], q * 0.01 * np.outer(G, G), r, 10.0)
 
 
 def wandering(kind, seed, contamination, steps=400):
