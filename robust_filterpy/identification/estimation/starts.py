@@ -44,8 +44,6 @@ _ITERATIONS: Final = 15
 _STANDS: Final = 1e-4
 # More samples make no better start.
 _MOST_ROWS: Final = 20_000
-# So many equations for each coefficient of a long regression.
-_EQUATIONS_EACH: Final = 4
 
 
 def require_informative(model: PolynomialModel, missing: Any) -> None:
@@ -299,28 +297,6 @@ def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) ->
     return best
 
 
-def impulse_start(model: StateSpaceResiduals, measured: list[Any], lags: int) -> Array | None:
-    """Return the start from impulse responses of so many lags, None if the recordings do not tell them."""
-    m, least = model.inputs, 0 if model.shapes["D"][1] else 1
-    X, Y, seen = _stacked(model, measured, range(least, least + lags))
-    if len(X) < _EQUATIONS_EACH * X.shape[1]:
-        return None
-    columns = []
-    for j in range(model.outputs):
-        rows = seen[:, j]
-        if rows.sum() < _EQUATIONS_EACH * X.shape[1]:
-            return None
-        columns.append(robust_regression(X[rows], Y[rows, j])[: m * lags].reshape(lags, m))
-    G = np.stack(columns, axis=1)
-    if not least:
-        G = G[1:]
-    rows = len(G) // 2 + 1
-    hankel = np.block([[G[i + j] for j in range(len(G) - rows + 1)] for i in range(rows)])
-    if min(hankel.shape) < model.order + model.outputs or not hankel.any():
-        return None
-    return _from(model, measured, *_realized(hankel, model.order, model.outputs), None)
-
-
 def predictor_start(model: StateSpaceResiduals, measured: list[Any], cleaned: list[Array], reach: int) -> Array | None:
     """Return the start from a long autoregression of cleaned outputs."""
     p, m, n = model.outputs, model.inputs, model.order
@@ -380,15 +356,3 @@ def _from(model: StateSpaceResiduals, measured: list[Any], A: Array, C: Array, K
     _with_linear(model, q, free, np.concatenate([part.ravel() for part in measured]))
     q[model.places["K"]] = gain
     return q
-
-
-def _stacked(model: StateSpaceResiduals, measured: list[Any], lags: range) -> tuple[Array, Array, Any]:
-    """Return delayed inputs and a constant for each recording, the outputs, and which of them are measured."""
-    X, Y, seen = [], [], []
-    for i, ((y, u), good) in enumerate(zip(model.recordings, measured, strict=True)):
-        rows = np.arange(lags[-1], len(y))
-        constant = np.tile(np.eye(len(model.recordings))[i], (rows.size, 1))
-        X.append(np.hstack((*(u[rows - lag] for lag in lags), constant)))
-        Y.append(y[rows])
-        seen.append(good[rows])
-    return np.concatenate(X), np.concatenate(Y), np.concatenate(seen)

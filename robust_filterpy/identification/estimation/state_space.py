@@ -19,7 +19,7 @@ from robust_filterpy.identification.estimation.prediction_error import (
     one_thread,
     sandwich,
 )
-from robust_filterpy.identification.estimation.starts import impulse_start, predictor_start
+from robust_filterpy.identification.estimation.starts import predictor_start
 from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
 from robust_filterpy.identification.models.recording import ANY_COLUMNS, Recording, recorded, require_motion
 from robust_filterpy.identification.models.responses import balancing
@@ -27,8 +27,7 @@ from robust_filterpy.identification.models.signals import fingerprint, operating
 from robust_filterpy.identification.models.state_space import Matrices, StateSpace, StateSpaceModel, StateSpaceResiduals
 from robust_filterpy.influence.functions import Huber, Influence
 
-_LENGTHS: Final = (25, 60, 150)
-_REACHES: Final = (6, 15)
+_REACHES: Final = (3, 6, 15)
 _FIRST_STEPS: Final = 12
 _TURNS: Final = 4
 # Orders tried after the best one.
@@ -186,18 +185,15 @@ def _searched(structure: StateSpace, n: int, parts: Any, measured: Any, influenc
     model = StateSpaceResiduals(n, parts, structure.feedthrough, False)
     rows = np.concatenate([good.ravel() for good in measured])
     first = _first_noise(model, rows, influence)
-    stage(f"{n} states, search from impulse responses")
-    starts = [start for lags in _LENGTHS if (start := impulse_start(model, measured, lags)) is not None]
-    ends = [_descended(model, start, first, rows) for start in starts]
-    best = min(ends, key=lambda end: -end.log_likelihood) if ends else None
-    cleaned = [y for y, _ in parts] if best is None else _cleaned(best, measured)
-    stage(f"{n} states, search from long autoregressions")
-    for reach in _REACHES:
-        start = predictor_start(model, measured, cleaned, reach)
-        if start is not None:
-            ends.append(_descended(model, start, first, rows))
-    if not ends:
-        raise ValueError(f"y: expected a recording long enough for a start of order {n}; record more")
+    ends: list[_Found] = []
+    cleaned = [y for y, _ in parts]
+    for turn in ("as they are", "without outliers"):
+        stage(f"{n} states, search from long autoregressions, outputs {turn}")
+        starts = [predictor_start(model, measured, cleaned, reach) for reach in _REACHES]
+        ends += [_descended(model, start, first, rows) for start in starts if start is not None]
+        if not ends:
+            raise ValueError(f"y: expected a recording long enough for a start of order {n}; record more")
+        cleaned = _cleaned(max(ends, key=lambda end: end.log_likelihood), measured)
     best = max(ends, key=lambda end: end.log_likelihood)
     fit = _settled(best, influence)
     if not structure.disturbance:
