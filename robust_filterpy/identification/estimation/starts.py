@@ -2,14 +2,13 @@
 
 * A long impulse response by robust regression, whose regressor holds no outlier; reduced to the order of the model by
   the singular values of its Hankel matrix (Kung 1978).
-* The iteration of Steiglitz and McBride (1965): regression on signals filtered by the denominator found before.
 * For models with the measured output in their regressor: plain regression; without input also the Yule-Walker
   equations with autocorrelations from robust scales (Ma and Genton 2000).
 * For Box and Jenkins' model: the same for the disturbance that an output-error model leaves, and an output-error model
   of signals that have been whitened so.
-* For several outputs: long impulse responses to all inputs; and a long autoregression of cleaned outputs, which tells
-  what inputs to come do to them: what is left is regressed on the past, and its principal directions are the state
-  (SSARX: Jansson 2003). It serves slow plants, whose impulse responses are too long, and closed loops.
+* For several outputs: a long autoregression, of the outputs as they are and cleaned by the model that this leads to,
+  which tells what inputs to come do to them: what is left is regressed on the past, and its principal directions are
+  the state (SSARX: Jansson 2003). It serves slow plants, whose impulse responses are too long, and closed loops.
 
 Before that: whether a recording is long enough for a structure, and its input excites it.
 """
@@ -21,7 +20,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import hankel, lstsq, toeplitz
-from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -35,13 +33,6 @@ _RANK: Final = 1e-9
 _LENGTHS: Final = (30, 80, 200)
 # A model with poles that the data do not show is found from one with fewer, the others at 0.
 _FEWER_POLES: Final = 2
-# Where the poles of the first prefilters are, and how many at the most: rounding scatters the roots of a polynomial
-# with many equal ones, beyond the unit circle for 20 at .8.
-_POLES: Final = (0.0, 0.8)
-_MOST_EQUAL_POLES: Final = 10
-_ITERATIONS: Final = 15
-# A denominator that moves by less is where the iteration ends.
-_STANDS: Final = 1e-4
 # More samples make no better start.
 _MOST_ROWS: Final = 20_000
 
@@ -160,13 +151,6 @@ def _with_linear(model: Any, p: Array, free: Any, rows: Any) -> Array:
     return p
 
 
-def _realized(hankel: Array, order: int, outputs: int) -> tuple[Array, Array]:
-    """Return stable A and C of a Hankel matrix of responses (Kung 1978)."""
-    left, values, _ = np.linalg.svd(hankel, full_matrices=False)
-    observed = left[:, :order] * np.sqrt(values[:order])
-    return _inside(lstsq(observed[:-outputs], observed[outputs:])[0]), observed[:outputs]
-
-
 def _inside(A: Array) -> Array:
     """Return a matrix with its eigenvalues mirrored into a circle."""
     values, vectors = np.linalg.eig(A)
@@ -215,26 +199,15 @@ def _autoregression(signal: Array, order: int) -> Array:
 def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
     """Yield starts for an output-error model."""
     longest = max(int(rows.sum()) // (3 * len(model.inputs)), model.nf + 2)
-    best, completed = np.inf, model.y
     for length in sorted({min(length, longest) for length in _LENGTHS}):
-        responses, predicted = _impulse_responses(model, rows, length)
-        scale = mad_scale((model.y - predicted)[model.first :][rows])
-        if scale < best:
-            best = scale
-            completed = predicted + np.clip(model.y - predicted, -2.0 * scale, 2.0 * scale)
-            completed[model.first :][~rows] = predicted[model.first :][~rows]
+        responses = _impulse_responses(model, rows, length)
         for order in range(model.nf, max(model.nf - _FEWER_POLES, 1) - 1, -1):
             name = f"impulse response of {length} samples, {order} poles"
             yield Start(name, _refitted(model, rows, _reduced(model, responses, order)))
-    for pole in _POLES:
-        f = np.zeros(model.nf + 1)
-        together = min(model.nf, _MOST_EQUAL_POLES)
-        f[: together + 1] = np.poly(np.full(together, pole))
-        yield Start(f"Steiglitz-McBride from poles at {pole:g}", _steiglitz_mcbride(model, rows, completed, f))
 
 
-def _impulse_responses(model: PolynomialModel, rows: Any, length: int) -> tuple[Array, Array]:
-    """Return the impulse response to each input from its delay on, shape (n_inputs, length), and the output by it."""
+def _impulse_responses(model: PolynomialModel, rows: Any, length: int) -> Array:
+    """Return the impulse response to each input from its delay on, shape (n_inputs, length)."""
     count = len(model.inputs)
     first = max(i.nk for i in model.inputs) + length
     samples = np.flatnonzero(rows) + model.first
@@ -246,16 +219,11 @@ def _impulse_responses(model: PolynomialModel, rows: Any, length: int) -> tuple[
             # Inputs before the recording are taken to be that of its first sample.
             X[:, i * length + j] = u[np.maximum(samples - nk - j, 0)]
     theta = robust_regression(X, model.y[samples])
-    responses = theta[: length * count].reshape(count, length)
-    predicted = np.full(model.y.size, theta[-1] if model.offset else 0.0)
-    for (u, _, nk, _), g in zip(model.inputs, responses, strict=True):
-        held = np.concatenate((np.full(length + nk - 1, u[0]), u))
-        predicted += np.convolve(held[: held.size - nk], g, "valid")
-    return responses, predicted
+    return theta[: length * count].reshape(count, length)
 
 
 def _reduced(model: PolynomialModel, responses: Array, order: int) -> Array:
-    """Return the denominator with so many poles that the impulse responses share, the others at 0."""
+    """Return the denominator with so many poles that the impulse responses share (Kung 1978), the others at 0."""
     nf, length = model.nf, responses.shape[1]
     parts = []
     for g, acting in zip(responses, model.inputs, strict=True):
@@ -263,7 +231,9 @@ def _reduced(model: PolynomialModel, responses: Array, order: int) -> Array:
         parts.append(hankel(g[skipped:], np.zeros(length - skipped)))
     rows = max(min(len(part) for part in parts) // 2, nf + 1)
     columns = min(len(part) for part in parts) - rows + 1
-    transition, _ = _realized(np.hstack([part[:rows, :columns] for part in parts]), order, 1)
+    left, values, _ = np.linalg.svd(np.hstack([part[:rows, :columns] for part in parts]), full_matrices=False)
+    observed = left[:, :order] * np.sqrt(values[:order])
+    transition = _inside(lstsq(observed[:-1], observed[1:])[0])
     f = np.zeros(nf + 1)
     f[: len(transition) + 1] = np.real(np.poly(transition))
     return f
@@ -274,27 +244,6 @@ def _refitted(model: PolynomialModel, rows: Any, f: Array) -> Array:
     p, free, place = np.zeros(model.n), np.ones(model.n, dtype=bool), model.structure.polynomials.f
     p[place], free[place] = f[1:], False
     return _with_linear(model, p, free, rows)
-
-
-def _steiglitz_mcbride(model: PolynomialModel, rows: Any, y: Array, f: Array) -> Array:
-    """Return the free parameters with the least mean absolute residual on the way of the iteration."""
-    best, least = _refitted(model, rows, f), np.inf
-    place = model.structure.polynomials.f
-    for _ in range(_ITERATIONS):
-        p = np.zeros(model.n)
-        p[place] = f[1:]
-        X = -model.jacobian(p)
-        filtered = lfilter([1.0], f, y)
-        for j in range(1, model.nf + 1):
-            X[:, place.start + j - 1] = -np.concatenate((np.zeros(j), filtered[:-j]))[model.first :]
-        before, f = f, stabilised(np.concatenate(([1.0], lstsq(X, filtered[model.first :])[0][place])))
-        p = _refitted(model, rows, f)
-        mean = bounded_mean(model.residuals(p)[rows])
-        if mean < least:
-            best, least = p, mean
-        if np.abs(f - before).max() < _STANDS:
-            break
-    return best
 
 
 def predictor_start(model: StateSpaceResiduals, measured: list[Any], cleaned: list[Array], reach: int) -> Array | None:
