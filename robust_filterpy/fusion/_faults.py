@@ -26,6 +26,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.hypotheses import corrected, moved
+from robust_filterpy.fusion._watch import BIASED, DRIFTING, HEALTHY, MODEL, NOISIER, SPIKES, STUCK
 
 __all__ = ["Found", "Stretch", "judged"]
 
@@ -39,8 +40,6 @@ _CALMER = ((1.0, 1.0), (0.1, 0.125), (0.01, 0.125))
 _STILL = 0.01
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
 _FINE, _FIRST = 16, 5
-# As `_watch.FAULTS` numbers them; 0 is healthy, -1 the model.
-_BIASED, _DRIFTING, _STUCK, _NOISY, _SPIKY, _MODEL = 2, 3, 4, 5, 6, -1
 
 
 class Stretch(NamedTuple):
@@ -76,7 +75,7 @@ class Found(NamedTuple):
     component: int
     """-1 for the model, and if nothing is wrong."""
     fault: int
-    """Place in `FAULTS`; 0 if nothing is wrong, -1 if the model is."""
+    """Place in `_watch.FAULTS`, or MODEL."""
     probability: float
     onset: int
     """The most probable moment."""
@@ -100,7 +99,7 @@ def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> list
     """Return what may explain a stretch, each fault of each suspected component once, the most probable first."""
     bank = _hypotheses(stretch, suspects)
     logs, b = _run(stretch, bank, left_out)
-    calm = np.flatnonzero((bank.fault == 0) & (bank.component < 0))
+    calm = np.flatnonzero((bank.fault == HEALTHY) & (bank.component < 0))
     as_calm = bank.factor[calm[np.argmax((logs + bank.prior)[calm])]]
     if as_calm != 1.0:
         logs, b = _run(stretch._replace(Q=stretch.Q * as_calm), bank, left_out)
@@ -112,20 +111,20 @@ def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> list
     for c, fault in sorted({(int(c), int(f)) for c, f in zip(bank.component, bank.fault, strict=True)}):
         group = np.flatnonzero((bank.component == c) & (bank.fault == fault))
         best = int(group[np.argmax(p[group])])
-        size = float(b[best] if fault in (_BIASED, _DRIFTING) else math.sqrt(bank.factor[best]))
+        size = float(b[best] if fault in (BIASED, DRIFTING) else math.sqrt(bank.factor[best]))
         causes.append(Found(c, fault, float(p[group].sum()), int(bank.onset[best]), size))
     return sorted(causes, key=lambda one: -one.probability)
 
 
 def _hypotheses(stretch: Stretch, suspects: np.ndarray) -> _Bank:
     """Return healthy, a smaller Q, the model, and every fault of every suspected component from every onset."""
-    rows = [(-1, 0, 0, w, math.log(p)) for w, p in _CALMER]
+    rows = [(-1, HEALTHY, 0, w, math.log(p)) for w, p in _CALMER]
     spoken = np.flatnonzero((~np.isnan(stretch.z)).any(axis=1))
     for k, width in _onsets(spoken):
-        rows += [(-1, _MODEL, k, w, math.log(_MANOEUVRE * width / len(_WORSE))) for w in _WORSE]
+        rows += [(-1, MODEL, k, w, math.log(_MANOEUVRE * width / len(_WORSE))) for w in _WORSE]
     for c in np.flatnonzero(suspects).tolist():
-        kinds = {_BIASED: (1.0,), _DRIFTING: (1.0,), _STUCK: (1.0, _STILL), _SPIKY: tuple(stretch.scales[1:])}
-        kinds[_NOISY] = tuple(f * f for f in _NOISIER)
+        kinds = {BIASED: (1.0,), DRIFTING: (1.0,), STUCK: (1.0, _STILL), SPIKES: tuple(stretch.scales[1:])}
+        kinds[NOISIER] = tuple(f * f for f in _NOISIER)
         for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
             for fault, factors in kinds.items():
                 rows += [(c, fault, k, factor, math.log(_FAULT * width / len(factors))) for factor in factors]
@@ -151,9 +150,9 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
     x[0, :n], P[0, :n, :n] = stretch.x, stretch.P
     owner, onset = bank.component.astype(int), bank.onset.astype(int)
     root, began = np.sqrt(stretch.r)[np.maximum(owner, 0)], stretch.seconds[onset]
-    drifts, stuck = bank.fault == _DRIFTING, bank.fault == _STUCK
-    carries = drifts | stuck | (bank.fault == _BIASED)
-    noisy, slack = np.isin(bank.fault, [_STUCK, _NOISY]), np.where(bank.component < 0, bank.factor, 1.0)
+    drifts, stuck = bank.fault == DRIFTING, bank.fault == STUCK
+    carries = drifts | stuck | (bank.fault == BIASED)
+    noisy, slack = np.isin(bank.fault, [STUCK, NOISIER]), np.where(bank.component < 0, bank.factor, 1.0)
     # A drift is as large as a bias would be when it has come to the end.
     length = stretch.seconds[-1] - began
     spread = _SIZE * root / np.where(drifts & (length > 0.0), length, 1.0)
@@ -176,7 +175,7 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
             h[:, :n] = np.where((mine & stuck[now])[:, None], 0.0, stretch.H[k, c])
             h[:, n] = np.where(mine & carries[now], np.where(drifts[now], stretch.seconds[k] - began[now], 1.0), 0.0)
             r = stretch.r[c] * np.where(mine & noisy[now], bank.factor[now], 1.0)
-            shares = _shares(stretch, c, bank.factor[now], mine & (bank.fault[now] == _SPIKY))
+            shares = _shares(stretch, c, bank.factor[now], mine & (bank.fault[now] == SPIKES))
             density = corrected(x[now], P[now], stretch.z[k, c], h, r, stretch.scales, shares)
             logs[now] += stretch.worth[c] * density
     return logs, x[:, n] / np.where(carries, root, 1.0)

@@ -23,7 +23,7 @@ from robust_filterpy.correction.policies import Contaminated, Learnt, Scales, no
 from robust_filterpy.filters.driver import run
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.policies import Policy
-from robust_filterpy.fusion._watch import Looked, coasted, fresh, looked_at
+from robust_filterpy.fusion._watch import DEPARTS, Looked, coasted, fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.influence.functions import Influence
@@ -232,7 +232,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         used = np.where(np.isnan(y), np.nan, used)
     if watch is not None and watch.fault.any():
         # Nothing is learned of a sensor on alarm, and nothing taken from one that lies.
-        learns = (watch.fault != 1.0)[layout.party]
+        learns = (watch.fault != DEPARTS)[layout.party]
         used = np.where(watch.out[layout.party], np.nan, used)
     after, weights = weighed(policy, state, used, seen.H, R, learns)
     if not looks:

@@ -54,9 +54,9 @@ class Clock:
         return keys, wrong
 
     @staticmethod
-    def between(earlier: float | int, later: float | int) -> float:
-        """Return the seconds from one key to another."""
-        apart = later - earlier
+    def between(earlier: float | int | None, later: float | int) -> float:
+        """Return the seconds from one key to another, 0 from none."""
+        apart = 0.0 if earlier is None else later - earlier
         return apart / NANO if isinstance(apart, (int, np.integer)) else float(apart)
 
     @staticmethod

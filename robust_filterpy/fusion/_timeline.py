@@ -119,7 +119,7 @@ class Timeline:
         """Judge an entry by those before it."""
         entry = self.entries[i]
         before, key = self.stands(i)
-        seconds = 0.0 if key is None else Clock.between(key, entry.key)
+        seconds = Clock.between(key, entry.key)
         moment = doubted(self.setup, before, seconds, entry.key, entry.z, entry.control)
         entry.moment = moment if moment.watch is None else watched(self, i, moment)
         for name, why in moment.failed:

@@ -31,8 +31,10 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 
-#: What can be the matter with a sensor, by number: 0 is nothing, 1 something that is not decided yet.
+#: What can be the matter with a sensor: nothing, something that is not decided yet, ..; of the motion, its model.
 FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
+HEALTHY, DEPARTS, BIASED, DRIFTING, STUCK, NOISIER, SPIKES = range(len(FAULTS))
+MODEL = -1
 
 # Columns of a component's memory.
 SLOW, _COUNT, _SIGN, _KEEPS, _REPEATS, _USUAL, _LAST, _NOISE, _CLASSES = range(9)
@@ -109,7 +111,7 @@ class Watch(NamedTuple):
     @property
     def out(self) -> np.ndarray:
         """Which sensors are left out of x: whose lie is no noise."""
-        return (self.fault >= 2.0) & (self.fault <= 4.0)
+        return (self.fault >= BIASED) & (self.fault <= STUCK)
 
 
 def fresh(states: int, components: int, sensors: int, scales: Array) -> Watch:

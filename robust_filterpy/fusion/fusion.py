@@ -349,7 +349,7 @@ class Fusion:
         when = at if key is None else key
         if when is None:
             raise ValueError("estimate: expected a reading first, got none; or pass t")
-        state = moved(self._setup, moment.state, 0.0 if at is None else self._clock.between(at, when))
+        state = moved(self._setup, moment.state, self._clock.between(at, when))
         said = line.last_words(entries)
         ages = {name: self._clock.between(said[name], when) if name in said else math.inf for name in self.sensors}
         doubt = moment.doubt

@@ -46,8 +46,8 @@ class Motion:
     ----------
     dim_x : int
         Length of the state.
-    matrices : callable
-        ``matrices(dt)`` returns F (n, n), Q (n, n) and B (n, dim_u) for a stretch of time.
+    stacks : callable
+        ``stacks(dts)`` returns F (N, n, n), Q (N, n, n) and B (N, n, dim_u) for N stretches of time in seconds.
     dim_u : int, default 0
         Length of the control input.
     function : callable, optional
@@ -56,21 +56,19 @@ class Motion:
         ``jacobian(x, dt)`` or ``jacobian(x, dt, u)``, shape (n, n).
     names : sequence of str, optional
         Of the state's components.
-    together : callable, optional
-        `matrices` of many stretches at once, (N,) to (N, n, n), (N, n, n), (N, n, dim_u), where that is faster.
     """
 
     def __init__(
-        self, dim_x: int, matrices: Callable[[float], tuple[Array, Array, Array]], dim_u: int = 0,
+        self, dim_x: int, stacks: Callable[[Array], tuple[Array, Array, Array]], dim_u: int = 0,
         function: Callable[..., Any] | None = None, jacobian: Callable[..., Any] | None = None,
-        names: tuple[str, ...] | None = None, together: Callable[[Array], tuple[Array, Array, Array]] | None = None,
+        names: tuple[str, ...] | None = None,
     ) -> None:  # fmt: skip
         """Keep what it is given."""
         self.dim_x, self.dim_u = _checks.count("dim_x", dim_x, 1), _checks.count("dim_u", dim_u)
         self.names = tuple(f"x{i}" for i in range(dim_x)) if names is None else tuple(names)
-        # The same stretch comes again and again.
-        self.matrices = lru_cache(maxsize=512)(matrices)
-        self.function, self.jacobian, self.together = function, jacobian, together
+        #: F (n, n), Q (n, n) and B (n, dim_u) of one stretch, which comes again and again.
+        self.matrices = lru_cache(maxsize=512)(partial(_one, stacks))
+        self.stacks, self.function, self.jacobian = stacks, function, jacobian
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the matrices of the stretches behind."""
@@ -88,25 +86,6 @@ class Motion:
     def __repr__(self) -> str:
         """Show the states."""
         return f"Motion({self.dim_x} states: {', '.join(self.names)})"
-
-    def stacks(self, dts: Array) -> tuple[Array, Array, Array]:
-        """Return F, Q and B of many stretches of time.
-
-        Parameters
-        ----------
-        dts : ndarray, shape (N,)
-            Seconds.
-
-        Returns
-        -------
-        F, Q, B : ndarray, shape (N, n, n), (N, n, n), (N, n, dim_u)
-        """
-        if self.together is not None:
-            return self.together(dts)
-        lengths, which = np.unique(dts, return_inverse=True)
-        matrices = [self.matrices(dt) for dt in lengths.tolist()]
-        F, Q, B = (np.array([one[i] for one in matrices])[which] for i in range(3))
-        return F, Q, B
 
     def over(self, dt: float, x: Array, u: Array) -> Moved:
         """Return what happens to a state during a stretch of time.
@@ -237,7 +216,7 @@ def from_continuous(A: Any, L: ArrayLike | None = None, Qc: ArrayLike = 1.0, B: 
         if not np.isfinite(value).all():
             raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
     A, driven, B = A.copy(), L @ Qc @ L.T, B.copy()
-    return Motion(n, partial(_van_loan, A, driven, B), B.shape[1])
+    return Motion(n, partial(_each, partial(_van_loan, A, driven, B)), B.shape[1])
 
 
 def from_function(f: Callable[..., Any], jacobian: Callable[..., Any], Q: Any, dim_x: int, dim_u: int = 0) -> Motion:
@@ -272,7 +251,7 @@ def from_function(f: Callable[..., Any], jacobian: Callable[..., Any], Q: Any, d
     if not callable(Q):
         Q = _checks.matrix("Q", Q, (n, n), f"dim_x={n}").copy()
         _checks.covariance("Q", Q)
-    return Motion(n, partial(_grown, Q, n, dim_u), dim_u, f, jacobian)
+    return Motion(n, partial(_each, partial(_grown, Q, n, dim_u)), dim_u, f, jacobian)
 
 
 def _integrators(dim: int, q: ArrayLike, names: tuple[str, ...], controlled: bool) -> Motion:
@@ -289,9 +268,8 @@ def _integrators(dim: int, q: ArrayLike, names: tuple[str, ...], controlled: boo
     powers: list[Any] = [np.kron(axes, np.linalg.matrix_power(A, i) / math.factorial(i)) for i in range(k)]
     B: Any = np.kron(axes, L)[:, : dim * controlled]
     driven = np.kron(np.diag(np.broadcast_to(density, dim)), L @ L.T)
-    together = partial(_series, powers, driven, B)
     spelt = tuple(f"{axis}.{name}" for axis in ("xyz"[:dim] if dim <= 3 else range(dim)) for name in names)
-    return Motion(dim * k, partial(_one, together), B.shape[1], names=spelt, together=together)
+    return Motion(dim * k, partial(_series, powers, driven, B), B.shape[1], names=spelt)
 
 
 def _series(powers: list[Array], driven: Array, B: Array, dts: Array) -> tuple[Array, Array, Array]:
@@ -306,10 +284,17 @@ def _series(powers: list[Array], driven: Array, B: Array, dts: Array) -> tuple[A
     return F, Q, moved @ B
 
 
-def _one(together: Callable[[Array], tuple[Array, Array, Array]], dt: float) -> tuple[Array, Array, Array]:
+def _one(stacks: Callable[[Array], tuple[Array, Array, Array]], dt: float) -> tuple[Array, Array, Array]:
     """Return F, Q and B of one stretch."""
-    F, Q, B = together(np.array([dt]))
+    F, Q, B = stacks(np.array([dt]))
     return F[0], Q[0], B[0]
+
+
+def _each(matrices: Callable[[float], tuple[Array, Array, Array]], dts: Array) -> tuple[Array, Array, Array]:
+    """Return F, Q and B of each stretch, those of one length once."""
+    lengths, which = np.unique(dts, return_inverse=True)
+    F, Q, B = (np.array(part)[which] for part in zip(*map(matrices, lengths.tolist()), strict=True))
+    return F, Q, B
 
 
 def _grown(Q: Any, n: int, dim_u: int, dt: float) -> tuple[Array, Array, Array]:

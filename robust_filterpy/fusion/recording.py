@@ -105,8 +105,7 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
         raise ValueError("table: expected a row for each reading, got none")
     if start is not None and rows.keys[0] < start:
         raise ValueError(f"table: expected stamps from t0, {Clock.stamp(start)}, on, got {Clock.stamp(rows.keys[0])}")
-    first = 0.0 if start is None else Clock.between(start, rows.keys[0].item())
-    dts = np.concatenate([[first], Clock.seconds(rows.keys)]).astype(float)
+    dts = np.concatenate([[Clock.between(start, rows.keys[0].item())], Clock.seconds(rows.keys)]).astype(float)
     x, P = np.empty((K, motion.dim_x)), np.empty((K, motion.dim_x, motion.dim_x))
     weights, moment, done = np.full((K, layout.size), np.nan), begin, 0
     straight = motion.is_linear and not layout.curved

@@ -20,7 +20,7 @@ from robust_filterpy.fusion import _faults, _watch
 from robust_filterpy.fusion._faults import Found, Stretch
 from robust_filterpy.fusion._stepping import Moment, covariance
 from robust_filterpy.fusion._table import Clock, written
-from robust_filterpy.fusion._watch import FAULTS, SLOW, Watch
+from robust_filterpy.fusion._watch import BIASED, DEPARTS, DRIFTING, FAULTS, HEALTHY, MODEL, SLOW, Watch
 from robust_filterpy.fusion.reacquisition import doubted
 from robust_filterpy.fusion.sensors import Layout
 
@@ -34,9 +34,8 @@ _SURE, _LIKELY = 0.95, 0.5
 _DOUBTED = 0.05
 # Readings until a sensor in doubt, one that departs, or one that has a verdict, is looked at again.
 _SOON, _AGAIN, _LATER = 2, 5, 20
-_HEALTHY, _DEPARTS = 0, 1
 # Faults that a stretch which is too short confuses: biased, drifting.
-_SLOW = (2, 3)
+_SLOW = (BIASED, DRIFTING)
 
 _REMEDIES = {
     "healthy": "",
@@ -98,8 +97,8 @@ def watched(line: Any, i: int, moment: Moment) -> Moment:
     well = _watch.recovered(before, owner)
     watch = _watch.begun_anew(_set_free(before, well, owner), well, owner) if well.any() else before
     alarm = _watch.alarmed(watch, owner)
-    alarm[:-1] &= watch.fault == _HEALTHY
-    followed = ((watch.fault > _HEALTHY) | (watch.odds < 1.0 - _DOUBTED)) & (watch.due <= 0.0)
+    alarm[:-1] &= watch.fault == HEALTHY
+    followed = ((watch.fault > HEALTHY) | (watch.odds < 1.0 - _DOUBTED)) & (watch.due <= 0.0)
     if alarm.any() or followed.any():
         seen = alarm | np.append(followed, False)
         watch = _after_a_look(line, i, _watch.cleared(watch, seen, owner), alarm, followed)
@@ -124,10 +123,10 @@ def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
 
 def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: np.ndarray) -> Watch:
     """Return the verdicts once the last stamps have been judged anew."""
-    party, departs = line.setup.layout.party, watch.fault == _DEPARTS
+    party, departs = line.setup.layout.party, watch.fault == DEPARTS
     # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the
     # stretch begins. How fast one drifts is seen the better the longer.
-    faulty = watch.fault > _DEPARTS
+    faulty = watch.fault > DEPARTS
     alone = faulty.sum() < 2 and not (alarm.any() or departs.any() or (followed & ~faulty).any())
     gone = np.array([
         one and not (alone and at >= _early(line, i, LONGEST if fault in _SLOW else STRETCH))
@@ -157,7 +156,7 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
     # What is sure stays until the sensor has recovered; what was only likely does not.
     if who < 0:
         watch = _doubted(_set_free(watch, departs, party), doubts)
-        if fault < 0 and probability >= _SURE:
+        if fault == MODEL and probability >= _SURE:
             onset = next(one.onset for one in causes if one.fault == fault)
             watch = watch._replace(model=probability, model_since=line.keys[first + onset])
         return watch
@@ -168,9 +167,9 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
     watch = _doubted(_set_free(watch, others, party), doubts)
     top = next(one for one in causes if one.component >= 0 and party[one.component] == who and one.fault == fault)
     sure = probability >= _SURE
-    if watch.fault[who] > _DEPARTS and not sure:
+    if watch.fault[who] > DEPARTS and not sure:
         return watch
-    shown = (fault, probability) if sure else (_DEPARTS, doubts[who])
+    shown = (fault, probability) if sure else (DEPARTS, doubts[who])
     return _with(watch, who, *shown, top, line.keys[first + top.onset],
                  line.stands(first)[0].watch.statistics[:, SLOW], party)  # fmt: skip
 
@@ -183,7 +182,7 @@ def _early(line: Any, i: int, length: int) -> Any:
 
 def _doubted(watch: Watch, doubts: list[float]) -> Watch:
     """Return how surely sensors are healthy, and that doubtful ones are looked at again soon."""
-    doubt, healthy = np.array(doubts), watch.fault == _HEALTHY
+    doubt, healthy = np.array(doubts), watch.fault == HEALTHY
     odds = np.where(healthy, 1.0 - doubt, watch.odds)
     return watch._replace(odds=odds, due=np.where(healthy & (doubt > _DOUBTED), float(_SOON), watch.due))
 
@@ -192,11 +191,11 @@ def _with(
     watch: Watch, who: int, fault: int, probability: float, top: Found, since: Any, before: Array, owner: np.ndarray
 ) -> Watch:
     """Return that a sensor has a fault."""
-    new, other = watch.fault[who] == _HEALTHY, watch.fault[who] != fault
+    new, other = watch.fault[who] == HEALTHY, watch.fault[who] != fault
     mine = owner == who
     faults, odds, sizes, due = (a.copy() for a in (watch.fault, watch.odds, watch.size, watch.due))
     faults[who], odds[who], sizes[who] = fault, probability, top.size
-    due[who] = _AGAIN if fault == _DEPARTS else _LATER
+    due[who] = _AGAIN if fault == DEPARTS else _LATER
     return watch._replace(
         fault=faults, odds=odds, size=sizes, due=due,
         since=(*watch.since[:who], since, *watch.since[who + 1 :]),
@@ -221,7 +220,7 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     before, key = line.stands(first)
     start = line.keys[first]
     for entry in line.entries[first : last + 1]:
-        seconds = 0.0 if key is None else Clock.between(key, entry.key)
+        seconds = Clock.between(key, entry.key)
         moved = setup.motion.over(seconds, before.state.x, before.state.u)
         z = entry.z if before.doubt is None else np.where(setup.layout.owner == before.doubt.off, np.nan, entry.z)
         seen = setup.layout.seen_from(moved.F @ before.state.x + moved.drift, z)
@@ -247,7 +246,7 @@ def _mended(line: Any, i: int, watch: Watch) -> Moment:
     moment, key = line.stands(first)
     for entry in line.entries[first : i + 1]:
         lies = np.array([left and at <= entry.key for at, left in zip(watch.since, out, strict=True)])
-        seconds = 0.0 if key is None else Clock.between(key, entry.key)
+        seconds = Clock.between(key, entry.key)
         z = np.where(lies[owner], np.nan, entry.z)
         moment = doubted(line.setup, moment._replace(watch=None), seconds, entry.key, z, entry.control)
         key = entry.key

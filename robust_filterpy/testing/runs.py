@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -63,10 +62,7 @@ class FilterRun:
             n = np.shape(self.x)[-1]
             rows = (len(self.y), n)
             shapes |= {"x": rows, "x_prior": rows, "truth": rows, "P": (*rows, n), "P_prior": (*rows, n)}
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is not None and np.shape(value) != shape:
-                raise ValueError(f"{name}: expected shape {shape} for y of shape {np.shape(self.y)}, got {value.shape}")
+        _require_shapes(self, "y", shapes)
 
     def __len__(self) -> int:
         """Count the steps."""
@@ -89,10 +85,6 @@ class FilterRun:
     @cached_property
     def whitened(self) -> Array:
         """L^-1 y with L the Cholesky factor of the observed part of S, shape (N, m); NaN where missing."""
-        if not np.isnan(self.y).any():
-            # All at once; what fails is named below.
-            with contextlib.suppress(np.linalg.LinAlgError):
-                return np.linalg.solve(np.linalg.cholesky(self.S), self.y[:, :, None])[:, :, 0]
         e = np.full(self.y.shape, np.nan)
         for k, (y, S) in enumerate(zip(self.y, self.S, strict=True)):
             seen = np.flatnonzero(~np.isnan(y))
@@ -105,6 +97,15 @@ class FilterRun:
         if self.P is None:
             raise ValueError("P: expected a run with P; run_filter(kf, scenario) returns one")
         return _whitened(self.P[step], self.error[step], f"P of step {step % len(self)}")
+
+
+def _require_shapes(run: Any, of: str, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Raise where something of a run does not fit its first array."""
+    for name, shape in shapes.items():
+        value = getattr(run, name)
+        if value is not None and np.shape(value) != shape:
+            expected = f"expected shape {shape} for {of} of shape {np.shape(getattr(run, of))}"
+            raise ValueError(f"{name}: {expected}, got {np.shape(value)}")
 
 
 #: A run, several, or Savers.
@@ -290,10 +291,7 @@ class TrackerRun:
         shape = np.shape(self.theta)
         if len(shape) != 2:
             raise ValueError(f"theta: expected shape (N, n), got {shape}")
-        for name, wanted in {"std": shape, "P": shape[-1:] * 2, "truth": shape}.items():
-            value = getattr(self, name)
-            if value is not None and np.shape(value) != wanted:
-                raise ValueError(f"{name}: expected shape {wanted} for theta of shape {shape}, got {np.shape(value)}")
+        _require_shapes(self, "theta", {"std": shape, "P": shape[-1:] * 2, "truth": shape})
 
     @property
     def error(self) -> Array:

@@ -11,7 +11,7 @@ from robust_filterpy import _lazy, noise, testing
 @pytest.mark.parametrize("module, name, mend", [
     (robust_filterpy, "tune", "estimate_noise"), (noise, "tune", "estimate_noise"),
     (robust_filterpy, "batch", "filter_series"), (robust_filterpy, "FilterBank", "filter_series"),
-    (testing, "check_tracker", "assert_tracks"),
+    (testing, "check_tracker", "assert_tracks"), (testing, "assert_unit_equivariant", "check_filter"),
 ])  # fmt: skip
 def test_a_name_that_is_gone_says_what_does_the_same(module, name, mend):
     sentence = rf"^{module.__name__} has no `{name}`; .*{mend}"
@@ -43,3 +43,12 @@ def test_a_name_that_has_moved_is_found_where_it_was_and_says_where_it_is():
 def test_a_name_that_moved_from_a_package_was_never_the_root_s():
     with pytest.raises(AttributeError):
         robust_filterpy.Coefficients  # noqa: B018
+
+
+def test_the_names_of_experiments_are_those_of_testing_for_one_release():
+    experiments = importlib.import_module("robust_filterpy.experiments")
+    for name in ("bootstrap_interval", "fit_percent", "monte_carlo", "rerun"):
+        with pytest.warns(DeprecationWarning, match=f"from robust_filterpy.testing import {name}$"):
+            assert getattr(experiments, name) is getattr(testing, name)
+    with pytest.raises(AttributeError, match="has no attribute 'metrics'"):
+        experiments.metrics  # noqa: B018
