@@ -5,7 +5,8 @@ is the gain of Rauch, Tung and Striebel (AIAA Journal 3, 1965)::
 
     A_i <- A_i J,    x_(k-i) += A_i (x_k - F x_(k-1) - B u)
 
-A measurement is judged once, by the filter; nothing is iterated.
+A measurement is judged once, by the filter; nothing is iterated. Where the filter believes a jump after it has rejected
+readings in a row, these tell when it was: what is taught from then on says nothing of the states before.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.policies import Options, with_options
 from robust_filterpy.filters.snapshot import whole
 from robust_filterpy.influence.functions import Linear
+from robust_filterpy.kernel.moments import weights_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -36,6 +38,8 @@ __all__ = ["FixedLagSmoother"]
 
 # A pivot of a predicted covariance that is so small a share of its variance is rounding.
 _ROUNDING = 1e-12
+# A state jumped if it is so far, squared, from where it was predicted, in its standard deviations.
+_JUMP = 25.0
 
 
 class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
@@ -100,6 +104,8 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
         n = self.dim_x
         self.count, self.xSmooth, self.x_s = 0, [], np.zeros(np.shape(self.x))
         self._lagged, self._regressions = np.empty((0, n)), np.empty((0, n, n))
+        # Rejected readings in a row, and what was predicted for the first of them.
+        self._rejected, self._expected = 0, (np.zeros(n), np.eye(n))
 
     def __str__(self) -> str:
         """Show where the smoother stands; `repr` shows every matrix."""
@@ -129,17 +135,33 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
             raise ValueError("N: expected a lag, got None; use FixedLagSmoother(dim_x, dim_z, N=..)")
         before = state_of(self)[1]
         self.predict(u)
-        prior, kept = np.ravel(self.x), slice(max(len(self._lagged) - self.N, 0), None)
+        prior, kept = (np.ravel(self.x), self.P), slice(max(len(self._lagged) - self.N, 0), None)
         A = self._regressions[kept] @ _gain(self.F @ before, self.P)
         self.update(z)
         x = np.ravel(self.x)
-        self._lagged = np.concatenate([self._lagged[kept] + A @ (x - prior), x[None]])
-        self._regressions = np.concatenate([A, np.eye(len(x))[None]])
+        states = np.concatenate([self._lagged[kept] + A @ (x - prior[0]), x[None]])
+        self._expected = self._expected if self._rejected else prior
+        begun = max(len(A) - self._rejected, 0)
+        apart = states[begun] - self._expected[0]
+        # The Kalman filter believes that nothing jumps.
+        if not self._choices.is_linear and apart @ np.linalg.lstsq(self._expected[1], apart, rcond=None)[0] > _JUMP:
+            A[:begun], states[:begun] = 0.0, self._lagged[kept][:begun]
+        self._lagged, self._regressions = states, np.concatenate([A, np.eye(len(x))[None]])
+        self._rejected = self._rejected_after()
         self.count += 1
         estimates = [state.reshape(self.x.shape) for state in self._lagged]
         self.x_s = estimates[0].copy()
         # The last line, since what an interrupt undoes is no list's contents.
         self.xSmooth[max(len(self.xSmooth) - len(A), 0) :] = estimates
+
+    def _rejected_after(self) -> int:
+        """Return how many readings in a row have been rejected, by all sensors that had one."""
+        last = self._last
+        weights = weights_of(last) if type(last) is np.ndarray else getattr(last, "weights", np.empty(0))
+        seen = weights[~np.isnan(weights)]
+        if not seen.size:
+            return self._rejected
+        return self._rejected + 1 if seen.max() < 0.5 else 0
 
     def smooth_batch(self, zs: Any, N: int, us: Any = None) -> tuple[Array, Array]:
         """Smooth a recording with a lag, and change nothing in this object.
@@ -178,8 +200,9 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
 
     def _moving(self) -> dict[str, Any]:
         """Return what a step moves, the window among it."""
+        expected = {"rejected": self._rejected, "expected_x": self._expected[0], "expected_P": self._expected[1]}
         window = {"window": self._lagged, "regressions": self._regressions, "count": self.count}
-        return {**super()._moving(), **window}
+        return {**super()._moving(), **window, **expected}
 
     def _go_on(self, entries: dict[str, Array]) -> None:
         """Take over a checked state; xSmooth begins with the oldest step of its window."""
@@ -188,6 +211,7 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
         super()._go_on(entries)
         self._empty()
         self._lagged, self._regressions, self.count = entries["window"], entries["regressions"], int(entries["count"])
+        self._rejected, self._expected = int(entries["rejected"]), (entries["expected_x"], entries["expected_P"])
         self.xSmooth = [state.reshape(self.x.shape) for state in self._lagged.copy()]
         self.x_s = self.xSmooth[0].copy() if self.xSmooth else self.x_s
 

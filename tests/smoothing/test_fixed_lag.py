@@ -34,6 +34,7 @@ def drive(seed, contamination, steps=100, scale=10.0):
 def test_linear_is_filterpys_filter_and_the_exact_smoother():
     """After each measurement xSmooth is what smoothing all data so far gives, back to the lag."""
     _, zs = drive(1, 0.0, 30)
+    zs[12] += 50.0
     ours = ready(N=4, influence=Linear())
     theirs = ready(filterpy.kalman.FixedLagSmoother, N=4)
     expected = []
@@ -107,6 +108,17 @@ def test_a_step_is_carried_back_to_where_it_was_once_it_is_believed():
         smoother.smooth(z)
         levels.append(smoother.x[0, 0])
     assert levels[20] < 0.5 and smoother.xSmooth[20][0, 0] > 2.0 and levels[26] > 5.0
+
+
+@pytest.mark.parametrize("N", [8, 15])
+def test_a_jump_is_put_where_readings_were_first_rejected(N):
+    """What is believed after them says nothing of the states before."""
+    for seed in range(4):
+        truth, zs = drive(seed, 0.0)
+        truth[60:] += 20.0
+        zs[60:] += 20.0
+        live, _ = ready(noise="learnt", process="scales").smooth_batch(list(zs), N)
+        assert np.abs(live[50:60, 0, 0] - truth[50:60]).max() < 4.0
 
 
 def test_what_its_arguments_meant_before_is_said():
