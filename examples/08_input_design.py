@@ -12,8 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, prbs, receding_horizon_binary
-from robust_filterpy.plants.excitation.signals import bandlimited_pink_spectrum, sample_autocovariance
+from robust_filterpy.plants.excitation import (
+    bandlimited_pink_autocovariance,
+    bandlimited_pink_spectrum,
+    prbs,
+    receding_horizon_binary,
+    sample_autocovariance,
+)
 
 BAND, LAGS, LENGTH = (0.1, 1.0), 40, 2000
 A, B = np.array([-1.7, 0.8]), np.array([0.05, 0.05])

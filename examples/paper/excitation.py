@@ -7,8 +7,12 @@ import numpy as np
 import scipy.signal
 from report import Claim, Options, Part, markdown_table
 
-from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
-from robust_filterpy.plants.excitation.signals import bandlimited_pink_spectrum, sample_autocovariance
+from robust_filterpy.plants.excitation import (
+    bandlimited_pink_autocovariance,
+    bandlimited_pink_spectrum,
+    receding_horizon_binary,
+    sample_autocovariance,
+)
 
 BAND = (0.5, 2.5)
 LAGS, LENGTH = 40, 10_000

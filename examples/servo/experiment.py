@@ -12,7 +12,7 @@ from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.correction import Scales
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.plants.servo import PneumaticParameters, ServoObserver, random_coefficient, simulate_servo
-from robust_filterpy.plants.servo.parameters import beta_coefficient
+from robust_filterpy.plants.servo.equations import beta_coefficient
 from robust_filterpy.plants.servo.position_loop import ServoRecording
 
 DT, HOLD = 0.01, 20  # s, samples

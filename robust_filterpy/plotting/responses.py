@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.identification import Model, ParameterTracker
+from robust_filterpy.identification.models.responses import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.identification.models.uncertainty import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, one_axes, several_axes, with_band
 
 if TYPE_CHECKING:

@@ -20,8 +20,7 @@ from robust_filterpy.identification import (
     TrackerBank,
     validate,
 )
-from robust_filterpy.identification.estimation.disturbances import break_finding
-from robust_filterpy.identification.estimation.trend import Break, piecewise_level
+from robust_filterpy.identification.estimation.disturbances import Break, break_finding, piecewise_level
 
 
 def recording(seed, length=1000, share=0.1):

@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 from scipy import integrate
 from statsmodels.tsa.stattools import acovf
 
-from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, prbs, receding_horizon_binary
-from robust_filterpy.plants.excitation.signals import bandlimited_pink_spectrum, sample_autocovariance
+from robust_filterpy.plants.excitation import (
+    bandlimited_pink_autocovariance,
+    bandlimited_pink_spectrum,
+    prbs,
+    receding_horizon_binary,
+    sample_autocovariance,
+)
 
 BAND = (0.5, 2.5)
 

@@ -11,9 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo
-from robust_filterpy.plants.servo.equations import reduced_flow, servo_derivatives, valve_opening
+from robust_filterpy.plants.servo.equations import beta_coefficient, reduced_flow, servo_derivatives, valve_opening
 from robust_filterpy.plants.servo.linearization import operating_point
-from robust_filterpy.plants.servo.parameters import beta_coefficient
 from robust_filterpy.plants.servo.position_loop import simulate_actuator
 
 P = PneumaticParameters()

@@ -10,8 +10,13 @@ from recordings import assert_refused
 
 from robust_filterpy import Contaminated
 from robust_filterpy.plants import simulate_arx, simulate_output_error
-from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, prbs, receding_horizon_binary
-from robust_filterpy.plants.excitation.signals import bandlimited_pink_spectrum, sample_autocovariance
+from robust_filterpy.plants.excitation import (
+    bandlimited_pink_autocovariance,
+    bandlimited_pink_spectrum,
+    prbs,
+    receding_horizon_binary,
+    sample_autocovariance,
+)
 from robust_filterpy.plants.linear import random_walk, stable
 from robust_filterpy.plants.servo import (
     PneumaticParameters,

@@ -2,13 +2,11 @@
 
 * `identify`: the way from y and u to a model, and the model of one output; those of states and of physics:
 * `state_space`, `grey_box`; each found by
-* `disturbances`, the one driver of a model with levels that break and outliers of u: p outputs, k recordings; with
-  `trend`: how the levels are found.
-* `estimate`: one model of one output, in the units of the recording, by
+* `disturbances`, the one driver of a model with levels that break and outliers of u: p outputs, k recordings.
+* `estimate`: one model of one output, in the units of the recording, and how sure its parameters are, by
 * `search`: from several `starts` down to the least loss (`prediction_error`, with parameters that are fixed, or between
   bounds), and which end to believe;
-* `missing`: outliers that the regressor holds, and outputs that it holds and nobody measured;
-* `profile`: intervals where the loss is not quadratic, and where canceling poles may be anywhere.
+* `missing`: outliers that the regressor holds, and outputs that it holds and nobody measured.
 
 Imports from below: `models`.
 """

@@ -16,6 +16,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.disturbances import (
+    LAGS_OF_IMPULSES,
+    PRICE,
     TRENDS,
     Explanation,
     Search,
@@ -28,7 +30,6 @@ from robust_filterpy.identification.estimation.grey_box import identified_grey_b
 from robust_filterpy.identification.estimation.missing import cleaned
 from robust_filterpy.identification.estimation.prediction_error import Limits, colour_of
 from robust_filterpy.identification.estimation.state_space import identified_state_space
-from robust_filterpy.identification.estimation.trend import LAGS_OF_IMPULSES, PRICE
 from robust_filterpy.identification.models.dependence import driven, parts_of, wraps
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model

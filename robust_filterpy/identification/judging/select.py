@@ -30,10 +30,9 @@ from robust_filterpy._brief import Pictured
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.estimation.disturbances import Settled
+from robust_filterpy.identification.estimation.disturbances import PRICE, Settled, Trend
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.estimation.missing import THRESHOLDS
-from robust_filterpy.identification.estimation.trend import PRICE, Trend
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import likelihood_of_mixture, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import measurements

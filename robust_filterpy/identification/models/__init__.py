@@ -13,8 +13,7 @@
   python-control in its place.
 * `noise`: the noise that residuals show, of one output and of several, and how well a model agrees with a recording.
 * `dependence`: whether the plant is still the model's, and other things that a model leaves, such as a closed loop.
-* `responses`: what any system tells: responses, poles and zeros, the same in continuous time or with fewer states, with
-  bands and regions by `uncertainty`.
+* `responses`: what any system tells: responses, poles and zeros, with bands and regions.
 * `results`: what trackers return, parameters as a table with intervals, predictions and fits of what was identified.
 
 Imports from below: `influence`, `correction`, `filters`.

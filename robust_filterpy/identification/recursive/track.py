@@ -19,9 +19,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.notices import StuckSensorWarning
-from robust_filterpy.identification.estimation.disturbances import Settled
+from robust_filterpy.identification.estimation.disturbances import Settled, Trend
 from robust_filterpy.identification.estimation.identify import identify
-from robust_filterpy.identification.estimation.trend import Trend
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import LARGEST, Memory, are_stable

@@ -1,32 +1,337 @@
-"""The equations of the pneumatic servo, (1)-(7) with the print corrected: functions of floats, and a nonlinear system.
+"""The equations of the pneumatic servo, (1)-(7) with the print corrected, and their parameters in SI units.
 
 A five-port valve fills one chamber of a double-acting cylinder from the supply and vents the other. ``u > 0`` fills
 chamber a and drives the piston towards positive positions. The position is counted from the middle of the stroke.
+
+alpha(t) and beta(t) of eqs (2) and (6) are uncertain: alpha is the polytropic exponent of the air in the chambers (1:
+isothermal, kappa: adiabatic); beta joins it with the discharge coefficient of the valve and the temperature of the gas.
+Both are known only within a range, and wander in it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .parameters import (
-    ALPHA_RANGE,
-    BETA_RANGE,
-    NOMINAL_ALPHA,
-    Coefficient,
-    PneumaticParameters,
-    as_parameters,
-    beta_coefficient,
-    coefficient_function,
-    critical_ratio,
-)
+from robust_filterpy._checks import Array, option
 
 if TYPE_CHECKING:
     import control
+
+#: Heat coefficient where none is given: halfway between isothermal and adiabatic.
+NOMINAL_ALPHA = 1.2
+
+_MAY_BE_ZERO = frozenset(
+    ("rod", "viscous_friction", "coulomb_friction", "static_friction", "spring", "dead_band", "leakage_area")
+    + ("stop_damping",)
+)
+
+
+@dataclass(frozen=True)
+class PneumaticParameters:
+    """Hold the physical parameters of the cylinder, the valve and the air, in SI units.
+
+    Attributes
+    ----------
+    bore, rod, stroke : float
+        Diameter of the piston, diameter of the rod (0: none), length of the stroke between the end stops, in m [1]_.
+    dead_length : float
+        Length of chamber that remains at the end of the stroke, in m. Ours: 5 mm.
+    mass : float
+        Moving mass: piston, rod and load, in kg. Ours: 1 kg, of which the load is nearly all.
+    viscous_friction : float
+        beta_e of eq (1), in N s/m [1]_.
+    coulomb_friction, static_friction : float
+        Kinetic and breakaway level of F_f, in N. 5 % of the piston's force at supply pressure: half of the 10 % that
+        the rule of design takes for ordinary cylinders [2]_, as a servo's cylinder has seals of low friction; the
+        breakaway level is 1.3 times as high. (The cylinder of [1]_ has 0.486 N, 0.4 %, far below what is on sale.)
+    stribeck_velocity : float
+        Velocity over which friction falls from the static to the kinetic level, in m/s. Ours: 0.02 m/s.
+    friction_smoothing : float
+        v_0 of ``tanh(v / v_0)``, which stands for sgn(v), in m/s. Ours: 1 mm/s.
+    spring : float
+        k_e of eq (1), in N/m, unloaded at mid-stroke. Ours: none.
+    supply_pressure, atmospheric_pressure : float
+        Absolute pressures, in Pa [1]_; the supply is the mean of one that varies, see `simulate_servo`.
+    temperature : float
+        T_S, absolute, of the supply and of the surroundings, in K: the 20 degrees Celsius of ISO 8778.
+    kappa, gas_constant : float
+        Ratio of the specific heats, and specific gas constant R in J/(kg K), of dry air.
+    valve_area : float
+        W of eq (4): area of one port at full opening, |u| = 1, in m^2 [1]_.
+    discharge_coefficient : float
+        C_d of the valve, from which eq (6) makes beta where beta is not given [1]_.
+    dead_band : float
+        Overlap of the spool as a fraction of its stroke: below it the valve stays closed, see `valve_opening`. Ours:
+        1 %; ISO 5598 calls a valve with less than 3 % a servo-valve, one with more a proportional valve.
+    leakage_area : float
+        Effective area of the gap between the chambers, past the seal of the piston, in m^2. The default lets 0.8 dm3/h
+        of free air pass from 7.3 bar absolute, the order of what ISO 10099 grants a new cylinder of this bore; a worn
+        seal lets a hundred times as much pass.
+    laminar_ratio : float
+        Pressure ratio above which the flow is linear in the pressure drop, 0 at equal pressures. Ours: 0.999.
+    stop_stiffness, stop_damping : float
+        End stops, in N/m and s/m, see `pneumatic_servo`. Ours: full supply pressure sinks 0.07 mm into a stop [3]_.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a positive number (rod, spring, friction, dead_band, leakage_area and stop_damping: not
+        negative), the rod is not thinner than the bore, the supply not above the atmosphere, kappa not above 1, static
+        friction below the kinetic one, dead_band not below 1 or laminar_ratio outside the subsonic range.
+    TypeError
+        If a parameter is no number.
+
+    References
+    ----------
+    .. [1] E. Richer and Y. Hurmuzlu, "A high performance pneumatic force actuator system: Part I - Nonlinear
+       mathematical model", ASME Journal of Dynamic Systems, Measurement, and Control 122(3), 2000.
+    .. [2] P. Croser and F. Ebel, "Pneumatics, Basic Level", Festo Didactic, 2002.
+    .. [3] K. H. Hunt and F. R. E. Crossley, "Coefficient of restitution interpreted as damping in vibroimpact", ASME
+       Journal of Applied Mechanics 42(2), 1975.
+
+    Examples
+    --------
+    >>> p = PneumaticParameters()
+    >>> print(f"{p.area_a:.3e} {p.area_b:.3e}")
+    2.850e-04 2.534e-04
+    """
+
+    bore: float = 19.05e-3
+    rod: float = 6.35e-3
+    stroke: float = 76.2e-3
+    dead_length: float = 5e-3
+    mass: float = 1.0
+    viscous_friction: float = 4.47
+    coulomb_friction: float = 5.7
+    static_friction: float = 7.4
+    stribeck_velocity: float = 0.02
+    friction_smoothing: float = 1e-3
+    spring: float = 0.0
+    supply_pressure: float = 5e5
+    atmospheric_pressure: float = 1e5
+    temperature: float = 293.15
+    kappa: float = 1.4
+    gas_constant: float = 287.06
+    valve_area: float = 2.815e-5
+    discharge_coefficient: float = 0.25
+    dead_band: float = 0.01
+    leakage_area: float = 1.5e-10
+    laminar_ratio: float = 0.999
+    stop_stiffness: float = 2e6
+    stop_damping: float = 10.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+                raise TypeError(f"{field.name}: expected a number, got {type(value).__name__}")
+            if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name in _MAY_BE_ZERO))):
+                expected = ">= 0" if field.name in _MAY_BE_ZERO else "> 0"
+                raise ValueError(f"{field.name}: expected a finite number {expected}, got {value}")
+        least, atmosphere = critical_ratio(self.kappa) if self.kappa > 1 else 0.0, self.atmospheric_pressure
+        for name, good, expected in (
+            ("rod", self.rod < self.bore, f"less than the bore {self.bore}"),
+            ("supply_pressure", self.supply_pressure > atmosphere, f"more than the atmosphere's {atmosphere:g} Pa"),
+            ("dead_band", self.dead_band < 1, "a fraction of the spool's stroke below 1"),
+            ("kappa", self.kappa > 1, "more than 1"),
+            ("static_friction", self.static_friction >= self.coulomb_friction,
+             f"at least coulomb_friction {self.coulomb_friction}"),
+            ("laminar_ratio", least < self.laminar_ratio <= 1, f"in ({least:.4f}, 1]"),
+        ):  # fmt: skip
+            if not good:
+                got = getattr(self, name)
+                mended = f"{got:g}; pressures are absolute" if name == "supply_pressure" else got
+                raise ValueError(f"{name}: expected {expected}, got {mended}")
+
+    @property
+    def area_a(self) -> float:
+        """Return the piston area on the head side, in m^2."""
+        return math.pi / 4 * self.bore**2
+
+    @property
+    def area_b(self) -> float:
+        """Return the piston area on the rod side, in m^2."""
+        return math.pi / 4 * (self.bore**2 - self.rod**2)
+
+
+def critical_ratio(kappa: float = 1.4) -> float:
+    """Return the pressure ratio below which the flow is choked, 0.528 for air.
+
+    Examples
+    --------
+    >>> round(critical_ratio(1.4), 4)
+    0.5283
+    """
+    return (2 / (kappa + 1)) ** (kappa / (kappa - 1))
+
+
+def as_parameters(parameters: PneumaticParameters | None) -> PneumaticParameters:
+    """Return the parameters, the default set for None, or refuse what is neither."""
+    if parameters is None:
+        return PneumaticParameters()
+    if not isinstance(parameters, PneumaticParameters):
+        raise TypeError(f"parameters: expected PneumaticParameters, got {type(parameters).__name__}")
+    return parameters
+
+
+#: A number, or a function of time.
+Coefficient: TypeAlias = "float | Callable[[float], float]"
+
+ALPHA_RANGE = (1.0, 1.3997)
+BETA_RANGE = (0.075, 1.3297)
+RANGES = {"alpha": ALPHA_RANGE, "beta": BETA_RANGE}
+
+
+def beta_coefficient(alpha: ArrayLike, discharge_coefficient: ArrayLike, temperature_ratio: ArrayLike = 1.0) -> Any:
+    """Combine the heat coefficient, the valve's discharge and the gas temperature: eq (6).
+
+    ``beta = alpha C_d sqrt(tau)``.
+
+    Parameters
+    ----------
+    alpha : float or array_like, shape (N,)
+        Heat coefficient, in [1, 1.3997].
+    discharge_coefficient : float or array_like, shape (N,)
+        C_d of the valve, dimensionless, positive.
+    temperature_ratio : float or array_like, shape (N,)
+        tau, absolute temperature of the gas over the nominal one, dimensionless, positive.
+
+    Returns
+    -------
+    float or numpy.ndarray, shape (N,)
+        beta, dimensionless.
+
+    Raises
+    ------
+    ValueError
+        If alpha or the resulting beta leaves its range, or C_d or tau is not positive.
+
+    Examples
+    --------
+    >>> round(beta_coefficient(1.2, 0.25, 1.21), 12)
+    0.33
+    """
+    alpha = checked(alpha, "alpha", ALPHA_RANGE)
+    discharge = np.asarray(discharge_coefficient, dtype=float)
+    tau = np.asarray(temperature_ratio, dtype=float)
+    for name, value in (("discharge_coefficient", discharge), ("temperature_ratio", tau)):
+        if not np.all(value > 0):
+            raise ValueError(f"{name}: expected positive numbers, got a minimum of {np.min(value)}")
+    beta = checked(alpha * discharge * np.sqrt(tau), "beta", BETA_RANGE)
+    return float(beta) if beta.ndim == 0 else beta
+
+
+def random_coefficient(
+    name: str, t: ArrayLike, *, low: float | None = None, high: float | None = None, spread: float = 0.05,
+    start: float | None = None, rng: Any = None,
+) -> Array:  # fmt: skip
+    """Draw a slow random path of alpha(t) or beta(t), eqs (2) and (6).
+
+    A random walk reflected at `low` and `high`: it is continuous in time, and in the long run every value between
+    the two is equally likely.
+
+    Parameters
+    ----------
+    name : {"alpha", "beta"}
+        The heat coefficient, in [1, 1.3997], or the bound parameter, in [0.075, 1.3297].
+    t : array_like, shape (N,)
+        Times, strictly increasing, in s.
+    low, high : float, optional
+        Bounds of the path, within its range; by default the ends of it.
+    spread : float
+        Standard deviation of the unreflected walk after one second, as a fraction of ``high - low``.
+    start : float, optional
+        Value at ``t[0]``; the middle of the bounds by default.
+    rng : None, int or numpy.random.Generator
+        Source of randomness, handed to `numpy.random.default_rng`.
+
+    Returns
+    -------
+    numpy.ndarray, shape (N,)
+
+    Raises
+    ------
+    ValueError
+        If there is no coefficient of this name, the bounds leave its range, `start` leaves the bounds, `spread` is
+        negative or `t` does not increase.
+
+    Notes
+    -----
+    The range of beta is wide: from its bottom to its top the gain from valve to velocity grows 18 times, more than one
+    position loop can carry well; give narrower bounds, or compose beta from its causes with `beta_coefficient`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> path = random_coefficient("alpha", np.arange(0, 20, 0.01), low=1.1, high=1.3, rng=1)
+    >>> bool(1.1 <= path.min() and path.max() <= 1.3)
+    True
+    """
+    limits = RANGES[option("name", name, RANGES)]
+    times = _increasing(t, "t")
+    low, high = limits[0] if low is None else low, limits[1] if high is None else high
+    checked([low, high], f"bounds of {name}", limits)
+    if not low < high:
+        raise ValueError(f"bounds of {name}: expected low < high, got {low} and {high}")
+    if not (np.isfinite(spread) and spread >= 0):
+        raise ValueError(f"spread: expected a number >= 0, got {spread}")
+    first = 0.5 * (low + high) if start is None else float(checked(start, f"start of {name}", (low, high)))
+    width = high - low
+    steps = np.random.default_rng(rng).standard_normal(times.size - 1) * spread * width * np.sqrt(np.diff(times))
+    free = np.concatenate([[first - low], first - low + np.cumsum(steps)])
+    # To fold a free walk is the same as to reflect it at the bounds.
+    folded = np.abs((free + width) % (2 * width) - width)
+    return np.clip(low + folded, low, high)
+
+
+def coefficient_function(value: Coefficient, name: str, limits: tuple[float, float]) -> Callable[[float], float]:
+    """Return a coefficient as a function of time that refuses to leave its range."""
+    if callable(value):
+
+        def function(t: float) -> float:
+            now = float(value(t))
+            if not limits[0] <= now <= limits[1]:
+                checked(now, f"{name}({t:g})", limits)
+            return now
+
+        return function
+    constant = checked(value, name, limits)
+    if constant.ndim:
+        raise TypeError(
+            f"{name}: expected a number or a function of time, got an array of shape {constant.shape}; use "
+            f"lambda t: np.interp(t, times, {name})"
+        )
+    number = float(constant)
+    return lambda t: number
+
+
+def _increasing(t: ArrayLike, name: str) -> Array:
+    """Return times as an array, or refuse them."""
+    times = np.asarray(t, dtype=float)
+    if times.ndim != 1 or times.size == 0:
+        raise ValueError(f"{name}: expected a non-empty sequence of times, got shape {times.shape}")
+    if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0):
+        raise ValueError(f"{name}: expected finite, strictly increasing times")
+    return times
+
+
+def checked(value: Any, name: str, limits: tuple[float, float]) -> Array:
+    """Return value as an array inside limits, or refuse it."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name}: expected numbers, got {type(value).__name__}") from None
+    if not np.all((array >= limits[0]) & (array <= limits[1])):
+        worst = array.flat[int(np.argmin((array >= limits[0]) & (array <= limits[1])))]
+        raise ValueError(f"{name}: expected values in [{limits[0]:g}, {limits[1]:g}], got {worst:g}")
+    return array
+
 
 STATES = ("position", "velocity", "P_a", "P_b")
 INPUTS = ("valve", "load")

@@ -13,15 +13,18 @@ from scipy.signal import cont2discrete, ss2tf
 
 from robust_filterpy._checks import Array, option, positive
 
-from .equations import INPUTS, STATES, dry_friction, servo_derivatives
-from .parameters import (
+from .equations import (
     ALPHA_RANGE,
     BETA_RANGE,
+    INPUTS,
     NOMINAL_ALPHA,
+    STATES,
     PneumaticParameters,
     as_parameters,
     beta_coefficient,
     checked,
+    dry_friction,
+    servo_derivatives,
 )
 
 if TYPE_CHECKING:

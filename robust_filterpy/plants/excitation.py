@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, count, finite_vector, numbers, real
 
+__all__ = ["bandlimited_pink_autocovariance", "prbs", "receding_horizon_binary"]
+
 MAX_HORIZON = 20
 
 
