@@ -17,25 +17,24 @@ from scipy.special import expit, ndtr, ndtri
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.spread import FAR, FEW
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["START", "Contaminated", "LabelledSample", "maximised"]
 
-# What is believed before the residuals have spoken, as so many samples of it.
-_PRIOR_SAMPLES: Final = 10.0
+# What is believed before the residuals have spoken, as ten samples of it.
 _PRIOR_OUTLIERS: Final = 0.5
 _PRIOR_RATIO: Final = 8.0
 _PRIOR_RATIO_SAMPLES: Final = 2.0
 
 # Beyond these limits the two distributions cannot be distinguished, or exchange their roles.
 _CONTAMINATIONS: Final = (1e-3, 0.45)
-_RATIOS: Final = (3.0, 1e12)
+_RATIOS: Final = (FAR, 1e12)
 
-# Beyond so many standard deviations of the wider distribution psi goes on as for Huber's least favorable one, or a
+# Beyond three standard deviations of the wider distribution psi goes on as for Huber's least favorable one, or a
 # single gross outlier would move everything and make all others ordinary.
-REACH: Final = 3.0
-_WIDE: Final = Huber(REACH)
+_WIDE: Final = Huber(FAR)
 # Steps of expectation-maximization after which more would hardly move it.
 SETTLING_STEPS: Final = 50
 
@@ -311,7 +310,7 @@ class Contaminated:
 
 
 #: Where learning starts: the priors.
-START: Final = Contaminated(_PRIOR_OUTLIERS / _PRIOR_SAMPLES, _PRIOR_RATIO)
+START: Final = Contaminated(_PRIOR_OUTLIERS / FEW, _PRIOR_RATIO)
 
 
 def maximised(
@@ -323,10 +322,10 @@ def maximised(
     for _ in range(steps):
         p, ratio = mixture.ordinary(residual / math.sqrt(R)), mixture.scale_ratio
         outlying = 1.0 - p
-        outliers, energy = outlying.sum(), outlying @ np.minimum(square, REACH**2 * ratio**2 * R)
+        outliers, energy = outlying.sum(), outlying @ np.minimum(square, FAR**2 * ratio**2 * R)
         if not given:
             R = max(float(p @ square) / max(float(p.sum()), 1.0), least)
-        contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + _PRIOR_SAMPLES)
+        contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + FEW)
         mixture = Contaminated(
             float(np.clip(contamination, *_CONTAMINATIONS)),
             float(np.clip(math.sqrt((energy / R + prior) / (outliers + _PRIOR_RATIO_SAMPLES)), *_RATIOS)),

@@ -23,7 +23,8 @@ from robust_filterpy.influence.functions import Huber
 __all__ = ["Given", "judged"]
 
 # Readings of a part from which on a factor may be taken, and after which it is 1 if it is near 1.
-_DECIDES, DECIDED = 50, 100
+_DECIDES = 50.0
+DECIDED = 2.0 * _DECIDES
 # Less is left to the scales of Q and to r; a factor beyond a million million is rounding.
 _LOG_BEYOND = math.log(30.0)
 _LOG_FARTHEST, _LOG_ROOT = math.log(1e12), 0.5 * math.log(2.0 * math.pi)

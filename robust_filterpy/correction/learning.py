@@ -59,9 +59,11 @@ __all__ = [
 
 #: Factors of the variance: a standard deviation of 1, 3.2, 10 and 32 times the ordinary one.
 SCALES = (1.0, 10.0, 100.0, 1e3)
-# The prior: ten samples of a chain with 15 % outliers whose class stays with probability 3/4, else is drawn anew; R is
-# worth 20 samples. On 20 kinds of noise a half or the double of each changes most errors by 1 %.
-_PRIOR_SAMPLES, _PRIOR_OUTLIERS, _PRIOR_STAY, _PRIOR_R = 10.0, 0.15, 0.75, 20.0
+# The prior: ten samples of a chain with 15 % outliers whose class stays with probability 3/4, else is drawn anew.
+# On 20 kinds of noise a half or the double of each changes most errors by 1 %.
+_PRIOR_OUTLIERS, _PRIOR_STAY = 0.15, 0.75
+# Samples that R as given is worth, and from which on parity and changes tell something.
+_FIRST = 20.0
 #: What one sample is worth as evidence at most, a hundred to one, and what decides, a thousand to one.
 LOG_EVIDENCE, LOG_DECIDES = math.log(100.0), math.log(1e3)
 # Noise of a tenth of the variance is taken over where it has been likelier by that.
@@ -70,8 +72,6 @@ _LESS_SCALE = 0.1
 _PRIOR_TOGETHER = 0.01
 # Noise that never changes is an offset, of which no reading rids a filter.
 _MOST_COLOUR = 0.99
-# Parity and changes tell something from the twentieth on.
-_FIRST = 20.0
 # The most that r may be over the variance of the differences of changes, of which white noise makes 6 r.
 _MOST = 8.0 / 6.0
 # Standard deviations beyond which a reading is as far as any other.
@@ -191,7 +191,7 @@ def _start(K: int, probabilities: tuple[float, ...] | None) -> Array:
     moves = stay * np.eye(K) + (1.0 - stay) * share
     tail = np.zeros(_TAIL)
     tail[_TOGETHER] = _PRIOR_TOGETHER
-    return np.concatenate([[1.0, _PRIOR_R], share, share, (_PRIOR_SAMPLES * share[:, None] * moves).ravel(), tail])
+    return np.concatenate([[1.0, _FIRST], share, share, (spread.FEW * share[:, None] * moves).ravel(), tail])
 
 
 def predicted(memory: Array, classes: int) -> Array:
@@ -223,7 +223,7 @@ def learn(memory: Array, posterior: Array, r: float, excess: float, part: float,
         after[R_FACTOR] = min(max(after[R_FACTOR], 1e-8), 1e8)
         after[_LESS] = max(memory[_LESS] + ordinary * _for_less(part, excess), 0.0)
     if after[_LESS] > LOG_DECIDES:
-        after[R_FACTOR], after[SAMPLES] = max(_LESS_SCALE * after[R_FACTOR], 1e-8), _PRIOR_R
+        after[R_FACTOR], after[SAMPLES] = max(_LESS_SCALE * after[R_FACTOR], 1e-8), _FIRST
         after[_LESS] = 0.0
     after[_shares(K)] += 1.0 / noise.r_memory * (posterior - memory[_shares(K)])
     last, counts = _chain(memory, K)
@@ -407,7 +407,7 @@ def _note_parity(row: Array, e: float, memory: float) -> tuple[float, float]:
     correlation = min(lag / variance, _MOST_COLOUR)
     # Samples that depend on each other are worth fewer, against the nominal R, which is worth some too.
     worth = min(count, memory) * (1.0 - correlation**2) / (1.0 + correlation**2)
-    return correlation, min(max(variance, 1e-8), 1.0) ** (worth / (worth + _PRIOR_R))
+    return correlation, min(max(variance, 1e-8), 1.0) ** (worth / (worth + _FIRST))
 
 
 def _kept(seen: Array, noise: Array) -> Array:

@@ -27,13 +27,14 @@ from scipy.sparse.csgraph import connected_components
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.factor import Given, scaled
+from robust_filterpy.correction.spread import FAR
 
 __all__ = ["Models", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
 
 # Chance that the state is not where the start says.
 _START = 0.2
-# Standard deviations from which an innovation asks for a jump; farther than a million million it cannot tell where to.
-_ASKS, _FARTHEST = 3.0, 1e12
+# Standard deviations from which on an innovation that asks for a jump cannot tell where to.
+_FARTHEST = 1e12
 # A jump of more standard deviations makes P no wider, which would leave rounding. Of its square, this part is left of
 # the variance of what the sensor sees: less would be rounding, where it has next to no noise.
 _FAR, _LEFT = 1e4, 0.01
@@ -42,6 +43,8 @@ _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
 # where its part becomes one with another.
 _TAKEN, _DROPPED = 0.999, 0.01
+# One that is less probable is hidden.
+_SHOWN = 0.25
 
 
 @dataclass(frozen=True)
@@ -281,7 +284,7 @@ def decided(
     if process.jump == 0.0:
         return models, new, believed
     new = np.isin(parts, parts[(H != 0.0).any(axis=0)]) & (belief[q] < _DROPPED * process.jump)
-    far = far_off(models, z, H, noise, process), _asked(x[q], P[q], z, H, noise, np.inf)[1] > _ASKS
+    far = far_off(models, z, H, noise, process), _asked(x[q], P[q], z, H, noise, np.inf)[1] > FAR
     for i in np.flatnonzero(np.logical_and(*far)):
         own = parts == parts[np.argmax(H[i] != 0.0)]
         chance = float(belief[q, own][0])
@@ -319,7 +322,7 @@ def with_candidates(
         y, asks = _asked(at, spread, z, H, noise)
         asks[heard] = 0.0
         i = int(np.argmax(asks))
-        if not asks[i] > _ASKS:
+        if not asks[i] > FAR:
             break
         heard[i] = True
         own = parts == seen[i]
@@ -349,7 +352,7 @@ def _moved(at: Array, spread: Array, y: float, h: Array, noise: float, own: np.n
     # P is so wide that the innovation does not ask any more, or would not if that state alone had moved; less what it
     # tells by Joseph's form, as d is not C / S.
     square = min(y * y, _FAR * _FAR * (seen + noise))
-    most = square / (_ASKS * _ASKS)
+    most = square / (FAR * FAR)
     times = np.full(len(h), (most - noise) / seen)
     beyond = each * times > most
     times[beyond] = np.maximum(most / each[beyond], 1.0)
@@ -362,7 +365,7 @@ def far_off(models: Models, z: Array, H: Array, noise: Array, process: Scales) -
     """Return which sensors ask for a jump, shape (m,)."""
     q = len(process.scales)
     at = collapse(slow(models, process), models.x[:q], models.P[:q], models.parts)
-    return np.asarray(_asked(*at, z, H, noise, np.inf)[1] > _ASKS)
+    return np.asarray(_asked(*at, z, H, noise, np.inf)[1] > FAR)
 
 
 def _asked(
@@ -413,7 +416,7 @@ def merged(models: Models, process: Scales) -> tuple[Array, Array]:
     x, P, p, q = models.x, models.P, models.probabilities, len(process.scales)
     if process.jump > 0.0:
         hidden = np.concatenate([slow(models, process), np.zeros((1, p.shape[1]))])
-        p = np.where(p[q] > 0.25, p, hidden)
+        p = np.where(p[q] > _SHOWN, p, hidden)
     x, P = collapse(p, x, P, models.parts)
     if models.given is None or not models.given.shown.any():
         return x, P

@@ -27,11 +27,11 @@ NUMBERS = 22
 
 QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
-FAR = 3.0  #: beyond so many spreads it is an outlier, and does not move the spread
+FAR = 3.0  #: beyond so many spreads or deviations it is an outlier, or a jump; others contradict it
 PACE, MEMORY = 2.0, 100.0  #: steps of log(spread): 2/n of n samples, at least 2/100
 YIELD = 1.5  #: threshold over 1 + 1.5 share of outliers
 FEW = 10.0  #: the share starts from so many without an outlier; so many far ones in a row, and another one is typical
-RUN_LENGTH = 4  #: a jump: so many clipped in a row, until some have lasted,
+RUN_LENGTH = 4.0  #: a jump: so many clipped in a row, until some have lasted,
 AGREE = 2.5  #: each within 2.5 spreads of where the last left x
 RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
 SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
@@ -41,7 +41,7 @@ STEEP = 1.5  #: a run goes on while it grows by less than half
 ROUNDED = 1e-13  #: an innovation of so much of the reading and of its standard deviation is rounding
 FLOOR, STEEPEST = 1e-9, 50.0  #: less of H P H' / R is rounding; its logarithm does not grow by more
 LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
-WITNESS, APART, CONTRADICTED = 0.47, 1.5, 2.0  #: see `_charges`
+WITNESS, APART = 0.47, 1.5  #: see `_charges`
 
 
 class Prepared(NamedTuple):
@@ -312,8 +312,8 @@ def _charges(y: np.ndarray, s: np.ndarray, nominal: np.ndarray, B: np.ndarray, h
         low = min(v for v in says if w[others][says <= v].sum() >= total * (0.5 - 1e-9))
         high = max(v for v in says if w[others][says >= v].sum() >= total * (0.5 - 1e-9))
         odd = abs(y[i] - min(max(0.0, low), high)) / nominal[i]
-        own = max(s[i], min(odd, 1e100) / CONTRADICTED)
-        charge[i] = nominal[i] ** 2 * max((own / (APART * usual)) ** 2 - 1, 0.0)
+        own = max(s[i] / APART, min(odd, 1e100) / FAR)
+        charge[i] = nominal[i] ** 2 * max((own / usual) ** 2 - 1, 0.0)
     return charge
 
 

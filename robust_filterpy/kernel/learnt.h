@@ -34,7 +34,7 @@
 #define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped, or is this where parts join */
 
 #define LEARNT_DECIDES REAL(50.0)      /* readings of a part from which on its factor may be taken, */
-#define LEARNT_DECIDED REAL(100.0)     /* and after which it is 1 if it is near 1 */
+#define LEARNT_DECIDED (2 * LEARNT_DECIDES) /* and after which it is 1 if it is near 1 */
 #define LEARNT_LOG_BEYOND REAL(3.4011973816621555) /* less is left to the scales of Q and to r */
 #define LEARNT_RARE REAL(0.2)          /* of a sensor with more outliers than that a run of them may be no jump */
 #define LEARNT_LOG_FARTHEST REAL(27.631021115928547)

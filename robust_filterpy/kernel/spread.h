@@ -56,8 +56,7 @@ typedef struct {
 #define SPREAD_STEEP REAL(1.5)                   /* a run goes on while it grows by less than half */
 #define SPREAD_GROWTH REAL(1e6)                  /* the most that S grows by at one jump */
 #define SPREAD_WITNESS REAL(0.47)                /* of the weight of those who see the same */
-#define SPREAD_APART REAL(1.5)                   /* so much wider than they are is a sensor's own noise, */
-#define SPREAD_CONTRADICTED REAL(2.0)            /* as is so far from what they say */
+#define SPREAD_APART REAL(1.5)                   /* so much wider than they are is a sensor's own noise */
 #define SPREAD_ROUNDED REAL_PIVOT                /* an innovation of so much of reading and deviation is rounding */
 #define SPREAD_FLOOR REAL(1e-9)                  /* less of H P H' / R is rounding, */
 #define SPREAD_STEEPEST REAL(50.0)               /* and its logarithm does not grow by more */
@@ -146,9 +145,8 @@ CALLED real spread_charge(const int m, const int i, const correction *const c, c
     /* Their median, the weighted one that is nearest to the prediction. */
     low = spread_quantile(m, says, seen, 1, total * (REAL(0.5) - REAL(1e-9)));
     high = spread_quantile(m, says, seen, -1, total * (REAL(0.5) - REAL(1e-9)));
-    own = real_abs(c->y[i] - real_min(real_max(0, low), high)) / real_sqrt(variance) / SPREAD_CONTRADICTED;
-    own = real_max(s[i], real_min(own, REAL_PRODUCT / SPREAD_CONTRADICTED));
-    own /= SPREAD_APART * usual;
+    own = real_abs(c->y[i] - real_min(real_max(0, low), high)) / real_sqrt(variance);
+    own = real_max(s[i] / SPREAD_APART, real_min(own, REAL_PRODUCT) / SPREAD_FAR) / usual;
     return own > 1 ? variance * (own * own - 1) : 0;
 }
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.contaminated import REACH, SETTLING_STEPS, START, Contaminated, maximised
+from robust_filterpy.correction.contaminated import SETTLING_STEPS, START, Contaminated, maximised
+from robust_filterpy.correction.spread import FAR
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale, moving_size, resolution, size_of
 
@@ -172,7 +173,7 @@ class Noise:
         normalizer = getattr(self.influence, "log_normalizer", lambda dim: 0.5 * dim * math.log(2.0 * math.pi))
         beyond = 0.0
         if isinstance(self.influence, Contaminated):
-            reach = REACH * self.influence.scale_ratio * math.sqrt(self.R)
+            reach = FAR * self.influence.scale_ratio * math.sqrt(self.R)
             beyond = 2.0 * float(np.sum(np.log(np.maximum(np.abs(residual) / reach, 1.0))))
             residual = np.clip(residual, -reach, reach)
         return -self.cost(residual) - beyond - residual.size * (normalizer(1) + 0.5 * math.log(self.R))

@@ -1,0 +1,72 @@
+"""Every number of the rules stands in one table, docs/equations.md, with its value. Run as a program it counts them."""
+
+import math
+import re
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+
+import robust_filterpy.correction
+
+PAGE = Path(__file__).parents[2] / "docs/equations.md"
+#: What mathematics says and nobody chooses: quantiles, logarithms of 2 pi, the largest float, twice another number.
+MATHEMATICS = re.compile(r"(QUA\w+|LOG_ROOT|LOG_2PI|LOG_SQRT_2PI|DECIDED)$")
+MOST = 50
+ROW = re.compile(r"^\| `(\S+)` \| ([^|]+) \|", re.M)
+
+
+def stated():
+    """Return the numbers of the page, of the rules and of the arithmetic, by module and name."""
+    section = PAGE.read_text(encoding="utf-8").partition("## All numbers of the rules")[2].partition("\n## ")[0]
+    rules, arithmetic = (
+        {name: tuple(_number(text) for text in values.split(",")) for name, values in ROW.findall(part)}
+        for part in section.split("These guard the arithmetic")
+    )
+    return rules, arithmetic
+
+
+def _number(text):
+    """Return the value of .5, log 30 or 8 / 6."""
+    value, _, over = text.strip().removeprefix("log ").partition("/")
+    return math.log(float(value)) if "log" in text else float(value) / float(over or 1)
+
+
+def in_modules():
+    """Return the numbers at the head of each module; a whole number is one where the page has it, else a place."""
+    page, found = stated()[0] | stated()[1], {}
+    for module in iter_modules(robust_filterpy.correction.__path__):
+        for name, value in vars(import_module(f"robust_filterpy.correction.{module.name}")).items():
+            parts, key = value if isinstance(value, tuple) else (value,), f"{module.name}.{name}"
+            numbers = parts and all(isinstance(part, (int, float)) and not isinstance(part, bool) for part in parts)
+            if not (numbers and name.isupper()) or MATHEMATICS.search(name) or max(parts) > 1e308:
+                continue
+            imported = any(re.search(rf"^from .* import .*\b{name}\b", line) for line in _source(module.name))
+            if not imported and (key in page or any(isinstance(part, float) for part in parts)):
+                found[key] = tuple(float(part) for part in parts)
+    return found
+
+
+def _source(module):
+    return Path(robust_filterpy.correction.__path__[0], f"{module}.py").read_text(encoding="utf-8").splitlines()
+
+
+def test_the_page_has_every_number_with_its_value():
+    rules, arithmetic = stated()
+    assert not rules.keys() & arithmetic.keys()
+    found = in_modules()
+    assert (rules | arithmetic).keys() == found.keys(), (rules | arithmetic).keys() ^ found.keys()
+    wrong = {name: value for name, value in found.items() if (rules | arithmetic)[name] != value}
+    assert not wrong, wrong
+
+
+def test_there_are_at_most_fifty():
+    assert count() <= MOST
+
+
+def count():
+    """Return how many numbers the rules have, without those of the arithmetic and the first of the scales, 1."""
+    return sum(len(value) for value in stated()[0].values()) - 1
+
+
+if __name__ == "__main__":
+    print(f"{count()} numbers of the rules, {len(stated()[1])} that guard the arithmetic")
