@@ -30,7 +30,7 @@ def by_filters(problem, zs, learnt=None, model=lambda s, k: {}, **options):
     """A loop over filters: what each shows at each step, by name."""
     names = ["x", "P", "weights", "log_likelihood"]
     names += ["outlier_probability", "process_scale"] if options.get("noise") is not None else []
-    rows, known = {name: [] for name in names}, []
+    shown, states = {name: [] for name in names}, []
     for s, z in enumerate(zs):
         kf = support.load(RobustKalmanFilter(*problem.dims, **options), problem, 1)
         if learnt is not None:
@@ -39,12 +39,11 @@ def by_filters(problem, zs, learnt=None, model=lambda s, k: {}, **options):
             given = model(s, k)
             kf.predict(F=given.get("F"), Q=given.get("Q"))
             kf.update(z_k, H=given.get("H"), R=given.get("R"))
-            for name, column in rows.items():
+            for name, column in shown.items():
                 column.append(np.copy(getattr(kf, name)))
-        known.append(kf.state())
-    shown = {name: np.array(column).reshape(len(zs), zs.shape[1], *column[0].shape) for name, column in rows.items()}
-    shown["log_likelihood"] = shown["log_likelihood"].sum(axis=1)
-    return {**shown, "state": known}
+        states.append(kf.state())
+    shown = {name: np.array(column).reshape(*zs.shape[:2], *column[0].shape) for name, column in shown.items()}
+    return {**shown, "log_likelihood": shown["log_likelihood"].sum(axis=1), "state": states}
 
 
 def assert_same(found, expected, rtol=1e-8):

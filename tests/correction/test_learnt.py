@@ -119,18 +119,6 @@ def test_sensors_that_fail_together_are_one_vector(grouping):
     assert found.log_density == pytest.approx(np.log(sum(weights)))
 
 
-def test_nothing_that_is_passed_is_changed():
-    rng = np.random.default_rng(4)
-    problem, noise, process = random_problem(4, 3, 2), NoiseClasses(), Scales()
-    models, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2)
-    models = side_by_side.predict(models, problem.F, problem.Q, process)
-    before = [np.copy(a) for a in (*models.packed, memory)]
-    found = correct(models, memory, rng.normal(size=2) + 40.0, problem.H, problem.R, noise, process)
-    side_by_side.predict(found.models, problem.F, problem.Q, process), side_by_side.merged(found.models, process)
-    for was, now in zip(before, (*models.packed, memory), strict=True):
-        np.testing.assert_array_equal(was, now)
-
-
 def test_the_prior_is_a_stationary_chain():
     assert_allclose(predicted(start(4), 4), [0.85, 0.05, 0.05, 0.05], rtol=1e-12)
     assert_allclose(start(1)[2:5], [1.0, 1.0, 10.0])

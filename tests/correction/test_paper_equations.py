@@ -13,7 +13,6 @@ import support
 from scipy.integrate import quad
 
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter
-from robust_filterpy.influence import Linear
 from robust_filterpy.influence.information import expected_information
 from robust_filterpy.noise import LeastFavorable, fisher_information
 
@@ -105,12 +104,6 @@ def test_equation(equation):
                 support.assert_close(*sides(step), rtol=1e-9, what=f"({equation}), {scaling}, {information}")
                 clipped.add(abs(step.v) > K_EPS)
     assert clipped == {True, False}
-
-
-def test_with_psi_the_identity_equations_37_to_39_are_the_kalman_filter():
-    for s in steps("innovation", "realized", Linear()):
-        support.assert_close(s.kf.x, F @ s.x + s.P @ H.T / s.S * s.y)
-        support.assert_close(s.kf.P, s.P - s.P @ H.T @ H @ s.P / s.S)
 
 
 def test_equation_30():

@@ -194,17 +194,13 @@ def test_a_trackers_run_is_diagnosed(variance, cause):
 
 def test_without_a_linear_model_the_innovations_are_judged():
     rng = np.random.default_rng(5)
-    kf = ExtendedKalmanFilter(1, 1)
-    kf.Q, kf.R, kf.x = 0.01 * np.eye(1), 0.1 * np.eye(1), np.array([[1.0]])
+    kf = of_matrices(ExtendedKalmanFilter, 1.0, [[1.0]], 0.01, 0.1, x=[[1.0]])
     saver, x = Saver(kf), 1.0
     for _ in range(N):
         x += 0.1 * rng.normal()
         kf.predict()
-        kf.update(
-            np.array([[np.exp(0.1 * x) + 3.0 * rng.normal()]]),
-            lambda x: 0.1 * np.exp(0.1 * x),
-            lambda x: np.exp(0.1 * x),
-        )
+        z = np.array([[np.exp(0.1 * x) + 3.0 * rng.normal()]])
+        kf.update(z, lambda x: 0.1 * np.exp(0.1 * x), lambda x: np.exp(0.1 * x))
         saver.save()
     d = diagnose(saver)
     assert d.causes[0] == "S too small" and np.isnan(d.R_scale).all()

@@ -1,5 +1,6 @@
 """What is refused, in which words, and that a refused call changes nothing."""
 
+import itertools
 import re
 from functools import partial
 
@@ -17,6 +18,9 @@ from robust_filterpy import (
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
     StudentT,
+    diagnose,
+    estimate_noise,
+    smooth,
 )
 from robust_filterpy.correction import Scales
 from robust_filterpy.correction.learning import NoiseClasses
@@ -58,94 +62,65 @@ def goes_on(kf, ndim=2, **choices):
     support.assert_unchanged(support.snapshot(innocent), kf)
 
 
-BAD_R = [
-    np.eye(3), np.ones(2), np.ones((2, 3)), np.array([[1.0, 2.0], [2.0, 1.0]]), -np.eye(2), np.diag([INF, 1.0]),
-    np.array([[NAN, 0.0], [0.0, 1.0]]), "R",
-]  # fmt: skip
-BAD_H = [np.ones(shape) for shape in ((2, 5), (2, 3), 4, (3, 4), (1, 4))] + [
-    1.0,
-    np.full((2, 4), NAN),
-    INF * np.eye(2, 4),
-]
-BAD_F = [np.eye(3), np.ones(4), NAN * np.ones((4, 4)), INF * np.ones((4, 4))]
-BAD_Q = [np.eye(5), np.ones(4), np.ones((4, 1)), NAN * np.ones((4, 4))]
-BAD_B = [np.ones((3, 1)), np.ones((4, 2)), NAN * np.ones((4, 1))]
+#: What is bad in each, and how the words about it begin.
 BAD = {
-    "z": [
+    "z": (r"^z", [
         3.0, [1.0], [1.0, 2.0, 3.0], np.ones((1, 3)), [[1.0, 2.0], [3.0, 4.0]], [[[1.0], [2.0]]], [[1.0], [2.0, 3.0]],
         [], [1.0, INF], [-INF, 1.0], [NAN, INF], ["a", "b"], "12", [1.0 + 2.0j, 3.0], {"z": 1.0},
-    ],
-    "R": [*BAD_R, -1.0, NAN], "H": BAD_H, "F": BAD_F, "Q": BAD_Q, "B": BAD_B,
-    "u": [np.ones((2, 1)), np.ones((1, 4)), np.array([[NAN]]), np.array([[INF]])],
+    ]),
+    "R": (r"\bR\b", [
+        np.eye(3), np.ones(2), np.ones((2, 3)), np.array([[1.0, 2.0], [2.0, 1.0]]), -np.eye(2), np.diag([INF, 1.0]),
+        np.array([[NAN, 0.0], [0.0, 1.0]]), "R", -1.0, NAN,
+    ]),
+    "H": (r"\b[HRzM]\b", [
+        *(np.ones(shape) for shape in ((2, 5), (2, 3), 4, (3, 4), (1, 4))), 1.0, np.full((2, 4), NAN),
+        np.where(np.eye(2, 4) > 0.0, INF, 0.0),
+    ]),
+    "F": (r"\bF\b", [np.eye(3), np.ones(4), NAN * np.ones((4, 4)), INF * np.ones((4, 4))]),
+    "Q": (r"\bQ\b", [np.eye(5), np.ones(4), np.ones((4, 1)), NAN * np.ones((4, 4))]),
+    "B": (r"\b[Bu]\b", [np.ones((3, 1)), np.ones((4, 2)), NAN * np.ones((4, 1))]),
+    "u": (r"\bu\b", [np.ones((2, 1)), np.ones((1, 4)), np.array([[NAN]]), np.array([[INF]])]),
+    "x": (r"\bx\b", [np.zeros((5, 1)), np.zeros(3), np.zeros((4, 2)), np.zeros((1, 4)), NAN * np.ones((4, 1))]),
+    "P": (r"\bP\b", [np.eye(3), np.ones(4), NAN * np.eye(4), np.diag([1.0, 1.0, 1.0, INF])]),
+    "M": (r"\bM\b", [np.zeros((2, 4)), np.zeros((4, 3)), np.zeros(4), NAN * np.ones((4, 2))]),
 }  # fmt: skip
-# How each is passed, and how the words about it begin.
-CORRECTIONS = ("update", "update_correlated")
-PREDICTIONS = ("predict", "get_prediction")
-PASSED = {
-    "z": (
-        r"^z", {name: lambda kf, z, name=name: getattr(kf, name)(z) for name in (*CORRECTIONS, "get_update")}
-        | {"update_steadystate": lambda kf, z: kf.update_steadystate(z)}
-        | {f"{name}, H": lambda kf, z, name=name: getattr(kf, name)(z, H=kf.H) for name in CORRECTIONS},
-    ),
-    "R": (r"\bR\b", {name: lambda kf, R, name=name: getattr(kf, name)(Z, R=R) for name in CORRECTIONS}),
-    "H": (
-        r"\b[HRzM]\b",
-        {name: lambda kf, H, name=name: getattr(kf, name)(support.column(kf, Z), H=H) for name in CORRECTIONS},
-    ),
-    **{
-        name: (rf"\b[{name}u]\b", {
-            call: lambda kf, value, name=name, call=call: getattr(kf, call)(**{
-                **({"u": np.ones((1, 1))} if name == "B" else {}), name: value
-            }) for call in PREDICTIONS
-        }) for name in "FQBu"
-    },
+CORRECTIONS, PREDICTIONS = ("update", "update_correlated"), ("predict", "get_prediction")
+STEADY = ("predict", "predict_steadystate")
+#: Which calls take it, and which read it where it is an attribute.
+TAKEN = {"z": (*CORRECTIONS, "get_update", "update_steadystate"), **dict.fromkeys("RH", CORRECTIONS),
+         **dict.fromkeys("FQBu", PREDICTIONS)}  # fmt: skip
+READ = {
+    "R": (*CORRECTIONS, "get_update", "batch_filter", "update_sequential"), "H": CORRECTIONS, "Q": ("predict",),
+    **dict.fromkeys("FB", STEADY), **dict.fromkeys("xP", ("predict", "update")), "M": ("update_correlated",),
 }  # fmt: skip
 
 
-@pytest.mark.pairwise(1)
-@pytest.mark.parametrize("ndim", [1, 2])
-@pytest.mark.parametrize("name, case, method", [
-    (name, k, method) for name in PASSED for k in range(len(BAD[name])) for method in PASSED[name][1]
+def called(kf, method, **bad):
+    """Call a method with what is good but for this."""
+    good = {"u": np.ones((1, 1))} if "predict" in method else {"z": support.column(kf, Z)}
+    if method == "batch_filter":
+        good = {"zs": [Z]}
+    elif method == "update_sequential":
+        good = {"start": 0, "z_i": Z}
+    getattr(kf, method)(**{**good, **bad})
+
+
+@pytest.mark.parametrize("name, method, passed", [
+    (name, method, table is TAKEN) for table in (TAKEN, READ) for name in table for method in table[name]
 ])  # fmt: skip
-def test_what_is_passed(name, case, method, ndim):
-    kf, (match, methods) = started(ndim), PASSED[name]
-    refuse(kf, lambda kf: methods[method](kf, BAD[name][case]), match)
-    goes_on(kf, ndim)
-
-
-# What each attribute is needed for, and what else may be wrong with it.
-NEEDED = {
-    "R": ({
-        "update": lambda kf: kf.update(Z), "correlated": lambda kf: kf.update_correlated(Z),
-        "look": lambda kf: kf.get_update(Z), "batch": lambda kf: kf.batch_filter([Z]),
-        "part": lambda kf: kf.update_sequential(0, Z),
-    }, BAD_R, "R"),
-    "H": ({"update": lambda kf: kf.update(Z), "correlated": lambda kf: kf.update_correlated(Z)}, BAD_H, "HRzM"),
-    "F": ({"predict": lambda kf: kf.predict(), "steady": lambda kf: kf.predict_steadystate()}, BAD_F, "F"),
-    "Q": ({"predict": lambda kf: kf.predict()}, BAD_Q, "Q"),
-    "B": ({"predict": lambda kf: kf.predict([[1.0]]), "steady": lambda kf: kf.predict_steadystate([[1.0]])},
-          BAD_B, "Bu"),
-    "x": ({"predict": lambda kf: kf.predict(), "update": lambda kf: kf.update(Z)},
-          [np.zeros((5, 1)), np.zeros(3), np.zeros((4, 2)), np.zeros((1, 4)), NAN * np.ones((4, 1))], "x"),
-    "P": ({"predict": lambda kf: kf.predict(), "update": lambda kf: kf.update(Z)},
-          [np.eye(3), np.ones(4), NAN * np.eye(4), np.diag([1.0, 1.0, 1.0, INF])], "P"),
-    "M": ({"correlated": lambda kf: kf.update_correlated(Z)},
-          [np.zeros((2, 4)), np.zeros((4, 3)), np.zeros(4), NAN * np.ones((4, 2))], "M"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "name, call", [pytest.param(name, call, id=f"{name}-{call}") for name in NEEDED for call in NEEDED[name][0]]
-)
-def test_attributes(name, call):
-    calls, values, words = NEEDED[name]
-    for value in values:
-        kf = started()
-        good = getattr(kf, name)
-        setattr(kf, name, value)
-        refuse(kf, calls[call], match=rf"\b[{words}]\b")
-        setattr(kf, name, good)
-        goes_on(kf)
+def test_what_is_passed_or_an_attribute(name, method, passed):
+    words, values = BAD[name]
+    for value, ndim in itertools.product(values, (1, 2)):
+        kf = started(ndim)
+        good = getattr(kf, name, None)
+        if not passed:
+            setattr(kf, name, value)
+        refuse(kf, lambda kf: called(kf, method, **({name: value} if passed else {})), words)  # noqa: B023
+        if name == "z" and method in CORRECTIONS:
+            refuse(kf, lambda kf: getattr(kf, method)(value, H=kf.H), words)  # noqa: B023
+        if not passed:
+            setattr(kf, name, good)
+        goes_on(kf, ndim)
 
 
 def in_words(call, match, **choices):
@@ -381,3 +356,14 @@ def test_what_is_no_function_is_named_as_inverse(noise):
     kf = RobustKalmanFilter(2, 1, noise=noise)
     kf.inv = "pinv"
     refuse(kf, lambda kf: kf.update(1.0), match="^inv: expected a function such as numpy.linalg.pinv")
+
+
+@pytest.mark.parametrize("z", [b"12", "12", bytearray(b"12"), [b"1", b"2"]])
+@pytest.mark.parametrize("call", [
+    RobustKalmanFilter.batch_filter, RobustKalmanFilter.update, smooth, diagnose, estimate_noise,
+], ids=lambda call: call.__name__)  # fmt: skip
+def test_bytes_and_text_are_no_measurements_whatever_takes_them(call, z):
+    kf = support.of_matrices(RobustKalmanFilter, 1.0, [[1.0]])
+    with pytest.raises(TypeError, match="expected"):
+        call(kf, z)
+    assert kf.x[0, 0] == 0.0

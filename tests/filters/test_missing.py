@@ -96,19 +96,6 @@ def test_steady_state_and_blocks_use_the_components_that_are_there(ndim):
     support.assert_same_state(one, two, ("x", "P"))
 
 
-def test_the_smoother_fills_gaps():
-    zs = support.simulate(support.cart(), 60, seed=6, contamination=0.1)[0][:, 0]
-    zs[20:30] = NAN
-    kf = robust(problem=support.cart())
-    means, covariances, *_ = kf.batch_filter(zs)
-    smoothed, smoothed_covariances, *_ = kf.rts_smoother(means, covariances)
-    assert np.all(np.isfinite(smoothed))
-    for before, after in zip(covariances, smoothed_covariances, strict=True):
-        support.assert_positive_definite(after)
-        assert np.linalg.eigvalsh(before - after).min() > -1e-12
-    assert smoothed_covariances[25, 0, 0] < covariances[25, 0, 0] / 2
-
-
 @pytest.mark.parametrize("m", [1, 2])
 def test_missing_values_of_pandas_are_missing(path, m):
     """As NaN, in nullable columns, in rows of objects and for each call."""

@@ -339,16 +339,19 @@ def test_rows_columns_and_numbers_mean_the_same(ndim):
 
 @EVERY_CLASS
 def test_arguments_reach_the_measurement_function(cls):
-    z = np.array([3.0, 4.0])
-    kf = radar(cls, influence=Linear())
+    z, kf = np.array([3.0, 4.0]), radar(cls, influence=Linear())
     kf.residual_z = np.subtract
     kf.predict()
+
+    def hx(x, a, b):
+        return a * np.ravel(x)[:2] + b
+
     if cls is RobustExtendedKalmanFilter:
-        kf.update(z, lambda x, a: a * np.eye(2, 4), lambda x, a, b: a * np.ravel(x)[:2] + b, args=2.0, hx_args=(2.0, 1))
+        kf.update(z, lambda x, a: a * np.eye(2, 4), hx, args=2.0, hx_args=(2.0, 1))
     elif cls is RobustUnscentedKalmanFilter:
-        kf.update(z, hx=lambda x, a, b: a * x[:2] + b, a=2.0, b=1)
+        kf.update(z, hx=hx, a=2.0, b=1)
     else:
-        kf.hx = lambda x, a, b: a * x[:2] + b
+        kf.hx = hx
         kf.update(z, hx_args=(2.0, 1))
     np.testing.assert_allclose(np.ravel(kf.y), z - 2.0 * np.ravel(kf.x_prior)[:2] - 1)
 
@@ -373,12 +376,12 @@ def test_P_stays_positive_definite(cls):
 
 @pytest.mark.parametrize("u", [np.array([0.3, -0.7]), np.zeros(2), [[0.3], [-0.7]]], ids=str)
 def test_an_extended_filter_with_several_inputs_is_moved_by_all_of_them(u):
-    problem = random_problem(8, 3, 1, dim_u=2)
-    kf = RobustExtendedKalmanFilter(3, 1, 2)
-    kf.x, kf.P, kf.Q, kf.F, kf.B = np.ravel(problem.x), problem.P, problem.Q, problem.F, problem.B
+    p = random_problem(8, 3, 1, dim_u=2)
+    kf = of_matrices(RobustExtendedKalmanFilter, p.F, p.H, p.Q, P=p.P, x=np.ravel(p.x), dim_u=2)
+    kf.B = p.B
     kf.predict(u)
-    np.testing.assert_allclose(kf.x, problem.F @ np.ravel(problem.x) + problem.B @ np.ravel(u), rtol=1e-12)
-    np.testing.assert_allclose(kf.P, problem.F @ problem.P @ problem.F.T + problem.Q, rtol=1e-12)
+    np.testing.assert_allclose(kf.x, p.F @ np.ravel(p.x) + p.B @ np.ravel(u), rtol=1e-12)
+    np.testing.assert_allclose(kf.P, p.F @ p.P @ p.F.T + p.Q, rtol=1e-12)
 
 
 # Filters that recover.
@@ -493,10 +496,9 @@ def test_a_wrong_r_costs_little_and_outliers_less_than_by_a_psi_and_far_less_tha
 
 def test_what_curvature_adds_to_the_innovation_is_no_noise():
     """A squared state that is hardly known: S is fifty times R at most steps."""
-    rng = np.random.default_rng(10003)
-    kf = made(RobustUnscentedKalmanFilter, 1, 1, lambda x, dt: 0.5 * x, lambda x: x**2, noise="learnt")
-    kf.Q, kf.R = np.eye(1), 0.04 * np.eye(1)
-    x, excess = 0.0, []
+    rng, x, excess = np.random.default_rng(10003), 0.0, []
+    kf = of_matrices(RobustUnscentedKalmanFilter, 0.5, [[1.0]], 1.0, 0.04, noise="learnt")
+    kf.hx = np.square
     for _ in range(1500):
         x = 0.5 * x + rng.normal()
         kf.predict()

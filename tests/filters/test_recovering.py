@@ -80,18 +80,16 @@ def test_scattered_outliers_and_what_is_too_far_never_insist():
         assert kf.recoveries == 0 and abs(kf.x[0]) < 1.5 and kf.P[0, 0] < 5.0
 
 
-def test_patience_is_the_number_of_refused_measurements():
-    for patience in (2, 5, 20):
-        kf = level(patience=patience)
-        advance(kf, np.zeros(30))
-        advance(kf, np.full(patience - 1, 40.0))
-        assert kf.recoveries == 0 and kf.refused == patience - 1
-        advance(kf, [40.0])
-        assert kf.recoveries == 1 and kf.refused == 0
-        P = kf.P[0, 0]
-        assert P == pytest.approx(9 * 1600)
-        advance(kf, [40.0])
-        assert abs(kf.x[0] - 40.0) < 0.5
+@pytest.mark.parametrize("patience", [2, 5, 20])
+def test_patience_is_the_number_of_refused_measurements(patience):
+    kf = level(patience=patience)
+    advance(kf, [*np.zeros(30), *np.full(patience - 1, 40.0)])
+    assert (kf.recoveries, kf.refused) == (0, patience - 1)
+    advance(kf, [40.0])
+    assert (kf.recoveries, kf.refused) == (1, 0)
+    assert kf.P[0, 0] == pytest.approx(9 * 1600)
+    advance(kf, [40.0])
+    assert abs(kf.x[0] - 40.0) < 0.5
 
 
 def test_a_vector_jump_and_missing_components():
