@@ -509,18 +509,10 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
             f"{name}: expected a Model, StateSpaceModel or GreyBoxModel that identify found, or a "
             f"control.TransferFunction, got {_checks.shown(given)}"
         )
-    if not given.isdtime(strict=True):
-        raise ValueError(f"{name}: expected one in discrete time, got dt={given.dt}; use its sample(dt)")
-    if (given.ninputs, given.noutputs) != (1, 1):
-        raise ValueError(
-            f"{name}: expected a transfer function with one input and one output, got {given.ninputs} and "
-            f"{given.noutputs}"
-        )
-    b, a = (np.trim_zeros(np.asarray(part[0][0], dtype=float), "f") for part in (given.num, given.den))
-    if not 0 < b.size <= a.size:
-        raise ValueError(f"{name}: expected a transfer function that is proper and not 0, got {given}")
-    structure = OutputError(a.size - 1, b.size, a.size - b.size)
-    theta = np.concatenate((a[1:], b)) / a[0]
+    theta, na, nb, nk = regressor.linear_parameters(given, name)
+    if not nb:
+        raise ValueError(f"{name}: expected a transfer function that is not 0, got {given}")
+    structure = OutputError(na, nb, nk)
     axis, y, u = recording(structure, y=y, u=u)
     measured = recorded_output(y)
     n, signal = structure.n_theta, recorded_input(structure, u, measured.size)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, Final, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.signal
@@ -13,6 +13,9 @@ import scipy.signal
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.structures import Structure
+
+if TYPE_CHECKING:
+    import control
 
 #: What to do with a step of theta that leaves the stable region.
 Guard: TypeAlias = Literal["none", "reject", "halve"]
@@ -48,6 +51,79 @@ class Coefficients(NamedTuple):
     def __str__(self) -> str:
         """Return a line for each part."""
         return brief(self)
+
+
+class LinearParameters(NamedTuple):
+    """A transfer function as a parameter vector and its orders.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (na + nb,)
+        [a_1 .. a_na, b_1 .. b_nb].
+    na, nb, nk : int
+        Number of a's, number of b's, delay of b_1 in samples.
+    """
+
+    theta: Array
+    na: int
+    nb: int
+    nk: int
+
+
+def linear_parameters(system: control.TransferFunction, name: str = "system") -> LinearParameters:
+    """Read theta and the orders from a discrete transfer function.
+
+    Parameters
+    ----------
+    system : control.TransferFunction
+        Discrete (``dt`` a period in s, or True), one input, one output, proper.
+    name : str, default "system"
+        What an error calls it.
+
+    Returns
+    -------
+    LinearParameters
+        theta, na, nb, nk: na is the degree of the denominator, nk what the numerator's degree is below it.
+
+    Raises
+    ------
+    TypeError
+        If system is not a control.TransferFunction.
+    ValueError
+        If it is not discrete, not single-input single-output, or not proper.
+
+    Examples
+    --------
+    >>> import control
+    >>> linear_parameters(control.tf([1.0, 0.5], [1.0, -1.5, 0.7], dt=1))
+    LinearParameters(theta=array([-1.5,  0.7,  1. ,  0.5]), na=2, nb=2, nk=1)
+    """
+    import control
+
+    if not isinstance(system, control.TransferFunction):
+        raise TypeError(
+            f"{name}: expected a control.TransferFunction or an array theta, got {type(system).__name__}; "
+            "control.tf(system) converts python-control's other linear systems"
+        )
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise ValueError(
+            f"{name}: expected one input and one output, got {system.ninputs} and {system.noutputs}; "
+            "take one of them: system[output, input]"
+        )
+    if not system.isdtime(strict=True):
+        raise ValueError(
+            f"{name}: expected one in discrete time, got dt={system.dt}; "
+            "use control.tf(num, den, dt) or control.sample_system(system, dt)"
+        )
+    den = np.trim_zeros(np.asarray(system.den[0][0], dtype=float), "f")
+    num = np.trim_zeros(np.asarray(system.num[0][0], dtype=float), "f")
+    if num.size > den.size:
+        raise ValueError(
+            f"{name}: expected a proper transfer function, got degree {num.size - 1} over {den.size - 1}: "
+            "its output would come before its input"
+        )
+    na, nb = den.size - 1, num.size
+    return LinearParameters(np.concatenate((den[1:], num)) / den[0], na, nb, den.size - max(nb, 1))
 
 
 def is_stable(coefficients: Sequence[float]) -> bool:
