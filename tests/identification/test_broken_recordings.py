@@ -95,7 +95,10 @@ def test_a_constant_in_u_changes_nothing(structure, constant):
 
 
 def outputs(structure, seed, length=600):
-    """Output and input of the plant; two outputs for states."""
+    """Output and input of the plant; two outputs for states, noise inside the loop for ARX."""
+    if structure == ARX(2, 2):
+        y, u = driven(seed, length)
+        return y, u, lfilter(B, A, u)
     rng, y, u = recording(seed, length)
     if not isinstance(structure, StateSpace):
         return y, u, lfilter(B, A, u)
@@ -108,7 +111,7 @@ def dynamic_error(model, u, clean):
     return np.linalg.norm(model.simulate(u) - model.simulate(np.zeros(u.size)) - clean) / np.linalg.norm(clean)
 
 
-@pytest.mark.parametrize("structure", [OutputError(2, 2), StateSpace(2)], ids=["output error", "states"])
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2), StateSpace(2)], ids=["oe", "arx", "states"])
 def test_a_step_of_the_level_is_found_taken_off_and_put_back(structure):
     y, u, clean = outputs(structure, 6)
     size = 15.0 * np.array([1.0, -1.0][: y.ndim])

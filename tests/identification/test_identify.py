@@ -80,6 +80,18 @@ def test_without_robustness_linear_structures_are_least_squares(structure):
     np.testing.assert_allclose([*model.theta, model.offset], expected, rtol=1e-6, atol=1e-8)
 
 
+def test_the_variance_counts_the_parameters_that_were_fitted():
+    rng = np.random.default_rng(1)
+    X = rng.normal(size=(40, 8))
+    y = X @ np.arange(8.0) + rng.normal(size=40)
+    for fixed in ({}, {"theta1": 0.0}):
+        free = np.column_stack((X[:, len(fixed) :], np.ones(40)))
+        residual = y - free @ np.linalg.lstsq(free, y, rcond=None)[0]
+        expected = (1.4826 * np.median(np.abs(residual))) ** 2 * 40 / (40 - free.shape[1])
+        model = identify(y, X, LinearRegression(8), influence=Linear(), fixed=fixed or None)
+        assert model.R == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_robust_regression_is_statsmodels():
     rng = np.random.default_rng(2)
     X = rng.normal(size=(400, 3))
