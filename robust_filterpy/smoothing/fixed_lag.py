@@ -22,13 +22,10 @@ from robust_filterpy import _checks, _filterpy, _state
 from robust_filterpy._arrays import state_of
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
-from robust_filterpy._warning import warn
-from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.filters.driver import at_step, columns_of
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.policies import Options, with_options
 from robust_filterpy.filters.snapshot import whole
-from robust_filterpy.influence.functions import Linear
 from robust_filterpy.kernel.moments import weights_of
 
 if TYPE_CHECKING:
@@ -54,9 +51,8 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
     N : int, optional
         The lag in steps, >= 1; not needed for `smooth_batch`.
     influence, scaling, information, grouping, noise, process, patience
-        As in `robust_filterpy.RobustKalmanFilter`, but where none of them says how measurements fail, it is
-        ``noise=Contaminated()``: one in ten is an outlier of ten times the size, and R is that of the others. Where R
-        is a guess or the state may jump, say ``noise="learnt", process="scales"``.
+        As in `robust_filterpy.RobustKalmanFilter`, but where none of them says how measurements fail, R, its outliers
+        and the scale of Q are learned as by `AdaptiveKalmanFilter`: ``noise="learnt", process="scales"``.
 
     Attributes
     ----------
@@ -75,9 +71,10 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
 
     Notes
     -----
-    With ``influence=Linear()``, x and P are filterpy's, and xSmooth is the exact conditional mean, that of a smoother
-    of Rauch, Tung and Striebel over the data so far. filterpy's own recursion puts the corrected covariance where the
-    predicted one belongs (D. Simon, Optimal State Estimation, 2006, section 9.3), so that its xSmooth is not that mean.
+    x and P are those of a `RobustKalmanFilter` with the same options. With ``influence=Linear()`` they are filterpy's,
+    and xSmooth is the exact conditional mean, that of a smoother of Rauch, Tung and Striebel over the data so far.
+    filterpy's own recursion puts the corrected covariance where the predicted one belongs (D. Simon, Optimal State
+    Estimation, 2006, section 9.3), so that its xSmooth is not that mean.
 
     Each measurement is judged once, by those before it. What judges a measurement by those after it, too, is
     `robust_filterpy.smooth`.
@@ -96,7 +93,8 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
     def __init__(self, dim_x: int, dim_z: int, N: int | None = None, **options: Unpack[Options]) -> None:
         """Set up the filter and an empty window."""
         self.N = None if N is None else _checks.count("N", N, 1)
-        super().__init__(dim_x, dim_z, **_as_filters_take_them(dict(options)))
+        learned = {} if options.keys() - {"grouping"} else {"noise": "learnt", "process": "scales"}
+        super().__init__(dim_x, dim_z, **learned, **options)
         self._empty()
 
     def _empty(self) -> None:
@@ -224,19 +222,3 @@ def _gain(moved: Array, predicted: Array) -> Array:
         inverse = np.linalg.pinv(predicted / unit / unit[:, None], rcond=_ROUNDING, hermitian=True)
         gain = inverse @ (moved / unit[:, None]) / unit[:, None]
     return np.asarray(gain.T)
-
-
-def _as_filters_take_them(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a filter; where none says how measurements fail, some of them are outliers."""
-    process = options.get("process", Linear())
-    if isinstance(process, Linear):
-        options.pop("process", None)
-    elif process is None:
-        warn(
-            "process: None takes Q as given, as by every filter; to learn where the state jumps, as None did before, "
-            "say noise='learnt', process='scales'",
-            DeprecationWarning,
-        )
-    if options.get("influence", 0) is None:
-        del options["influence"]
-    return options if options.keys() - {"grouping", "process"} else {"noise": Contaminated(), **options}

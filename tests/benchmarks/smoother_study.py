@@ -16,6 +16,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import filterpy.kalman
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from measuring import least_time
@@ -119,6 +120,44 @@ def cart_trial(rng: np.random.Generator, contamination: float, scale: float) -> 
         LABELS: told(data, 1.0, scale),
     }
     return {name: judged(data.truth, *one, lambda d: float(np.mean(d[:, 0] ** 2))) for name, one in states.items()}
+
+
+def live_trial(rng: np.random.Generator, kind: str, factor: float, steps: int = 300) -> dict[str, np.ndarray]:
+    """Return the root mean square error of the position of live smoothers with a lag of 8, R given `factor` times."""
+    data = cart(rng, 0.1 if kind == "outliers" else 0.0, 10.0, steps)
+    truth, noise = data.truth[:, 0], data.zs[:, 0] - data.truth[:, 0]
+    if kind == "runs of 5":
+        for start in rng.choice(steps - 5, 6, replace=False):
+            noise[start : start + 5] *= 10.0
+    if kind == "jumps":
+        truth = truth + 30.0 * (np.arange(steps) // 100)
+    zs, found = truth + noise, {}
+    for name, cls, options in (
+        ("filterpy's", filterpy.kalman.FixedLagSmoother, {}), ("FixedLagSmoother", FixedLagSmoother, {}),
+        ("noise=Contaminated()", FixedLagSmoother, {"noise": Contaminated()}),
+        ("influence=Huber()", FixedLagSmoother, {"influence": Huber()}),
+    ):  # fmt: skip
+        live = cls(2, 1, 8, **options)
+        live.F, live.H, live.Q, live.R, live.P = data.F, data.H, data.Q, factor * data.R, data.P0.copy()
+        live.x = np.zeros((2, 1))
+        for z in zs:
+            live.smooth(z)
+        x = np.array(live.xSmooth)[:-8, 0, 0]
+        found[name] = np.sqrt(np.mean((x - truth[:-8]) ** 2))
+    return found
+
+
+def live_table(runs: int, seed: int, jobs: int) -> None:
+    """Print the error of live smoothers over that of filterpy's."""
+    print(f"\nLive, lag 8, 300 steps, {runs} runs, seed {seed}: error over that of filterpy's, geometric mean\n")
+    print("| recording | R given | filterpy's | default | Contaminated() | Huber() |\n|---|---|---|---|---|---|")
+    for kind in ("clean", "outliers", "runs of 5", "jumps"):
+        for factor in (1.0, 25.0, 0.04):
+            trial = partial(live_trial, kind=kind, factor=factor)
+            errors = np.log(np.column_stack(list(monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked().values())))
+            means = np.exp(errors.mean(axis=0))
+            over = " | ".join(f"{mean / means[0]:.2f}" for mean in means[1:])
+            print(f"| {kind} | {factor:g} times | {means[0]:.3f} | {over} |")
 
 
 def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) -> dict[str, Judged]:
@@ -413,6 +452,7 @@ def bad_input_table(runs: int, seed: int, jobs: int) -> None:
 
 TABLES = {
     "cart": (cart_table, 100),
+    "live": (live_table, 20),
     "vehicle": (vehicle_table, 20),
     "radar": (radar_table, 20),
     "convex": (convex_table, 10),

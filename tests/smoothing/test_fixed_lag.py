@@ -9,9 +9,8 @@ import pytest
 import support
 from interruption import half_steps
 
-from robust_filterpy import RobustKalmanFilter, smooth
-from robust_filterpy.correction import Contaminated
-from robust_filterpy.influence import Huber, Linear
+from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, smooth
+from robust_filterpy.influence import Linear
 from robust_filterpy.kalman import FixedLagSmoother
 
 CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
@@ -66,7 +65,7 @@ def test_it_is_better_than_filterpys_on_clean_data():
     assert np.mean(error["ours"]) < 0.9 * np.mean(error["theirs"])
 
 
-def test_told_nothing_it_is_close_to_the_smoother_of_the_whole_recording():
+def test_with_no_options_it_is_close_to_the_smoother_of_the_whole_recording():
     apart = []
     for seed in range(10):
         truth, zs = drive(seed, 0.2)
@@ -79,13 +78,13 @@ def test_told_nothing_it_is_close_to_the_smoother_of_the_whole_recording():
 
 
 @pytest.mark.parametrize("P", [10.0 * np.eye(2), np.zeros((2, 2))], ids=["vague", "exact"])
-@pytest.mark.parametrize("choices", [{}, {"noise": "learnt", "process": "scales"}], ids=["default", "adaptive"])
+@pytest.mark.parametrize("choices", [{}, {"scaling": "learnt"}], ids=["default", "bounded"])
 def test_it_is_the_backward_pass_over_what_the_filter_made_of_each_measurement(choices, P):
     """The oracle is filterpy's pass over all steps so far, with a pseudoinverse for a state that is known exactly."""
     zs = drive(7, 0.2, 30)[1] + np.repeat([0.0, 15.0], [20, 10])
     problem = support.with_(CART, P=P)
     smoother = ready(problem=problem, N=6, **choices)
-    kf = support.make(RobustKalmanFilter, problem, **(choices or {"noise": Contaminated()}))
+    kf = support.make(RobustKalmanFilter if choices else AdaptiveKalmanFilter, problem, **choices)
     states, predicted = [(kf.x, kf.P)], []
     for k, z in enumerate(zs):
         smoother.smooth(z)
@@ -117,15 +116,8 @@ def test_a_jump_is_put_where_readings_were_first_rejected(N):
         truth, zs = drive(seed, 0.0)
         truth[60:] += 20.0
         zs[60:] += 20.0
-        live, _ = ready(noise="learnt", process="scales").smooth_batch(list(zs), N)
+        live, _ = ready().smooth_batch(list(zs), N)
         assert np.abs(live[50:60, 0, 0] - truth[50:60]).max() < 4.0
-
-
-def test_what_its_arguments_meant_before_is_said():
-    with pytest.warns(DeprecationWarning, match="process='scales'"):
-        assert FixedLagSmoother(1, 1, 2, process=None).process is None
-    assert FixedLagSmoother(1, 1, 2, influence=None, process=Linear()).noise == Contaminated()
-    assert FixedLagSmoother(1, 1, 2, influence=Huber()).noise is None
 
 
 def test_a_batch_changes_nothing_and_is_a_loop():
