@@ -10,6 +10,7 @@ import support
 from interruption import half_steps
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, smooth
+from robust_filterpy.correction import Contaminated
 from robust_filterpy.influence import Linear
 from robust_filterpy.kalman import FixedLagSmoother
 
@@ -78,7 +79,7 @@ def test_with_no_options_it_is_close_to_the_smoother_of_the_whole_recording():
 
 
 @pytest.mark.parametrize("P", [10.0 * np.eye(2), np.zeros((2, 2))], ids=["vague", "exact"])
-@pytest.mark.parametrize("choices", [{}, {"scaling": "learnt"}], ids=["default", "bounded"])
+@pytest.mark.parametrize("choices", [{}, {"noise": Contaminated()}], ids=["default", "given"])
 def test_it_is_the_backward_pass_over_what_the_filter_made_of_each_measurement(choices, P):
     """The oracle is filterpy's pass over all steps so far, with a pseudoinverse for a state that is known exactly."""
     zs = drive(7, 0.2, 30)[1] + np.repeat([0.0, 15.0], [20, 10])
