@@ -25,6 +25,14 @@ def problem(seed):
     return P, y, P @ H.T, H @ P @ H.T + bend + R, R
 
 
+def assert_alike(found, expected, *names, rounding=0.0):
+    shown = found.as_arrays()
+    for name in names:
+        a, b = getattr(shown, name), getattr(expected, name)
+        near = 1e-12 * (1.0 + np.nanmax(np.abs(b), initial=0.0)) + rounding
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=near, err_msg=name)
+
+
 def defined(choices, memory, P, z, y, C, S, R):
     x = np.zeros(len(P))
     if choices.by_typical:
@@ -52,10 +60,7 @@ def test_it_is_the_definition(influence, grouping, scaling, draws):
                 continue
             taken += 1
             expected = defined(choices, memory, P, z, y * (1.0 + 0.1 * again), C, S, R)
-            shown = found.as_arrays()
-            for name in ("x", "P", "y", "C", "S", "e", "weights", "psi_deriv", "score", "T"):
-                a, b = getattr(shown, name), getattr(expected, name)
-                np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * (1.0 + np.nanmax(np.abs(b), initial=0.0)))
+            assert_alike(found, expected, "x", "P", "y", "C", "S", "e", "weights", "psi_deriv", "score", "T")
             assert found.log_density == pytest.approx(expected.log_density, rel=1e-12, abs=1e-12)
             if expected.memory is not None:
                 np.testing.assert_allclose(found.memory, expected.memory, rtol=1e-12, atol=1e-12)
@@ -84,13 +89,9 @@ def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping, jump, 
             if found is None:
                 continue
             grew += not np.allclose(expected.S, S)
-            shown = found.as_arrays()
             # What is left of a P that had grown to the size of S has its rounding: one last bit of P moves it as far.
             rounding = 1e-15 * np.abs(expected.S).max()
-            for name in ("x", "P", "C", "S", "e", "weights"):
-                a, b = getattr(shown, name), getattr(expected, name)
-                near = 1e-12 * (1.0 + np.nanmax(np.abs(b), initial=0.0)) + rounding
-                np.testing.assert_allclose(a, b, rtol=1e-12, atol=near)
+            assert_alike(found, expected, "x", "P", "C", "S", "e", "weights", rounding=rounding)
             near = np.full(memory.shape, 1e-12 * np.nanmax(np.abs(y_now)))
             near[:, spread.LEFT] += rounding / R.diagonal()
             assert (np.abs(found.memory - expected.memory) <= near + 1e-12 * np.abs(expected.memory)).all()

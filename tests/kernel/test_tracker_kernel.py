@@ -109,30 +109,27 @@ def test_every_choice_of_the_filter(scaling, information, influence, handed_back
     assert not handed_back or scaling == "learnt"
 
 
-def test_drift_with_a_transition_matrix_of_its_own(handed_back):
+OWN_F = np.array([[0.99, 0.01, 0, 0], [0, 0.98, 0, 0], [0, 0, 1, 0], [0.01, 0, 0, 0.97]])
+RUNS = {
+    "F": [(OutputError(2, 2), {"F": OWN_F, "Q": 1e-4, "guard": guard}) for guard in ("none", "halve")],
+    "F, forgetting": [(OutputError(2, 2), {"F": OWN_F, "forgetting": 0.98})],
+    "two inputs": [(ARX(2, (2, 1), nk=(1, 0)), {}), (OutputError(1, (1, 2), nk=(0, 2)), {}), (LinearRegression(2), {})],
+    "an R for each sample": [(structure, {}) for structure in STRUCTURES[:3]],
+    "bounded, on both sides of one": [
+        (ARX(2, 2), {"P": 0.01, "Q": 1e-4, "R": R, "scaling": "bounded"}) for R in (0.25, 0.9, 4.0)
+    ],
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_what_else_a_tracker_may_be_given(name, handed_back):
     y, u = recording()
-    F = np.array([[0.99, 0.01, 0, 0], [0, 0.98, 0, 0], [0, 0, 1, 0], [0.01, 0, 0, 0.97]])
-    for guard in ("none", "halve"):
-        assert_same_run(*pair(OutputError(2, 2), F=F, Q=1e-4, guard=guard), y, u)
-    assert_same_run(*pair(OutputError(2, 2), F=F, forgetting=0.98), y, u)
-    assert not handed_back
-
-
-def test_several_inputs_and_a_regressor_of_the_callers(handed_back):
-    y, u = recording()
-    both = np.c_[u, np.roll(u, 5)]
-    assert_same_run(*pair(ARX(2, (2, 1), nk=(1, 0))), y, both)
-    assert_same_run(*pair(OutputError(1, (1, 2), nk=(0, 2))), y, both)
-    assert_same_run(*pair(LinearRegression(2)), y, both)
-    assert not handed_back
-
-
-def test_a_variance_for_each_sample(handed_back):
-    y, u = recording()
-    R = np.where(np.arange(len(y)) % 7 == 0, 25.0, 0.25)
-    for structure in STRUCTURES[:3]:
-        result = assert_same_run(*pair(structure), y, u, R)
-        assert np.abs(result.theta - pair(structure)[0].run(y, u).theta).max() > 1e-3
+    R = np.where(np.arange(len(y)) % 7 == 0, 25.0, 0.25) if "for each sample" in name else None
+    u = np.c_[u, np.roll(u, 5)] if name == "two inputs" else u
+    for structure, options in RUNS[name]:
+        result = assert_same_run(*pair(structure, **options), y, u, R)
+        if R is not None:
+            assert np.abs(result.theta - pair(structure)[0].run(y, u).theta).max() > 1e-3
     assert not handed_back
 
 
@@ -225,13 +222,6 @@ class Odd(Huber):
     def psi(self, e):
         """Return Huber's psi."""
         return super().psi(e)
-
-
-def test_bounded_scaling_on_both_sides_of_one(handed_back):
-    y, u = recording()
-    for R in (0.25, 0.9, 4.0):
-        assert_same_run(*pair(ARX(2, 2), P=0.01, Q=1e-4, R=R, scaling="bounded"), y, u)
-    assert not handed_back
 
 
 def test_the_arrays_that_a_filter_held_before_a_run_are_left_alone(handed_back):
