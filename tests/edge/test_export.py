@@ -89,12 +89,15 @@ def whole_tracker():
 
 
 @needs_cc
-@draws(2, 8)
+@draws(2, 25)
 def test_c_equals_the_definition(tmp_path, draws):
     whole = c_programs.case("whole", whole_tracker(), np.random.default_rng(6).normal(size=(60, 2)), 1)
     together = [filter_case(f"joint{seed}", seed, joint=True) for seed in range(draws)]
     assert any(case.model.dim_z > 1 for case in together)
-    some = [*cases(range(draws)), *together, tracker_case("begun", 1, start=64), unit_tracker(), whole]
+    drawn = cases(range(draws))
+    codes = np.concatenate([case.expected[:, :2] for case in drawn])
+    assert (codes == BAD_ARGUMENT).any() and (codes == OK).mean() > 0.8
+    some = [*drawn, *together, tracker_case("begun", 1, start=64), unit_tracker(), whole]
     for found, case in zip(compiled(some, tmp_path), some, strict=True):
         assert_equal(found, case)
 
@@ -131,15 +134,6 @@ def test_the_c_of_a_tracker_equals_the_kernel_to_the_last_bit(tmp_path, monkeypa
         if case.model.form.has_offset:
             ours = np.delete(ours, case.model.structure.constant_place, axis=1)
         assert last > 40 and np.array_equal(ours[:last], theta[:last]), case.model
-
-
-@needs_cc
-@pytest.mark.slow
-@pytest.mark.parametrize("batch", list(range(20)))
-def test_c_equals_the_definition_on_a_thousand_models(batch, tmp_path):
-    some = cases(range(1000 + 25 * batch, 1025 + 25 * batch))
-    far = [assert_equal(found, case) for found, case in zip(compiled(some, tmp_path), some, strict=True)]
-    print(f"{sum(value < 1e-12 for value in far)} of {len(far)} within 1e-12, median {np.median(far):.0e}")
 
 
 @needs_cc
@@ -187,13 +181,6 @@ def test_single_precision_is_near(tmp_path):
     some += [tracker_case("tracker20", 20)]
     for found, case in zip(compiled(some, tmp_path, "single"), some, strict=True):
         assert distance(found, case) < 1e-4, case.model
-
-
-def test_samples_of_the_tests_are_refused_and_missing_and_outlying():
-    some = cases(range(15))
-    codes = np.concatenate([case.expected[:, :2] for case in some])
-    assert (codes == BAD_ARGUMENT).any() and (codes == OK).mean() > 0.8
-    assert any((case.samples == 1e300).any() for case in some)
 
 
 @needs_cc

@@ -90,20 +90,3 @@ def test_a_device_whose_clock_is_wrong_is_named_among_others():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert filter_table(model(), table)["error"].isna().all()
-
-
-@pytest.mark.parametrize("fill", [-9999.0, 1e7])
-def test_fill_values_of_a_table_are_missing_and_said_once(fill):
-    rng = np.random.default_rng(3)
-    z = rng.normal(size=1000)
-    gone = rng.random(1000) < 0.01
-    table = pd.DataFrame({"device": rng.choice(list("abc"), 1000), "t": DAY + np.arange(1000.0), "z": z})
-    want = filter_table(model(None), table.assign(z=np.where(gone, np.nan, z)))
-    with pytest.warns(UserWarning, match="devices' measurements: .* repeated exactly and far outside") as said:
-        found = filter_table(model(None), table.assign(z=np.where(gone, fill, z)))
-    assert len(said) == 1
-    pd.testing.assert_frame_equal(found, want)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # One that is wild and does not repeat, and a rounded signal, are what they were.
-        filter_table(model(None), table.assign(z=np.where(np.arange(1000) == 7, fill, z.round(1))))

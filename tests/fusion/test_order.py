@@ -85,14 +85,3 @@ def test_the_same_again_is_a_duplicate_and_something_else_is_a_correction():
     assert bits(fusion.estimate()) != before
     fusion.observe("wheel", 0.0, z, replace=True)
     assert bits(fusion.estimate()) == before
-
-
-def test_a_restored_fusion_goes_on_to_the_last_bit_and_still_takes_late_readings():
-    readings, _ = plane(np.arange(700) * 0.1, outliers=0.1)
-    one, other = made(readings[:800], 5.0), Fusion(constant_velocity(2, 0.5), sensors(), 5.0)
-    other.restore(one.state())
-    assert other.counts == one.counts and other.estimate().ages == one.estimate().ages
-    rest = readings[800:]
-    for i in np.random.default_rng(0).permutation(20).tolist() + list(range(20, len(rest))):
-        assert one.observe(*rest[i]) == other.observe(*rest[i])
-    assert bits(one.estimate()) == bits(other.estimate())

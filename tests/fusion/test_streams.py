@@ -83,20 +83,6 @@ def test_a_change_of_unit_leaves_the_sensor_out_from_then_on():
     assert abs(fusion.estimate().x[0] - 59.8) < 1.0
 
 
-def test_fill_values_of_a_recording_are_missing_and_said_once():
-    rng = np.random.default_rng(3)
-    z, gone = rng.normal(size=400), rng.random(400) < 0.02
-    table = {"time": np.arange(400.0), "sensor": ["a"] * 400}
-    want = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0).run(
-        {**table, "value": np.where(gone, np.nan, z)}
-    )
-    with pytest.warns(UserWarning, match="sensor 'a': -9999 .* repeated exactly"):
-        found = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0).run(
-            {**table, "value": np.where(gone, -9999.0, z)}
-        )
-    np.testing.assert_array_equal(found.x, want.x)
-
-
 @pytest.mark.parametrize("watch", [False, True])
 def test_a_window_holds_a_bounded_number_of_stamps_and_what_is_dropped_is_said(watch, monkeypatch):
     for name in ("MOST", "MOST_WATCHED"):

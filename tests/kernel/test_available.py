@@ -25,13 +25,22 @@ def python(*arguments, **environment):
     return done.stdout, done.stderr
 
 
-@pytest.mark.parametrize(("switch", "serves"), [("on", "kernel in C"), ("off", "definition in numpy")])
-def test_the_command_says_what_is_installed_what_serves_and_where_the_documentation_is(switch, serves):
-    if switch == "on":
+WITHOUT = "import sys; sys.modules['robust_filterpy.kernel._extension'] = None\n"
+
+
+@pytest.mark.parametrize(("arguments", "switch", "words"), [
+    (("-m", "robust_filterpy"), "on", ["kernel in C"]),
+    (("-m", "robust_filterpy"), "off", ["definition in numpy", "ROBUST_FILTERPY_KERNEL=off in the environment"]),
+    (("-c", WITHOUT + "from robust_filterpy.__main__ import main; main([])"), "on",
+     ["several times slower: the kernel in C", "install again where there is a C compiler"]),
+], ids=["kernel", "switched off", "not built"])  # fmt: skip
+def test_the_command_says_what_is_installed_what_serves_and_why_and_where_to_read(arguments, switch, words):
+    if words == ["kernel in C"]:
         support.needs_kernel()
-    said, _ = python("-m", "robust_filterpy", ROBUST_FILTERPY_KERNEL=switch)
-    for word in (robust_filterpy.__version__, "numpy", "filterpy", "documentation", serves):
+    said, _ = python(*arguments, ROBUST_FILTERPY_KERNEL=switch)
+    for word in (robust_filterpy.__version__, "numpy", "filterpy", "documentation", *words):
         assert word in said
+    assert ("compiler" in said) == ("install again where there is a C compiler" in words)
 
 
 def test_it_can_be_switched_off_with_the_same_result():
@@ -41,15 +50,5 @@ def test_it_can_be_switched_off_with_the_same_result():
 
 
 def test_a_kernel_that_cannot_be_loaded_is_said_once_in_the_log_and_the_definition_serves():
-    broken = "import sys; sys.modules['robust_filterpy.kernel._extension'] = None\n"
-    found, said = python("-c", broken + FILTER)
+    found, said = python("-c", WITHOUT + FILTER)
     assert found.split()[0] == "False" and said.count("the definition in numpy serves") == 1
-
-
-def test_the_command_says_why_the_kernel_does_not_serve():
-    off, _ = python("-m", "robust_filterpy", ROBUST_FILTERPY_KERNEL="off")
-    assert "ROBUST_FILTERPY_KERNEL=off in the environment" in off and "compiler" not in off
-    without = "import sys; sys.modules['robust_filterpy.kernel._extension'] = None\n"
-    said, _ = python("-c", without + "from robust_filterpy.__main__ import main; main([])", ROBUST_FILTERPY_KERNEL="on")
-    assert "several times slower: the kernel in C" in said and "install again where there is a C compiler" in said
-    assert len(said.splitlines()) == 4

@@ -110,17 +110,6 @@ def test_what_is_out_of_the_ordinary_is_declined():
     assert moments.correct(Choices(Huber(), "learnt", grouping=((0,),)), memory, P, y, y, C, S, R) is None
 
 
-@pytest.mark.parametrize("arguments", [(), (1,), (None,) * 8, ("a",) * 8, (np.zeros(8), *(np.zeros((0, 0)),) * 7)])
-@pytest.mark.parametrize("name", ["correct_moments", "correct_arrays"])
-def test_nothing_that_is_passed_crashes(name, arguments):
-    function = getattr(moments.kernel.extension(), name)
-    if len(arguments) == 8:
-        assert function(*arguments) is None
-    else:
-        with pytest.raises(TypeError):
-            function(*arguments)
-
-
 @pytest.mark.parametrize("grouping", ["component", "joint"])
 @pytest.mark.parametrize("influence", [Huber(), Linear(), TukeyBiweight()], ids=str)
 def test_linear_sensors_are_as_a_filters_own(influence, grouping):

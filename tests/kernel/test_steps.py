@@ -246,21 +246,6 @@ def test_a_measurement_out_of_the_ordinary_is_declined(z):
     assert before_and_after(kf, lambda: EXTENSION.correct(kf, z, None, None, None)) == (False, True)
 
 
-def test_what_an_attribute_raises_is_passed_on():
-    class Broken(RobustKalmanFilter):
-        @property
-        def F(self):
-            raise KeyError("not today")
-
-        @F.setter
-        def F(self, value):
-            pass
-
-    kf = Broken(2, 1)
-    with pytest.raises(KeyError, match="not today"):
-        EXTENSION.predict(kf, *NONE)
-
-
 @pytest.mark.parametrize("R, served", [(1e-6, True), (1e-9, True), (1e-11, True), (1e-15, False)])
 def test_a_sensor_that_repeats_another_is_taken_until_what_is_left_of_it_is_rounding(R, served):
     """After the first of two sensors of the same the other's variance is 2 R of 1 + R: served down to 1e-13 of it."""

@@ -1,11 +1,15 @@
 """Fill values: what repeats exactly and lies far outside is missing; nothing else is."""
 
 import numpy as np
+import pandas as pd
 import pytest
+from recordings import silence
 from scipy.signal import lfilter
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy._fill_values import fill_values, without_fill_values
+from robust_filterpy.fleet import FilterModel, filter_table
+from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.noise import estimate_noise
 from robust_filterpy.smoothing import smooth
 
@@ -65,20 +69,47 @@ def test_measurements_of_every_form_lose_their_fill_values():
     assert without_fill_values("zs", odd)[0] is odd
 
 
-def test_smoother_and_noise_estimate_are_those_with_gaps():
-    rng = np.random.default_rng(1)
-    zs = np.cumsum(0.5 * rng.normal(size=300)) + 2.0 * rng.normal(size=300)
+def walking():
     kf = RobustKalmanFilter(1, 1)
     kf.H, kf.R, kf.Q = np.eye(1), 4.0 * np.eye(1), 0.25 * np.eye(1)
-    gaps, filled = zs.copy(), zs.copy()
-    gaps[::10], filled[::10] = np.nan, 9.97e36
-    with pytest.warns(UserWarning, match=r"9.97e\+36"):
-        found = smooth(kf, filled)
-    np.testing.assert_array_equal(found.x, smooth(kf, gaps).x)
-    np.testing.assert_array_equal(found.weights[::10], 0.0)
-    with pytest.warns(UserWarning, match=r"9.97e\+36"):
-        noise = estimate_noise(kf, filled)
-    np.testing.assert_array_equal(noise.R, estimate_noise(kf, gaps).R)
+    return kf
+
+
+def of_a_fleet(zs):
+    """Estimates of a table of three devices, with the reasons for what is none."""
+    table = pd.DataFrame({"device": np.tile(list("abc"), len(zs))[: len(zs)], "t": np.arange(len(zs)) * 1.0, "z": zs})
+    found = filter_table(FilterModel(walking(), time="t", measurements=["z"]), table)
+    return found.drop(columns="device").astype(float)
+
+
+def of_a_fusion(zs):
+    fusion = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0)
+    return fusion.run({"time": np.arange(len(zs)) * 1.0, "sensor": ["a"] * len(zs), "value": zs}).x
+
+
+#: What takes a recording whole: what it makes of one, and whose values it names.
+ENTRIES = {
+    "smoother": (lambda zs: smooth(walking(), zs).x, "zs: "),
+    "its weights": (lambda zs: np.nan_to_num(smooth(walking(), zs).weights), "zs: "),
+    "noise": (lambda zs: estimate_noise(walking(), zs).R, "zs: "),
+    "fleet": (of_a_fleet, "devices' measurements: "),
+    "fusion": (of_a_fusion, "sensor 'a': "),
+}
+
+
+@pytest.mark.parametrize("fill, word", [(9.97e36, r"9.97e\+36"), (-9999.0, "-9999")])
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_a_recording_with_fill_values_is_one_with_gaps_and_says_so_once(entry, fill, word):
+    rng, (call, whose) = np.random.default_rng(1), ENTRIES[entry]
+    zs = np.cumsum(0.5 * rng.normal(size=300)) + 2.0 * rng.normal(size=300)
+    gone = np.arange(300) % 10 == 0
+    with pytest.warns(UserWarning, match=f"{whose}{word} .*repeated exactly and far outside") as said:
+        found = call(np.where(gone, fill, zs))
+    assert len(said) == 1
+    np.testing.assert_array_equal(found, call(np.where(gone, np.nan, zs)))
+    with silence():
+        # One that is wild and does not repeat, and a rounded signal, are what they were.
+        call(np.where(np.arange(300) == 7, fill, zs.round(1)))
 
 
 @pytest.mark.parametrize("digits", [None, 2, 1])
