@@ -441,13 +441,13 @@ def moved_shapes(kf: StateMixin) -> dict[str, _state.Shape]:
     return {**kf._needed(), "x": np.shape(kf.x), **shapes}
 
 
-def kept_beside(kf: StateMixin) -> dict[str, Array]:
+def kept_with(kf: StateMixin) -> dict[str, Array]:
     """Return what a filter keeps with x and P, what it knows of its sensor among it."""
     entries = {**kf._moving(), **kf._sensors_in_state()}
     return {f"filter_{name}": value for name, value in entries.items() if name not in ("x", "P")}
 
 
-def go_on_beside(kf: StateMixin, x: Array, P: Array, state: Any) -> None:
+def go_on_with(kf: StateMixin, x: Array, P: Array, state: Any) -> None:
     """Restore that from a state that has it, with the x and P it belongs to, or raise; nothing has changed then."""
     inner = {name.removeprefix("filter_"): state[name] for name in state if name.startswith("filter_")}
     if all(name in inner for name in kf._needed() if name not in ("x", "P")):

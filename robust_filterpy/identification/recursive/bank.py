@@ -14,7 +14,7 @@ from robust_filterpy._brief import brief, lines_of
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy.correction.options import Information, Scaling
-from robust_filterpy.filters.states import kept_beside
+from robust_filterpy.filters.states import kept_with
 from robust_filterpy.identification.models import regressor as coefficients
 from robust_filterpy.identification.models.regressor import Guard
 from robust_filterpy.identification.models.results import Intervals, Recorded, TrackingResult, intervals
@@ -387,7 +387,7 @@ class TrackerBank(Following):
 
     def _settings(self) -> dict[str, Array]:
         """Return what may be set of them."""
-        kept = [kept_beside(kf) for kf in self._filters]
+        kept = [kept_with(kf) for kf in self._filters]
         stacked = {name: np.stack([one[name] for one in kept]) for name in kept[0]}
         return {"Q": self.Q, "F": self.F, "alpha_sq": self._using().alpha_sq, "R": self.R, **stacked}
 

@@ -16,7 +16,7 @@ from robust_filterpy._fill_values import FillValues
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.snapshot import put_back, snapshot
-from robust_filterpy.filters.states import go_on_beside
+from robust_filterpy.filters.states import go_on_with
 from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import Structure
@@ -368,7 +368,7 @@ class Following:
         for i, kf in enumerate(filters):
             row = {name: value[i % len(value)] for name, value in rows.items()}
             kept = {name: state[name][i] if axes else state[name] for name in state if name.startswith("filter_")}
-            go_on_beside(kf, row["theta"], row["P"], kept)
+            go_on_with(kf, row["theta"], row["P"], kept)
             for name in {"Q", "F"} & {name for name in row if np.shape(row[name]) == (len(own), len(own))}:
                 row[name] = setup.embedded(getattr(kf, name), own, row[name])
             setup.apply_settings(kf, row)

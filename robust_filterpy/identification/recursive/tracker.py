@@ -13,7 +13,7 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Information, Scaling
-from robust_filterpy.filters.states import kept_beside, moved_shapes
+from robust_filterpy.filters.states import kept_with, moved_shapes
 from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import fit_percent
@@ -560,7 +560,7 @@ class ParameterTracker(Following, PolynomialSystem):
     @property
     def is_one_of_many(self) -> bool:
         """Whether the kernel takes its samples, with those of others, and its filter keeps nothing of its own."""
-        return self._using().rules is not None and not kept_beside(self._filter)
+        return self._using().rules is not None and not kept_with(self._filter)
 
     def together(self, states: Mapping[str, Any], y: Array, u: Array) -> tuple[Columns, dict[str, np.ndarray]]:
         """Take the checked samples of several like this one, or raise; this one stays as it is.
@@ -645,7 +645,7 @@ class ParameterTracker(Following, PolynomialSystem):
     def _settings(self) -> dict[str, Any]:
         """Return what may be set of the filter, and what it keeps of its sensor."""
         kf = self._loaded()
-        return {**setup.settings(kf), **kept_beside(kf)}
+        return {**setup.settings(kf), **kept_with(kf)}
 
     def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
         """Return a copy with another Q or forgetting, which it has after a reset, too.
