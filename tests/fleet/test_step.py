@@ -220,6 +220,7 @@ def test_times_off_the_grid_and_long_silences_are_refused():
     same({k: v[[0, 2]] for k, v in output.items()}, step(timed(dt=2.0), None, [[0.0, 1.0], [4.0, 1.0]])[1])
     _, output = step(timed(dt=1.0), None, [[0.0, 1.0], [1e6, 1.0], [1.0, 1.0]])
     assert "at most 100000 steps" in output["error"][1] and output["error"][2] is None
+    assert step(timed(dt=1.0), None, [[0.0, 1.0], [1e5, 1.0]])[1]["error"].tolist() == [None, None]
     _, output = step(timed(), None, [[0.0, 1.0], [np.nan, 1.0]])
     assert "expected a time, got nan" in output["error"][1]
 
@@ -629,6 +630,7 @@ def test_a_flat_batch_is_a_column_and_inputs_may_be_absent():
         kf.predict()
         kf.update(one)
     np.testing.assert_allclose(state["x"], kf.x, rtol=1e-9)
+    same(step(FilterModel(driven()), None, pd.DataFrame({"z": z}))[0], state)
     for width in (2, 4):
         with pytest.raises(ValueError, match=r"expected shape \(samples, 1 or 3\), 1 measurement\(s\), 2 input\(s\)"):
             step(FilterModel(kf), None, np.zeros((3, width)))
