@@ -155,6 +155,8 @@ def test_the_gradient_is_the_derivative_of_the_prediction():
 
     def tracker(shift):
         found = support.paper_tracker(structure, theta=theta + shift, P=1e-30, Q=0.0)
+        # It shows corrections from here on.
+        assert not found.filter.H.any()
         return found, found.run(y, u).prediction[-1]
 
     derivative = [(tracker(step * e)[1] - tracker(-step * e)[1]) / (2.0 * step) for e in np.eye(8)]
