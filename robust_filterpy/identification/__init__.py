@@ -27,8 +27,7 @@ from robust_filterpy.identification.models.structures import (
     LinearRegression,
     OutputError,
 )
-from robust_filterpy.identification.recursive.bank import TrackerBank
-from robust_filterpy.identification.recursive.tracker import ParameterTracker
+from robust_filterpy.identification.recursive.tracker import ParameterTracker, TrackerBank
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning
 
 __all__ = [

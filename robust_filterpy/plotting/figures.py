@@ -1,4 +1,4 @@
-"""Pictures of what a filter did: states or parameters, innovations, weights.
+"""Pictures of what a filter did: states or parameters, innovations, weights; and what all pictures share.
 
 Each function draws into ``ax`` (a new figure's if None) and returns it. Lines differ by style and lightness, clipped
 samples by their marker, so that a print without color can be read. matplotlib is imported when something is drawn.
@@ -12,12 +12,202 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy import _checks
+from robust_filterpy._checks import Array, count, numbers, positive
 from robust_filterpy.diagnostics.recording import is_saver
-from robust_filterpy.plotting import _style as style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+# From dark to light, so that they differ in gray as well.
+COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
+STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
+MARKERS = ("o", "x", "^", "s", "+", "d")
+MARK = "#cb181d"
+
+
+# The same filter looks the same in every picture, and no two alike to the color-blind.
+LOOKS: dict[str, dict[str, Any]] = {
+    "Kalman": {"color": COLOURS[1], "linestyle": "--"},
+    "gate": {"color": "#e6ab02", "linestyle": ":"},
+    "Huber": {"color": COLOURS[0], "linestyle": "-"},
+    "Tukey": {"color": COLOURS[2], "linestyle": "-."},
+    "learnt": {"color": "#41ab5d", "linestyle": (0, (5, 1))},
+    "ideal": {"color": COLOURS[5], "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+}
+
+
+def one_axes(ax: Any, size: tuple[float, float] = (7.0, 3.6)) -> Any:
+    """Return ax, or that of a new figure."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=size, layout="constrained")[1]
+
+
+def several_axes(axes: Any, rows: int, columns: int, size: tuple[float, float], **options: Any) -> Any:
+    """Return axes as an array of rows times columns, or those of a new figure."""
+    if axes is not None:
+        flat = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+        if flat.size != rows * columns:
+            raise ValueError(f"axes: expected {rows * columns} matplotlib axes, got {flat.size}")
+        return flat
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **options)[1].ravel()
+
+
+def finish(ax: Any, what: str, unit: str, time_unit: str) -> Any:
+    """Label axes over time and return them."""
+    ax.set_ylabel(f"{what} [{unit}]" if unit else what)
+    if has_dates(ax):
+        from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+        locator = AutoDateLocator()
+        ax.xaxis.set_major_locator(locator)
+        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        ax.set_xlabel("time")
+    else:
+        ax.set_xlabel(f"time [{time_unit}]" if time_unit else "sample")
+    ax.legend(loc="best", fontsize="small", framealpha=0.8)
+    return ax
+
+
+def has_dates(ax: Any) -> bool:
+    """Tell whether the lines are drawn over dates."""
+    return any(np.asarray(line.get_xdata()).dtype.kind == "M" for line in ax.lines)
+
+
+def legend_outside(ax: Any) -> None:
+    """Put the legend to the right of the data."""
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, fontsize="small", frameon=False)
+
+
+def line_of(place: int) -> dict[str, Any]:
+    """Return color and style of the line at a place; they come again after six."""
+    return {"color": COLOURS[place % 6], "linestyle": STYLES[place % 6]}
+
+
+def zero_band(ax: Any, x: Any, half: Any, label: str, **options: Any) -> None:
+    """Draw the band about 0 in which nothing means anything."""
+    ax.fill_between(x, -half, half, color="0.85", linewidth=0, label=label, **options)
+
+
+def stems(ax: Any, x: Any, y: Any, colour: str, marker: str, label: str) -> None:
+    """Draw values as marks on stems from 0."""
+    ax.vlines(x, 0.0, y, color=colour, linewidth=1.2)
+    ax.plot(x, y, marker, color=colour, markersize=5, linestyle="none", label=label)
+
+
+def ring(ax: Any, x: Any, y: Any) -> None:
+    """Draw a ring around what was chosen."""
+    ax.plot(x, y, "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen")
+
+
+def with_band(ax: Any, x: Any, lines: Any, name: str, place: int, band: str, steps: bool = False) -> None:
+    """Draw the line of a place, and from the second to the third line its band, which the first place explains."""
+    (line, *edges), look = lines, line_of(place)
+    if edges:
+        label, step = band if place == 0 else "_nolegend_", "post" if steps else None
+        ax.fill_between(x, *edges, step=step, color=look["color"], alpha=0.2, linewidth=0, label=label)
+    ax.plot(x, line, linewidth=1.4, label=name, drawstyle="steps-post" if steps else "default", **look)
+
+
+def is_run(source: Any) -> bool:
+    """Tell the result of a tracker's run."""
+    return all(hasattr(source, name) for name in ("theta", "std", "residual", "weights"))
+
+
+def recorded(saver: Any, name: str) -> Array:
+    """Return a column of a Saver, shape (N, size), or say what it lacks."""
+    values = saver.__dict__.get(name)
+    if values is None or not len(values):
+        raise ValueError(
+            f"source: expected a Saver that kept {name!r}; call save() after each update of a robust filter"
+        )
+    return np.array([numbers(name, value).ravel() for value in values])
+
+
+def rows(name: str, values: Any) -> Array:
+    """Return an array as (N, size): (N,), (N, size) and (N, size, 1) are all understood."""
+    if not hasattr(values, "__len__") and not hasattr(values, "__array__"):
+        kind = "a Saver or the result of tracker.run(..)" if name == "source" else "an array"
+        raise TypeError(f"{name}: expected {kind}, got {type(values).__name__}")
+    array = numbers(name, values)
+    if array.ndim == 0 or array.ndim > 3 or (array.ndim == 3 and array.shape[2] != 1):
+        raise ValueError(f"{name}: expected shape (N,), (N, n) or (N, n, 1), got {array.shape}")
+    return array.reshape(len(array), -1)
+
+
+def mean_and_deviation(source: Any, covariances: Any) -> tuple[Array, Array | None]:
+    """Return states or parameters (N, n) and their standard deviations."""
+    if is_run(source):
+        std = np.asarray(source.std)
+        # No band where nothing is estimated yet.
+        return np.asarray(source.theta), np.where(np.isfinite(std), std, np.nan)
+    if is_saver(source):
+        mean, covariance = recorded(source, "x"), recorded(source, "P")
+        return mean, deviations("P", covariance.reshape(len(mean), mean.shape[1], -1), mean.shape[1])
+    mean = rows("source", source)
+    return mean, None if covariances is None else deviations("covariances", covariances, mean.shape[1], len(mean))
+
+
+def deviations(name: str, covariances: Any, n: int, length: int | None = None) -> Array:
+    """Return sqrt of the diagonals, shape (N, n)."""
+    values = numbers(name, covariances)
+    length = len(values) if length is None else length
+    if values.shape != (length, n, n):
+        raise ValueError(f"{name}: expected shape {(length, n, n)} for {length} rows of {n}, got {values.shape}")
+    return np.asarray(np.sqrt(np.maximum(np.einsum("kii->ki", values), 0.0)))
+
+
+def times_of(t: Any, length: int, source: Any = None) -> Any:
+    """Return the abscissa: t, or the index that the source has, or the number of the sample."""
+    index = getattr(source, "index", None) if t is None else t
+    if t is None and (index is None or callable(index)):
+        return np.arange(length, dtype=float)
+    values = dates(index)
+    if values is None:
+        kind = np.asarray(index).dtype.kind
+        values = np.arange(length, dtype=float) if t is None and kind not in "iuf" else numbers("t", index).ravel()
+    if len(values) != length:
+        raise ValueError(f"t: expected {length} times for {length} samples, got {len(values)}")
+    return values
+
+
+def dates(values: Any) -> Any:
+    """Return dates as datetime64, durations as seconds; None if values are neither."""
+    if hasattr(values, "to_timestamp"):
+        values = values.to_timestamp()
+    # matplotlib shows the hours of the place.
+    if getattr(values, "tz", None) is not None:
+        values = values.tz_localize(None)
+    stamps = np.asarray(values)
+    if stamps.dtype.kind == "O" and stamps.size and hasattr(stamps.flat[0], "isoformat"):
+        stamps = stamps.astype("datetime64[us]")
+    if stamps.dtype.kind == "m":
+        return stamps.astype("timedelta64[ns]").astype(float) * 1e-9
+    return stamps if stamps.dtype.kind == "M" else None
+
+
+def chosen(name: str, which: Any, n: int) -> list[int]:
+    """Return the numbers of the columns to draw."""
+    if which is None:
+        return list(range(n))
+    each = list(which) if isinstance(which, (Sequence, np.ndarray)) else [which]
+    for i in each:
+        if count(name, i) >= n:
+            raise ValueError(f"{name}: expected numbers below {n}, got {i}")
+    return each
+
+
+def all_names(names: Sequence[str] | None, n: int, stem: str) -> list[str]:
+    """Return a name for each column."""
+    if names is None:
+        return [f"{stem}[{i}]" for i in range(n)]
+    if isinstance(names, str) or len(names) != n:
+        raise ValueError(f"names: expected {n} names, got {names!r}")
+    return list(names)
 
 
 def plot_states(
@@ -64,40 +254,40 @@ def plot_states(
     The axis shows what the states and the truth do; an outlier among zs beyond it is left outside, and so is the band
     of a tracker's first samples, where P is large.
     """
-    mean, deviation = style.mean_and_deviation(source, covariances)
-    (N, n), is_run = mean.shape, style.is_run(source)
-    width, which = _checks.positive("sigmas", sigmas), style.chosen("states", states, n)
-    if names is None and is_run:
+    mean, deviation = mean_and_deviation(source, covariances)
+    (N, n), tracked = mean.shape, is_run(source)
+    width, which = positive("sigmas", sigmas), chosen("states", states, n)
+    if names is None and tracked:
         names = source.names or None
-    names = style.all_names(names, n, "theta" if is_run else "x")
-    time, half = style.time(t, N, source), None if deviation is None else width * deviation
+    names = all_names(names, n, "theta" if tracked else "x")
+    time, half = times_of(t, N, source), None if deviation is None else width * deviation
     real: dict[int, Any] = {}
     if truth is not None:
-        values = _checks.numbers("truth", truth)
-        values = np.tile(values, (N, 1)) if values.shape == (n,) != (N,) else style.rows("truth", values)
+        values = numbers("truth", truth)
+        values = np.tile(values, (N, 1)) if values.shape == (n,) != (N,) else rows("truth", values)
         if len(values) != N or values.shape[1] not in (1, n):
             raise ValueError(f"truth: expected shape {(N,)}, {(N, n)} or {(n,)}, got {np.shape(truth)}")
         real = dict(enumerate(values.T)) if values.shape[1] == n else {which[0]: values[:, 0]}
-    seen = None if zs is None else style.rows("zs", zs)
+    seen = None if zs is None else rows("zs", zs)
     if seen is not None and seen.shape != (N, 1):
         raise ValueError(f"zs: expected {N} numbers, got shape {seen.shape}")
-    ax = style.one_axes(ax)
+    ax = one_axes(ax)
     empty = not ax.has_data()
     for place, i in enumerate(which):
         lines = [mean[:, i]] if half is None else [mean[:, i], mean[:, i] - half[:, i], mean[:, i] + half[:, i]]
-        style.with_band(ax, time, lines, names[i], place, f"±{width:g} sigma")
+        with_band(ax, time, lines, names[i], place, f"±{width:g} sigma")
         if i in real:
-            look = {"color": "black", "linewidth": 1.5, "linestyle": (0, (1, 1.5))}
+            look: dict[str, Any] = {"color": "black", "linewidth": 1.5, "linestyle": (0, (1, 1.5))}
             ax.plot(time, real[i], label=f"{names[i]}, true", **look)
-    if is_run and empty and half is not None:
+    if tracked and empty and half is not None:
         _look_at_the_paths(ax, half[:, which])
     if seen is not None:
         low, high = ax.get_ylim()
         margin = 0.25 * (high - low)
         ax.plot(time, seen, ".", color="0.6", markersize=3, zorder=1, label="measured")
         ax.set_ylim(low - margin, high + margin)
-    several = "parameter" if is_run else "state"
-    return style.finish(ax, several if len(which) > 1 else names[which[0]], unit, time_unit)
+    several = "parameter" if tracked else "state"
+    return finish(ax, several if len(which) > 1 else names[which[0]], unit, time_unit)
 
 
 def plot_innovations(
@@ -134,33 +324,33 @@ def plot_innovations(
     -----
     Of a tracker's run the samples with a weight below 1 are marked; it has not kept S, so there is no band.
     """
-    width = _checks.positive("sigmas", sigmas)
+    width = positive("sigmas", sigmas)
     label = "clipped"
-    if style.is_run(source):
+    if is_run(source):
         y, covariances, clipped = np.asarray(source.residual)[:, None], None, np.asarray(source.weights) < 1.0
         label = "weight below 1"
     elif is_saver(source):
-        y, there = style.recorded(source, "y"), source.__dict__
-        clipped = style.recorded(source, "clipped") if "clipped" in there else None
+        y, there = recorded(source, "y"), source.__dict__
+        clipped = recorded(source, "clipped") if "clipped" in there else None
         if "weights" in there:
-            y = np.where(np.isnan(style.recorded(source, "weights")), np.nan, y)
-        covariances = style.recorded(source, "S").reshape(len(y), y.shape[1], -1)
+            y = np.where(np.isnan(recorded(source, "weights")), np.nan, y)
+        covariances = recorded(source, "S").reshape(len(y), y.shape[1], -1)
     else:
-        y = style.rows("source", source)
-    marked = np.zeros(y.shape, bool) if clipped is None else style.rows("clipped", clipped) > 0
+        y = rows("source", source)
+    marked = np.zeros(y.shape, bool) if clipped is None else rows("clipped", clipped) > 0
     if marked.shape != y.shape:
         raise ValueError(f"clipped: expected shape {y.shape}, that of the innovations, got {marked.shape}")
-    deviation = None if covariances is None else style.deviation("covariances", covariances, y.shape[1], len(y))
-    (i,) = style.chosen("component", component, y.shape[1])
-    time = style.time(t, len(y), source)
-    ax = style.one_axes(ax)
+    deviation = None if covariances is None else deviations("covariances", covariances, y.shape[1], len(y))
+    (i,) = chosen("component", component, y.shape[1])
+    time = times_of(t, len(y), source)
+    ax = one_axes(ax)
     hit = marked[:, i]
     if deviation is not None:
-        style.zero_band(ax, time, width * deviation[:, i], f"±{width:g} sigma")
-    ax.plot(time[~hit], y[~hit, i], ".", color=style.COLOURS[0], markersize=4, label="innovation")
-    ax.plot(time[hit], y[hit, i], "x", color=style.MARK, markersize=5, label=label)
+        zero_band(ax, time, width * deviation[:, i], f"±{width:g} sigma")
+    ax.plot(time[~hit], y[~hit, i], ".", color=COLOURS[0], markersize=4, label="innovation")
+    ax.plot(time[hit], y[hit, i], "x", color=MARK, markersize=5, label=label)
     ax.axhline(0.0, color="black", linewidth=0.6)
-    return style.finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
+    return finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
 
 
 def plot_weights(
@@ -189,21 +379,21 @@ def plot_weights(
     ValueError
         If lengths do not fit.
     """
-    if style.is_run(source):
+    if is_run(source):
         weights = np.asarray(source.weights)[:, None]
     elif is_saver(source):
-        weights = style.recorded(source, "weights")
+        weights = recorded(source, "weights")
     else:
-        weights = style.rows("source", source)
-    time = style.time(t, len(weights), source)
-    names = style.all_names(names, weights.shape[1], "z")
-    which = style.chosen("components", components, weights.shape[1])
-    ax = style.one_axes(ax)
+        weights = rows("source", source)
+    time = times_of(t, len(weights), source)
+    names = all_names(names, weights.shape[1], "z")
+    which = chosen("components", components, weights.shape[1])
+    ax = one_axes(ax)
     for place, i in enumerate(which):
-        marker, colour = style.MARKERS[place % 6], style.COLOURS[place % 6]
+        marker, colour = MARKERS[place % 6], COLOURS[place % 6]
         ax.plot(time, weights[:, i], marker, color=colour, markersize=3.5, fillstyle="none", label=names[i])
     ax.set_ylim(-0.05, 1.05)
-    return style.finish(ax, "weight", "", time_unit)
+    return finish(ax, "weight", "", time_unit)
 
 
 def _look_at_the_paths(ax: Any, half: Any) -> None:

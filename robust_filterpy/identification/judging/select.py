@@ -269,7 +269,7 @@ class Selection(Pictured):
         What the search for the delay of each input began with; empty without input, or where it excites too little.
     """
 
-    picture = "workbench.plot_structure_selection"
+    picture = "models.plot_structure_selection"
 
     rows: tuple[Candidate, ...]
     best: Model

@@ -341,7 +341,7 @@ class Validation(Pictured):
         the noise. Correlations are those without it.
     """
 
-    picture = "workbench.plot_validation"
+    picture = "models.plot_validation"
 
     autocorrelation: Array
     autocorrelation_bound: Array
@@ -434,7 +434,7 @@ class Validation(Pictured):
 class Validations(Pictured, tuple[Validation, ...]):
     """What a model of several outputs leaves in the residuals of each: a `Validation` for each output."""
 
-    picture = "workbench.plot_validation"
+    picture = "models.plot_validation"
 
     @property
     def verdict(self) -> str:
@@ -656,7 +656,7 @@ class Comparison(Pictured):
         When the samples were taken, if the recording was a pandas object.
     """
 
-    picture = "workbench.plot_comparison"
+    picture = "models.plot_comparison"
 
     rows: tuple[Compared, ...]
     measured: Array

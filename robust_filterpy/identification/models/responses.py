@@ -157,7 +157,7 @@ class FrequencyResponse(Pictured):
         Where the bands are those of sampled parameters, since the delta method fails.
     """
 
-    picture = "responses.plot_bode"
+    picture = "models.plot_bode"
 
     omega: Array
     response: Any
@@ -230,7 +230,7 @@ class StepResponse(Pictured):
         Where the bands are those of sampled parameters.
     """
 
-    picture = "responses.plot_step"
+    picture = "models.plot_step"
 
     time: Array
     response: Array
@@ -279,7 +279,7 @@ class NoiseSpectrum(Pictured):
         Where the bands are those of sampled parameters.
     """
 
-    picture = "responses.plot_noise_spectrum"
+    picture = "models.plot_noise_spectrum"
 
     omega: Array
     density: Array

@@ -91,7 +91,9 @@ class TunedTracker(NamedTuple):
         lines.append(f"predictions one step ahead of {self.samples} samples")
         return "\n".join([*lines, *([f"Doubtful: {self.warning}"] if self.warning else [])])
 
-    __str__ = to_text
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
 
     def to_frame(self) -> Any:
         """Return the candidates as a pandas DataFrame, a row for each.

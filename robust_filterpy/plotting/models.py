@@ -1,10 +1,12 @@
-"""Pictures of a model's dynamics: frequency and step response, noise, poles and zeros, with how sure they are.
+"""Pictures of models: frequency and step response, noise, poles and zeros, with how sure they are; structures that
+were tried, what is left in the residuals, and several models on one recording.
 
-matplotlib is imported when something is drawn.
+Legends stand next to the data. matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,9 +15,25 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy.identification import Model, ParameterTracker
+from robust_filterpy.identification.judging.select import Selection
+from robust_filterpy.identification.judging.validate import Comparison, Validation, Validations
 from robust_filterpy.identification.models.responses import FrequencyResponse, NoiseSpectrum, StepResponse
 from robust_filterpy.identification.models.state_space import StateSpaceModel
-from robust_filterpy.plotting._style import COLOURS, STYLES, legend_outside, one_axes, several_axes, with_band
+from robust_filterpy.plotting.figures import (
+    COLOURS,
+    MARK,
+    STYLES,
+    finish,
+    legend_outside,
+    line_of,
+    one_axes,
+    ring,
+    several_axes,
+    stems,
+    times_of,
+    with_band,
+    zero_band,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +41,8 @@ if TYPE_CHECKING:
 _POINTS: Final = 400
 # A zero further from the origin than this is left outside the picture.
 _FAR: Final = 3.0
+# Structures further than this from the best one's fit, in percent, are left below the picture.
+_DEEP: Final = 30.0
 
 
 def plot_bode(
@@ -242,3 +262,157 @@ def _require_started(name: str, model: Any) -> None:
     """Raise if a tracker has no model yet."""
     if not np.isfinite(model.std).all():
         raise ValueError(f"models[{name!r}]: expected a tracker that has found a model, got one that is at its start")
+
+
+def plot_validation(validation: Validation | Validations, *, axes: Any = None) -> Any:
+    """Draw what a model leaves in its residuals: correlations with their bounds, the verdict above.
+
+    Parameters
+    ----------
+    validation : Validation or Validations
+        What `validate` returned; of several outputs each has a figure.
+    axes : sequence of matplotlib.axes.Axes, optional
+        Where to draw: one for the residuals among themselves and one for each input; of Validations one such sequence
+        for each.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If there are not as many axes as pictures.
+    """
+    if isinstance(validation, Validations):
+        places = [None] * len(validation) if axes is None else axes
+        drawn = [plot_validation(one, axes=place) for one, place in zip(validation, places, strict=True)]
+        for j, (one, own) in enumerate(zip(validation, drawn, strict=True)):
+            own[0].figure.suptitle(textwrap.fill(f"output {j}: {one.verdict}", 80), fontsize="medium")
+        return np.array(drawn)
+    panels = [("residuals among themselves", 1, validation.autocorrelation, validation.autocorrelation_bound)]
+    several = len(validation.cross_correlation) > 1
+    for i, pair in enumerate(zip(validation.cross_correlation, validation.cross_bound, strict=True)):
+        panels.append((f"input {i} and residuals" if several else "input and residuals", 0, *pair))
+    axes = several_axes(axes, len(panels), 1, (7.5, 0.8 + 2.1 * len(panels)), sharex=True)
+    for ax, (title, first, values, bound) in zip(axes, panels, strict=True):
+        lags = np.arange(first, first + values.size)
+        outside = np.abs(values) > bound
+        zero_band(ax, lags, bound, f"{100 * validation.level:.4g} % bound", step="mid")
+        ax.axhline(0.0, color="black", linewidth=0.6)
+        stems(ax, lags[~outside], values[~outside], COLOURS[0], "o", "within")
+        stems(ax, lags[outside], values[outside], MARK, "x", "outside")
+        ax.set(ylabel="correlation", title=title)
+        ax.xaxis.get_major_locator().set_params(integer=True)
+        ax.title.set_fontsize("medium")
+        legend_outside(ax)
+    axes[-1].set_xlabel("lag [samples]")
+    axes[0].figure.suptitle(textwrap.fill(validation.verdict, 80), fontsize="medium")
+    return axes
+
+
+def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
+    """Draw the fit and the criterion of all structures against their complexity, and the impulse response.
+
+    Parameters
+    ----------
+    selection : Selection
+        What `select_structure` returned.
+    axes : sequence of matplotlib.axes.Axes, optional
+        Where to draw: fit, criterion, and the impulse response to each input if there are any.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If there are not as many axes as pictures.
+
+    Notes
+    -----
+    Fits more than 30 points below the best one's are left below the picture.
+    """
+    responses, rows = selection.impulse_responses, selection.rows
+    axes = several_axes(axes, 2 + len(responses), 1, (7.5, 4.6 + 2.2 * len(responses)))
+    size = np.array([row.structure.n_theta for row in rows])
+    fit, criterion = (np.array([getattr(row, name) for row in rows]) for name in ("fit", "criterion"))
+    shows = np.array([row.shows_delay for row in rows])
+    above = criterion - criterion[0]
+    for ax, values, best_of in ((axes[0], fit, np.nanmax), (axes[1], above, np.nanmin)):
+        ax.plot(size[shows], values[shows], "o", color=COLOURS[2], markersize=5, label="tried")
+        if not shows.all():
+            ax.plot(size[~shows], values[~shows], "x", color=COLOURS[5], markersize=5, label="first b is 0")
+        sizes = np.unique(size[shows]) if shows.any() else np.unique(size)
+        counted = shows if shows.any() else ~shows
+        front = [best_of(values[counted & (size == n)]) for n in sizes]
+        ax.plot(sizes, front, color=COLOURS[0], linewidth=1.2, label="best of its size")
+        ring(ax, size[:1], values[:1])
+        ax.xaxis.get_major_locator().set_params(integer=True)
+    best = float(np.nanmax(fit))
+    worst = max(float(np.nanmin(fit)), best - _DEEP)
+    margin = 0.08 * (best - worst) + 0.1
+    axes[0].set(ylabel="fit [%]", ylim=(worst - margin, best + margin), title=f"chosen: {rows[0].structure}")
+    axes[1].set_yscale("symlog", linthresh=10.0)
+    axes[1].set(ylabel=f"{selection.criterion} above the best", xlabel="parameters")
+    legend_outside(axes[0])
+    for i, (ax, response) in enumerate(zip(axes[2:], responses, strict=True)):
+        zero_band(ax, response.lags, response.band, "95 % band of 0", step="mid")
+        stems(ax, response.lags, response.values, COLOURS[0], "o", "impulse response")
+        delay = selection.best.structure.inputs[i][1]
+        ax.axvline(delay, color=MARK, linestyle="--", linewidth=1.2, label=f"chosen delay, {delay}")
+        ax.set(
+            xlabel="lag [samples]", ylabel="response [y per u]" if len(responses) == 1 else f"response [y per u {i}]"
+        )
+        legend_outside(ax)
+    return axes
+
+
+def plot_comparison(
+    comparison: Comparison, *, output: int = 0, t: Any = None, unit: str = "", time_unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:  # fmt: skip
+    """Draw the outputs of several models over the measured one, with their fits next to them.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What `compare` returned.
+    output : int, default 0
+        Which of several outputs; fits are those of all.
+    t, unit, time_unit, ax : optional
+        As in `plot_states`.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ValueError
+        If t or output does not fit.
+
+    Notes
+    -----
+    The axis shows what the models do; outliers beyond it are left outside. Fits are those on ordinary samples.
+    """
+    y = comparison.measured
+    y = y if y.ndim > 1 else y[:, None]
+    if _checks.count("output", output) >= y.shape[1]:
+        raise ValueError(f"output: expected 0 to {y.shape[1] - 1}, got {output}")
+    y = y[:, output]
+    time = times_of(t, y.size, comparison)
+    ax = one_axes(ax, (8.5, 3.6))
+    for place, row in enumerate(comparison.rows):
+        label = f"{row.name}, fit {row.fit:.1f} %"
+        shown = comparison.outputs[row.name]
+        ax.plot(time, shown[:, output] if shown.ndim > 1 else shown, linewidth=1.2, label=label, **line_of(place))
+    ordinary = np.quantile(y[~np.isnan(y)], [0.02, 0.98])
+    low, high = ax.get_ylim()
+    low, high = min(low, float(ordinary[0])), max(high, float(ordinary[1]))
+    ax.plot(time, y, ".", color="0.6", markersize=3, zorder=1, label="measured")
+    ax.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
+    finish(ax, "output", unit, time_unit)
+    legend_outside(ax)
+    return ax
