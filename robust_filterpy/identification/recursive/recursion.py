@@ -404,13 +404,13 @@ class NoiseScale(NamedTuple):
 class Recursion:
     """One of the actuators of a form on its way: a filter with theta as its state, what it remembers, how R moves."""
 
-    def __init__(self, form: Form, i: int, kf: Any, now: State, row: int, enabled: bool) -> None:
-        """Go on from a row of a state, which is that of actuator i."""
+    def __init__(self, form: Form, i: int, kf: Any, now: State, enabled: bool) -> None:
+        """Go on from a state, which is that of actuator i alone."""
         self.filter, self.layout, self.cleans, self.enabled = kf, form.layout, form.cleans, enabled
-        self.judges, self.readings = form.judges, now.readings[row].copy()
+        self.judges, self.readings = form.judges, now.readings[0].copy()
         self.guard, self.filtered = str(form.guard[i]), form.gradient[i] == "filtered" and form.layout.is_filtered
-        self.memory, self.windup = Memory(*(a[row] for a in now.past)), float(now.windup[row])
-        self.scale = NoiseScale(*now.scale[row, 1:].tolist())
+        self.memory, self.windup = Memory(*(a[0] for a in now.past)), float(now.windup[0])
+        self.scale = NoiseScale(*now.scale[0, 1:].tolist())
 
     def step(self, y: float, u: Array, R: float | None) -> Sample:
         """Take a sample, y from the center and u with the constant."""

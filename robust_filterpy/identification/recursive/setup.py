@@ -274,6 +274,8 @@ def for_each(make: Callable[[dict[str, Any]], _Made], rows: list[dict[str, Any]]
 
 def outputs(y: Any, n: int, recorded: bool) -> Array:
     """Return measured outputs, shape (n,) or (N, n), NaN where they are missing, or raise."""
+    if type(y) is float and n == 1 and -LARGEST <= y <= LARGEST and not recorded:
+        return np.array([y])
     values = numbers("y", np.full(n, np.nan) if y is None and not recorded else y)
     values = values.reshape(1) if n == values.size == 1 and not recorded else values
     if values.ndim != 1 + recorded or values.shape[-1] != n or values.size == 0:
@@ -290,6 +292,8 @@ def outputs(y: Any, n: int, recorded: bool) -> Array:
 def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> Array:
     """Return inputs, shape (n, n_inputs), or (N, n, n_inputs) for a recording of a given length; or raise."""
     width, time = structure.n_inputs, () if length is None else (length,)
+    if type(u) is float and n == width == 1 and -LARGEST <= u <= LARGEST and length is None:
+        return np.array([[u]])
     if u is None:
         if width:
             what = "phi" if structure.takes_phi else "input"

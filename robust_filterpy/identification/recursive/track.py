@@ -101,14 +101,9 @@ def step(
     if not waiting.samples:
         waiting = _begun(form, using, now)
     u = u.copy()
-    n, d = now.theta.shape
-    wide, narrow = (n, 1, d), (n, 1)
-    numbers = map(np.empty, (wide, wide, narrow, narrow, narrow))
-    out = Columns._make((*numbers, np.empty(narrow, dtype=np.int64)))
-    moved = now.copied()
-    done = _by_kernel(form, using, moved, (y, u, R), out)
-    if 0 in done.tolist():
-        moved = _Stretch(form, using, now, (y, u, R), out).through(slice(0, 1))
+    wide, narrow = (*y.shape, form.layout.n), y.shape
+    out = Columns._make((*map(np.empty, (wide, wide, narrow, narrow, narrow)), np.empty(narrow, dtype=np.int64)))
+    moved = _through(form, using, now, (y, u, R), out, slice(0, 1))
     samples = (*waiting.samples, (y, u, *out[2:]))
     now = State(*moved[:-1], Unjudged(samples, *waiting[1:]))
     # Of a sensor that is stuck the user hears at once.
@@ -136,7 +131,7 @@ def advance(
             out.prediction[i, part] = now.starts[i].levels(y[i, part])[:-1]
             out.residual[i, part] = y[i, part] - out.prediction[i, part]
         if now.begun.any():
-            now = _Stretch(form, using, now, (y, u, R), out).through(part)
+            now = _through(form, using, now, (y, u, R), out, part)
         shown = Columns(*(column[:, part] for column in out))
         now, news = _judged(form, now, waiting, y[:, part], u[:, part], shown)
         said += news
@@ -375,84 +370,70 @@ def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
 
 # Through the samples.
 
+_Signals = tuple[Array, Array, Array | None]
+
+
+def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Columns, part: slice) -> State:
+    """Take samples of the actuators that have begun: by the kernel, and those that it declines by the definition."""
+    # Lists, which of few actuators are faster.
+    everyone = all(now.begun.tolist())
+    which = np.arange(len(now.begun)) if everyone else np.flatnonzero(now.begun)
+    moved, done = now.copied() if everyone else now.rows(which), [0] * len(which)
+    if using.rules is not None:
+        done = _by_kernel(form, using, moved, which, signals, out, part).tolist()
+    for row in [row for row, count in enumerate(done) if part.start + count < part.stop]:
+        one, here, k = moved.rows(slice(row, row + 1)), which[row : row + 1], part.start + done[row]
+        while k < part.stop:
+            until = part.stop if using.rules is None else k + 1
+            _by_definition(form, using, one, int(here[0]), signals, out, slice(k, until))
+            k = until
+            if k < part.stop:
+                k += int(_by_kernel(form, using, one, here, signals, out, slice(k, part.stop))[0])
+    return moved if everyone else now.with_rows(which, moved)
+
 
 def _by_kernel(
-    form: Form, using: Settings, now: State, signals: tuple[Array, Array, Array | None], out: Columns
-) -> Any:
-    """Advance arrays in place, and return how many samples of each actuator the kernel has taken."""
-    done = np.zeros(len(now.theta), dtype=np.intp)
-    flags = form.flags
+    form: Form, using: Settings, now: State, which: np.ndarray, signals: _Signals, out: Columns, part: slice
+) -> np.ndarray:
+    """Advance the state of some actuators in place, and return how many samples of each the kernel has taken."""
+    (y, u, R), done = signals, np.zeros(len(which), dtype=np.intp)
+    own: Any = which if len(which) < len(y) else slice(None)
+    rules, F, Q = [a if len(a) == 1 else a[own] for a in (using.rules, using.F, using.Q) if a is not None]
+    flags = form.flags[own]
     if not all(using.enabled.tolist()):
         flags = flags.copy()
-        flags[:, 3] = using.enabled
+        flags[:, 3] = using.enabled[own]
+    whole = isinstance(own, slice) and part == slice(0, y.shape[1])
+    written = out if whole else Columns(*(np.ascontiguousarray(column[own, part]) for column in out))
     kernel.extension().track(
-        form.layout.numbers, (using.rules, using.F, using.Q, using.alpha_sq, now.windup, now.centre, flags), signals,
-        (now.theta, now.P, *now.past, now.scale, now.readings), tuple(out), done,
+        form.layout.numbers, (rules, F, Q, using.alpha_sq[own], now.windup, now.centre, flags),
+        (y[own, part], u[own, part], None if R is None else R[own, part]),
+        (now.theta, now.P, *now.past, now.scale, now.readings), tuple(written), done,
     )  # fmt: skip
+    for column, block in zip(out, () if whole else written, strict=False):
+        column[own, part] = block
     return done
 
 
-class _Stretch:
-    """The actuators that have begun, on their way from one look to the next."""
-
-    def __init__(
-        self, form: Form, using: Settings, now: State, signals: tuple[Array, Array, Array | None], out: Columns
-    ) -> None:
-        """Take what moves apart, so that it can be written into."""
-        self.form, self.using, self.before, self.signals, self.out = form, using, now, signals, out
-        self.which = np.flatnonzero(now.begun)
-        self.now = now.copied() if now.begun.all() else now.rows(self.which)
-
-    def through(self, part: slice) -> State:
-        """Take samples: by the kernel, and those that it declines by the definition."""
-        done = np.full(len(self.which), part.start)
-        if self.using.rules is not None:
-            done += self._by_kernel(part, slice(None))
-        for row in np.flatnonzero(done < part.stop).tolist():
-            k = int(done[row])
-            while k < part.stop:
-                until = part.stop if self.using.rules is None else k + 1
-                self._by_definition(row, slice(k, until))
-                k = until
-                if k < part.stop:
-                    k += int(self._by_kernel(slice(k, part.stop), slice(row, row + 1))[0])
-        return self.now if self.before.begun.all() else self.before.with_rows(self.which, self.now)
-
-    def _by_kernel(self, part: slice, rows: slice) -> np.ndarray:
-        """Advance some actuators, and return how many samples of each the kernel has taken."""
-        here, (y, u, R) = self.which[rows], self.signals
-        own = here if len(here) < len(y) else slice(None)
-        shared: Any = ((name, getattr(self.using, name)) for name in ("rules", "F", "Q"))
-        using = self.using._replace(
-            alpha_sq=self.using.alpha_sq[own], enabled=self.using.enabled[own],
-            **{name: a if len(a) == 1 else a[own] for name, a in shared},
-        )  # fmt: skip
-        now = self.now if len(here) == len(self.which) else self.now.rows(rows)
-        written = Columns(*(np.ascontiguousarray(column[own, part]) for column in self.out))
-        signals = y[own, part], u[own, part], None if R is None else R[own, part]
-        done = _by_kernel(self.form._replace(flags=self.form.flags[own]), using, now, signals, written)
-        for column, block in zip(self.out, written, strict=True):
-            column[own, part] = block
-        return done
-
-    def _by_definition(self, row: int, part: slice) -> None:
-        """Take samples of one actuator by the definition."""
-        i, (y, u, R), now, out, k = int(self.which[row]), self.signals, self.now, self.out, part.start
-        kf, centre = self.using.filter_of(i), float(now.centre[row])
-        setup.load(kf, now.theta[row], now.P[row], float(now.scale[row, 0]))
-        one = Recursion(self.form, i, kf, now, row, bool(self.using.enabled[i]))
-        inputs, outputs = self.form.with_constant(u[i, part]), (y[i, part] - centre).tolist()
-        variances = repeat(None) if R is None else R[i, part].tolist()
-        try:
-            for k, output, v, r in zip(range(part.start, part.stop), outputs, inputs, variances, strict=False):
-                sample = one.step(output, v, r)
-                out.prediction[i, k], out.residual[i, k] = sample.prediction + centre, sample.residual
-                out.weights[i, k], out.guard[i, k] = sample.weight, sample.guard
-                out.theta[i, k], out.variance[i, k] = np.ravel(kf.x), np.diagonal(kf.P)
-        except (ValueError, TypeError, np.linalg.LinAlgError) as error:
-            error.args = (f"{self.using.place(k, i)}{error}", *error.args[1:])
-            raise
-        now.theta[row], now.P[row] = np.ravel(kf.x), kf.P
-        now.scale[row], now.readings[row] = (told_variance(kf), *one.scale), one.readings
-        for stack, value in zip(now.past, one.memory, strict=True):
-            stack[row] = value
+def _by_definition(
+    form: Form, using: Settings, now: State, i: int, signals: _Signals, out: Columns, part: slice
+) -> None:
+    """Take samples of actuator i, whose state alone this is, by the definition, and write into it."""
+    (y, u, R), kf, centre, k = signals, using.filter_of(i), float(now.centre[0]), part.start
+    setup.load(kf, now.theta[0], now.P[0], float(now.scale[0, 0]))
+    one = Recursion(form, i, kf, now, bool(using.enabled[i]))
+    inputs, outputs = form.with_constant(u[i, part]), (y[i, part] - centre).tolist()
+    variances = repeat(None) if R is None else R[i, part].tolist()
+    try:
+        for k, output, v, r in zip(range(part.start, part.stop), outputs, inputs, variances, strict=False):
+            sample = one.step(output, v, r)
+            out.prediction[i, k], out.residual[i, k] = sample.prediction + centre, sample.residual
+            out.weights[i, k], out.guard[i, k] = sample.weight, sample.guard
+            out.theta[i, k], out.variance[i, k] = np.ravel(kf.x), np.diagonal(kf.P)
+    except (ValueError, TypeError, np.linalg.LinAlgError) as error:
+        error.args = (f"{using.place(k, i)}{error}", *error.args[1:])
+        raise
+    now.theta[0], now.P[0] = np.ravel(kf.x), kf.P
+    now.scale[0], now.readings[0] = (told_variance(kf), *one.scale), one.readings
+    for stack, value in zip(now.past, one.memory, strict=True):
+        stack[0] = value
