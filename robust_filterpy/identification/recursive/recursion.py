@@ -587,13 +587,13 @@ def repaired(P: Array) -> Array:
 
 def noise_variance(kf: RobustKalmanFilter) -> float:
     """Return a filter's R as a number, or raise."""
-    r = told_variance(kf)
+    r = given_variance(kf)
     if math.isnan(r):
         raise ValueError(f"R: expected a variance > 0, got {kf.R!r}; NaN in y is for a sample that is missing")
     return r
 
 
-def told_variance(kf: RobustKalmanFilter) -> float:
+def given_variance(kf: RobustKalmanFilter) -> float:
     """Return that, NaN where it would raise: the next sample that needs it does."""
     R = kf.R
     try:

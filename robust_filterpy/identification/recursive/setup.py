@@ -18,7 +18,7 @@ from robust_filterpy.filters.shell import leave_unwatched
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.recursion import told_variance
+from robust_filterpy.identification.recursive.recursion import given_variance
 from robust_filterpy.influence.functions import Linear
 
 _Made = TypeVar("_Made")
@@ -175,7 +175,7 @@ def covariance(name: str, value: Any, n: int) -> Array:
 def load(kf: RobustKalmanFilter, theta: Array, P: Array, R: float) -> None:
     """Let a filter go on from these."""
     kf.x, kf.P = theta.reshape(np.shape(kf.x)).copy(), P.copy()
-    if told_variance(kf) != R == R:
+    if given_variance(kf) != R == R:
         kf.R = np.array([[R]])
 
 

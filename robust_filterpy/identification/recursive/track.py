@@ -35,9 +35,9 @@ from robust_filterpy.identification.recursive.recursion import (
     Recursion,
     State,
     Unjudged,
+    given_variance,
     note,
     ordinary_mean,
-    told_variance,
 )
 from robust_filterpy.identification.recursive.watch import STUCK, News, Trouble, is_right, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
@@ -434,6 +434,6 @@ def _by_definition(
         error.args = (f"{using.place(k, i)}{error}", *error.args[1:])
         raise
     now.theta[0], now.P[0] = np.ravel(kf.x), kf.P
-    now.scale[0], now.readings[0] = (told_variance(kf), *one.scale), one.readings
+    now.scale[0], now.readings[0] = (given_variance(kf), *one.scale), one.readings
     for stack, value in zip(now.past, one.memory, strict=True):
         stack[0] = value

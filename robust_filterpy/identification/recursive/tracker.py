@@ -42,9 +42,9 @@ from robust_filterpy.identification.recursive.recursion import (
     apart,
     at_rest,
     checked,
+    given_variance,
     ordinary_mean,
     padded,
-    told_variance,
 )
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
 from robust_filterpy.identification.recursive.watch import SPAN
@@ -256,7 +256,7 @@ class ParameterTracker(Following, PolynomialSystem):
             setup.warn_of_default_noise(kf)
         self.n, self._filters, self._enabled = 1, [kf], np.array([True])
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
-        scale = np.array([[told_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
+        scale = np.array([[given_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
         x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
         self.dt, self._time, self._used = None, None, None
@@ -624,7 +624,7 @@ class ParameterTracker(Following, PolynomialSystem):
     def _pulled(self) -> State:
         """Return the state with theta, P and R as the filter has them."""
         kf, scale = self._filter, self._now.scale.copy()
-        scale[0, 0] = told_variance(kf)
+        scale[0, 0] = given_variance(kf)
         x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
         return self._now._replace(theta=x, P=P, scale=scale)
 
