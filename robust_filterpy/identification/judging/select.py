@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -345,7 +345,7 @@ def select_structure(
     y: ArrayLike, u: ArrayLike | None, kind: Kind = OutputError, *, na: Iterable[int] | None = None,
     nb: Iterable[int] | None = None, nc: Iterable[int] | None = None, nd: Iterable[int] | None = None,
     nf: Iterable[int] | None = None, nk: Iterable[int] | None = None, criterion: str = "bic",
-    held_out: float | None = None, progress: bool | None = None,
+    held_out: Literal[0] | None = None, progress: bool | None = None,
 ) -> Selection:  # fmt: skip
     """Find the orders and the delay of a recording with outliers.
 
@@ -368,12 +368,10 @@ def select_structure(
         Delays to try. Default: range(9).
     criterion : {"bic", "aic"}, default "bic"
         "bic" finds the true structure of a long recording, "aic" prefers predictions to parsimony.
-    held_out : float, optional
-        Share of the recording, at its end, in [0, 0.5], that the structures are compared without: what fits it worse by
-        more than 1 than another, by models of the part before, is not taken, whatever its criterion. Default: the
-        criterion is of the whole recording, and the best of each size are tried again on the last quarter without it,
-        and must stay the models that they are with it; of fewer than 400 samples, or with 0, the criterion alone
-        decides.
+    held_out : 0, optional
+        Default: the best of each size are tried again without the last quarter of the recording. What then fits that
+        quarter worse by more than 1 than another is not taken, whatever its criterion, and the models must stay those
+        that they are with it. Of fewer than 400 samples, or with 0, the criterion alone decides.
     progress : bool, optional
         Show a progress bar (tqdm) on standard error: True always, False never, None from 2 s on; where that is no
         terminal, None writes a line now and then instead.
@@ -386,8 +384,8 @@ def select_structure(
     Raises
     ------
     ValueError
-        If a range is empty or of an order that the kind has not, kind or criterion is unknown, held_out is out of
-        range, u is missing, or the recording is too short for the largest structure.
+        If a range is empty or of an order that the kind has not, kind or criterion is unknown, held_out is a
+        share, u is missing, or the recording is too short for the largest structure.
     TypeError
         If an order is no integer.
     ImportError
@@ -433,21 +431,21 @@ def select_structure(
     if lies:
         warn(f"select_structure: {said(lies)}")
     grid = grid.of_inputs(signal.shape[1])
-    share = (0.0 if measured.size < _LEAST_HELD else _HELD) if held_out is None else _checks.real("held_out", held_out)
-    if not 0.0 <= share <= 0.5:
-        raise ValueError(f"held_out: expected a share in [0, 0.5], got {_checks.shown(held_out)}")
-    fitted = measured.size - round(share * measured.size)
+    if held_out not in (None, 0):
+        raise ValueError(
+            f"held_out: expected None or 0, got {_checks.shown(held_out)}; to choose without the end of a recording "
+            "leave it out, and compare models on it"
+        )
+    confirmed, fitted = held_out is None and measured.size >= _LEAST_HELD, round((1.0 - _HELD) * measured.size)
     bar = progress_bar(None, progress, " structures", "select_structure")
     responses = () if u is None else _impulse_responses(measured, signal, grid)
     beginning = list(grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]))
     largest = max((grid.structure(orders) for orders in beginning), key=lambda one: one.n_theta)
-    compared = fitted if held_out else measured.size
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        inputs = signal[:compared] if largest.n_inputs else None
-        settled = Settled.of(identify(measured[:compared], inputs, largest, progress=False), compared)
-    comparison = _Comparison(grid, measured, signal, criterion, compared, bar, settled)
-    confirmed = share > 0.0 and held_out is None
+        inputs = signal if largest.n_inputs else None
+        settled = Settled.of(identify(measured, inputs, largest, progress=False), measured.size)
+    comparison = _Comparison(grid, measured, signal, criterion, bar, settled)
     sizes = {grid.structure(orders).n_theta for orders in beginning} if confirmed else ()
     comparison.try_all(beginning, len(set(grid.neighbours(beginning[0]))) + len(sizes))
     comparison.near = True
@@ -459,7 +457,7 @@ def select_structure(
     bar.close()
     rows = _ranked(comparison.rows(), late)
     structure = rows[0].structure
-    trend: Any = None if held_out else settled
+    trend: Any = settled
     model = identify(measured, None if u is None else signal, structure, trend=trend, progress=False)
     missing = (one for one in lies if one.kind != "copy")
     model = replace(model, dt=axis.dt, findings=(*missing, *model.findings))
@@ -490,20 +488,14 @@ class _Tried(NamedTuple):
     model: Model
     residual: Array
     output: Array
-    #: Residual of the part that was held out, and the output that goes on from where the part before ended.
-    held_out: tuple[Array, Array] | None
 
 
 class _Comparison:
     """The structures that were tried, on the same samples."""
 
-    def __init__(
-        self, grid: Grid, y: Array, u: Array, criterion: str, fitted: int, bar: Any, settled: Settled
-    ) -> None:  # fmt: skip
-        """Keep the recording, and apart what comes after the samples that are fitted."""
-        self.grid, self.criterion, self.bar, self.settled = grid, criterion, bar, settled
-        self.rest = (y[fitted:], u[fitted:]) if fitted < y.size else None
-        self.y, self.u = y, u = y[:fitted], u[:fitted]
+    def __init__(self, grid: Grid, y: Array, u: Array, criterion: str, bar: Any, settled: Settled) -> None:
+        """Keep the recording."""
+        self.grid, self.criterion, self.bar, self.settled, self.y, self.u = grid, criterion, bar, settled, y, u
         self.tried: dict[Orders, _Tried] = {}
         self.near = False
         self.samples = int(np.isfinite(y[grid.first :]).sum())
@@ -555,13 +547,7 @@ class _Comparison:
         b = [structure.polynomials.b[i].start for i, _, _ in acting]
         shows_delay = bool((model.theta[b] ** 2 > price * model.P.diagonal()[b]).all())
         row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
-        held_out = None
-        if self.rest is not None:
-            held_out = _signals(model, self.rest[0], self.rest[1] if acting else None)
-            if acting:
-                # With its motion found anew, a pole next to the unit circle would fit any drift.
-                held_out = held_out[0], np.asarray(model.simulate(self.rest[1], start="continued"))
-        self.tried[orders] = _Tried(row, model, residual, output, held_out)
+        self.tried[orders] = _Tried(row, model, residual, output)
         self.bar.update()
 
     def tried_on_rest(self, fitted: int) -> dict[Structure, float]:
@@ -576,50 +562,42 @@ class _Comparison:
         if model.trend.size:
             y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
         flat = self.settled._replace(trend=Trend(np.zeros(fitted), ()))
-        part = _Comparison(self.grid, y, self.u, self.criterion, fitted, self.bar, flat)
+        part = _Comparison(self.grid, y[:fitted], self.u[:fitted], self.criterion, self.bar, flat)
         ranked = sorted(self.tried, key=lambda orders: self.tried[orders].row.rank, reverse=True)
         best_of_size = {self.tried[orders].row.structure.n_theta: orders for orders in ranked}
         self.bar.total = len(self.tried) + len(best_of_size)
+        rest, signals, fits = y[fitted:], {}, {}
         for orders in reversed(best_of_size.values()):
             # A part may tell too little of a structure that the whole tells of.
             with suppress(ValueError):
                 part.try_out(orders)
-        fits = {}
-        for row in part.rows() if part.tried else ():
-            orders = next(orders for orders, one in part.tried.items() if one.row.structure == row.structure)
-            apart = part.apart(self.tried[orders].model, part.tried[orders].model)
-            if not math.isfinite(row.held_out_fit + apart):
-                continue
-            fits[row.structure] = min(row.held_out_fit, 100.0 - apart)
+                model = part.tried[orders].model
+                acts = any(nb for nb, _ in model.structure.inputs)
+                residual, output = _signals(model, rest, self.u[fitted:] if acts else None)
+                # With its motion found anew, a pole next to the unit circle would fit any drift.
+                output = np.asarray(model.simulate(self.u[fitted:], start="continued")) if acts else output
+                signals[orders] = residual, output
+        if not signals:
+            return {}
+        # The ordinary samples are those of the model that misses them least.
+        closest = min((e for e, _ in signals.values()), key=lambda e: float(np.nanmedian(np.abs(e))))
+        late = ordinary_samples(closest, rest)
+        for orders, (_, output) in signals.items():
+            one, other, apart = self.tried[orders].model, part.tried[orders].model, 0.0
+            if one.structure.n_inputs:
+                difference = (one.simulate(self.u) - other.simulate(self.u))[fitted:]
+                apart = 100.0 - ordinary_fit(rest, rest - difference + difference.mean(), late)
+            fit = ordinary_fit(rest, output, late)
+            if math.isfinite(fit + apart):
+                fits[one.structure] = min(fit, 100.0 - apart)
         return fits
-
-    def apart(self, one: Model, other: Model) -> float:
-        """Return how far two models are apart in the part held out, in percent of what y varies there."""
-        if self.rest is None or not one.structure.n_inputs:
-            return 0.0
-        u = np.concatenate((self.u, self.rest[1]))
-        difference = (one.simulate(u) - other.simulate(u))[self.y.size :]
-        difference -= difference.mean()
-        return 100.0 - ordinary_fit(self.rest[0], self.rest[0] - difference, self.late)
-
-    @property
-    def late(self) -> Any:
-        """The ordinary samples of the part held out, by the model that misses them least."""
-        residuals = [one.held_out[0] for one in self.tried.values() if one.held_out is not None]
-        closest = min(residuals, key=lambda e: float(np.nanmedian(np.abs(e))))
-        return ordinary_samples(closest, self.rest[0] if self.rest is not None else closest)
 
     def rows(self) -> tuple[Candidate, ...]:
         """Return the table; the ordinary samples are those of the best model."""
         best = self.tried[self.best]
         y = self.y[self.grid.first :]
         ordinary = ordinary_samples(best.residual, y)
-        late, rows = None if self.rest is None else self.late, []
-        for row, _, _, output, held_out in self.tried.values():
-            row = row._replace(fit=ordinary_fit(y, output, ordinary))
-            if self.rest is not None and held_out is not None:
-                row = row._replace(held_out_fit=ordinary_fit(self.rest[0], held_out[1], late))
-            rows.append(row)
+        rows = [row._replace(fit=ordinary_fit(y, output, ordinary)) for row, _, _, output in self.tried.values()]
         return tuple(sorted(rows, key=lambda row: row.rank))
 
 
