@@ -1,10 +1,14 @@
 """No option, and no matrix that is passed for one call, asks the definition: all of them are steps of the kernel."""
 
+import os
+import sys
+
 import numpy as np
 import pytest
 from alike import assert_alike, shown
 from filterpy.kalman import MerweScaledSigmaPoints
 
+import robust_filterpy
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.filters import RobustCubatureKalmanFilter
@@ -31,6 +35,24 @@ def moving(H=((1.0, 0.0), (0.0, 1.0)), **options):
     kf = RobustKalmanFilter(2, 2, **options)
     kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array(H), 0.01 * np.eye(2)
     return kf
+
+
+@pytest.mark.parametrize("options", [{}, ADAPTIVE], ids=["default", "adaptive"])
+def test_a_measurement_visits_six_functions_at_most(options):
+    kf, home, visited = moving(**options), os.path.dirname(robust_filterpy.__file__), set()
+
+    def note(frame, event, argument):
+        if event == "call" and frame.f_code.co_filename.startswith(home):
+            visited.add((frame.f_code.co_filename, frame.f_code.co_name))
+
+    kf.update([0.5, -0.2])
+    kf.predict()
+    sys.setprofile(note)
+    try:
+        kf.update([0.1, 0.3])
+    finally:
+        sys.setprofile(None)
+    assert 0 < len(visited) <= 6, visited
 
 
 def take(kf, k, z, way):
