@@ -72,12 +72,13 @@ def main(argv=None):
     # %% Beside the truth, which only a simulation knows.
     truth = [TRUTH.viscous_friction, TRUTH.coulomb_friction, 1e3 * TRUTH.dead_length, 1e-6 * TRUTH.stop_stiffness]
     draw(model, truth, options.out)
-    untold = " and ".join(name for names in model.untold for name in names) or "nothing"
+    unidentifiable = " and ".join(name for names in model.unidentifiable for name in names) or "nothing"
     print(
         "Conclusion, +- a standard deviation: "
         f"viscous friction {model.theta[0]:.2f} +- {model.std[0]:.2f} N s/m (the plant: {truth[0]:.2f}), "
         f"Coulomb friction {model.theta[1]:.2f} +- {model.std[1]:.2f} N ({truth[1]:.2f}), dead length "
-        f"{model.theta[2]:.2f} +- {model.std[2]:.2f} mm ({truth[2]:.2f}). What this recording cannot tell: {untold}."
+        f"{model.theta[2]:.2f} +- {model.std[2]:.2f} mm ({truth[2]:.2f}). "
+        f"What this recording cannot tell: {unidentifiable}."
     )
 
 

@@ -93,8 +93,9 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
     def __init__(self, dim_x: int, dim_z: int, N: int | None = None, **options: Unpack[Options]) -> None:
         """Set up the filter and an empty window."""
         self.N = None if N is None else _checks.count("N", N, 1)
-        learned = {} if options.keys() - {"grouping"} else {"noise": "learnt", "process": "scales"}
-        super().__init__(dim_x, dim_z, **learned, **options)
+        if not options.keys() - {"grouping"}:
+            options["noise"], options["process"] = "learnt", "scales"
+        super().__init__(dim_x, dim_z, **options)
         self._empty()
 
     def _empty(self) -> None:

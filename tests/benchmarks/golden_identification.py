@@ -62,7 +62,7 @@ def of_model(model: Any, y: Any, u: Any, new: int = 40) -> dict[str, Any]:
     for name in ("theta", "P", "std", "R", "noise", "weights", "log_likelihood", "warning", "findings", "offset",
                  "offset_std", "offset_covariance", "level", "level_std", "levels", "operating_point", "trend",
                  "trends", "colour", "evidence", "profiled", "sampled", "own_fit", "dt", "endings", "memory", "A",
-                 "B", "C", "D", "K", "end", "orders", "starts", "p", "untold", "coefficients"):  # fmt: skip
+                 "B", "C", "D", "K", "end", "orders", "starts", "p", "unidentifiable", "coefficients"):  # fmt: skip
         told[name] = tried(lambda n=name: getattr(model, n, None))
     told["intervals"] = model.confidence_intervals(0.9)
     told["frame"] = model.to_frame(0.9)

@@ -40,7 +40,7 @@ def test_physical_parameters_from_irregular_samples_through_outliers(seeds):
         assert np.abs(model.theta - [0.4, 0.3]).max() < 0.02
         inside.append(np.abs(model.theta - [0.4, 0.3]) < 4.0 * model.std)
     assert np.mean(inside) > 0.9
-    assert not model.untold
+    assert not model.unidentifiable
     assert model.p["inflow"] == model.theta[0]
     assert "inflow" in str(model.summary())
     assert len(model.to_frame()) == 2
@@ -68,10 +68,10 @@ def test_parameters_that_the_recording_cannot_tell_apart_are_named():
 
     with pytest.warns(UserWarning, match="cannot tell area and speed apart"):
         model = identified()
-    assert model.untold == (("area", "speed"),)
+    assert model.unidentifiable == (("area", "speed"),)
     assert np.isinf(model.std[:2]).all() and model.std[2] < 0.05
     fixed = identified(fixed=["area"])
-    assert not fixed.untold
+    assert not fixed.unidentifiable
     assert fixed.p["area"] == 2.0
     assert fixed.p["speed"] == pytest.approx(0.5, rel=0.05)
 

@@ -30,7 +30,7 @@ from robust_filterpy.influence.functions import Huber, Influence
 
 _FIRST_STEPS: Final = 30
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
-_UNTOLD: Final = 0.5
+_UNIDENTIFIABLE: Final = 0.5
 # Of a direction that nothing depends on, by this share of the best one, the recording says nothing.
 _NOTHING: Final = 1e-8
 # What a parameter has of such a direction to be named.
@@ -128,7 +128,7 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, lim
     """Return what was found, with what the recording cannot tell."""
     z, noise, k = end.p, end.noise, model.k
     theta, residual, J = z[:k], model.residuals(z)[rows], model.jacobian(z)[rows]
-    untold, unseen = _untold(structure, model, J, noise, residual, theta)
+    unidentifiable, unseen = _unidentifiable(structure, model, J, noise, residual, theta)
     # As of a model of polynomials: what ended at a bound has no variance, and the others then have.
     P, colour = sandwich(np.where(limits.held(z, J.T @ noise.psi(residual)), 0.0, J), residual, noise, k)
     P = P[:k, :k]
@@ -139,7 +139,8 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, lim
     values = structure.p0 | dict(zip(structure.free_names, theta.tolist(), strict=True))
     starts = np.array([model.start(z, i) for i in range(len(model.recordings))])
     doubt = [
-        f"the recording cannot tell {' and '.join(names)}" + (" apart" if len(names) > 1 else "") for names in untold
+        f"the recording cannot tell {' and '.join(names)}" + (" apart" if len(names) > 1 else "")
+        for names in unidentifiable
     ]
     if not end.converged:
         doubt.append("the search did not settle")
@@ -149,11 +150,12 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, lim
             doubt.append(f"{name} is at its bound, {values[name]:.4g}")
     return GreyBoxModel(
         structure, values, theta, P, starts, tuple(replace(one, R=one.R * total) for one in noise.parts),
-        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), untold, "; ".join(doubt), colour=colour,
+        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), unidentifiable, "; ".join(doubt),
+        colour=colour,
     )  # fmt: skip
 
 
-def _untold(
+def _unidentifiable(
     structure: GreyBox, model: GreyResiduals, J: Array, noise: Noises, residual: Array, theta: Array
 ) -> tuple[tuple[tuple[str, ...], ...], Any]:
     """Return the parameters along whose directions a standard deviation is large, and where there is nothing."""
@@ -167,7 +169,7 @@ def _untold(
     _, values, right = np.linalg.svd(weighted[:, :k] * size, full_matrices=False)
     groups, unseen = [], np.zeros(k, dtype=bool)
     for value, direction in zip(values, right, strict=True):
-        if value * _UNTOLD < 1.0:
+        if value * _UNIDENTIFIABLE < 1.0:
             part = np.abs(direction) > _PART
             groups.append(tuple(np.array(structure.free_names)[part].tolist()))
             unseen |= part & (value <= _NOTHING * values[0])

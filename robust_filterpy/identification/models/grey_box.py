@@ -366,7 +366,7 @@ class GreyBoxModel(Identified):
         How much each sample was believed; NaN where it is missing.
     log_likelihood : float
         Of what is measured.
-    untold : tuple of tuple of str
+    unidentifiable : tuple of tuple of str
         Parameters that the recording cannot tell, or cannot tell from one another.
     warning : str
         What makes the estimate doubtful; empty if nothing does.
@@ -386,7 +386,7 @@ class GreyBoxModel(Identified):
     noise: tuple[Noise, ...]
     weights: Array
     log_likelihood: float
-    untold: tuple[tuple[str, ...], ...]
+    unidentifiable: tuple[tuple[str, ...], ...]
     warning: str
     findings: tuple[Finding, ...] = ()
     trends: tuple[tuple[int, Array], ...] = ()

@@ -243,8 +243,8 @@ class Following:
         self._say(news)
         return out
 
-    def _updated(self, y: Any, u: Any, R: Any) -> list[Any]:
-        """Take one sample of each actuator and return prediction, residual, weight and guard."""
+    def _updated(self, y: Any, u: Any, R: Any) -> tuple[np.ndarray, ...]:
+        """Take one sample of each actuator and return prediction, residual, weight and guard, (n, 1)."""
         outputs, inputs = setup.outputs(y, self.n, False)[:, None], setup.inputs(self.structure, u, self.n)[:, None]
         variances = None if R is None else setup.variances(R, self.n)[:, None]
         before = self._held()
@@ -252,7 +252,7 @@ class Following:
             out = self._taken(None, outputs, inputs, variances)
             if self._time is not None:
                 self._time = self._time[0], self._time[1] + 1
-            return [self._alone(column[:, 0]) for column in out[2:]]
+            return out[2:]
         except BaseException:
             self._put_back(before)
             raise

@@ -274,7 +274,7 @@ def for_each(make: Callable[[dict[str, Any]], _Made], rows: list[dict[str, Any]]
 
 def outputs(y: Any, n: int, recorded: bool) -> Array:
     """Return measured outputs, shape (n,) or (N, n), NaN where they are missing, or raise."""
-    if type(y) is float and n == 1 and -LARGEST <= y <= LARGEST and not recorded:
+    if isinstance(y, float) and n == 1 and -LARGEST <= y <= LARGEST and not recorded:
         return np.array([y])
     values = numbers("y", np.full(n, np.nan) if y is None and not recorded else y)
     values = values.reshape(1) if n == values.size == 1 and not recorded else values
@@ -292,7 +292,7 @@ def outputs(y: Any, n: int, recorded: bool) -> Array:
 def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> Array:
     """Return inputs, shape (n, n_inputs), or (N, n, n_inputs) for a recording of a given length; or raise."""
     width, time = structure.n_inputs, () if length is None else (length,)
-    if type(u) is float and n == width == 1 and -LARGEST <= u <= LARGEST and length is None:
+    if isinstance(u, float) and n == width == 1 and -LARGEST <= u <= LARGEST and length is None:
         return np.array([[u]])
     if u is None:
         if width:

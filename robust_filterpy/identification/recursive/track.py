@@ -377,12 +377,14 @@ def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Co
     """Take samples of the actuators that have begun: by the kernel, and those that it declines by the definition."""
     # Lists, which of few actuators are faster.
     everyone = all(now.begun.tolist())
-    which = np.arange(len(now.begun)) if everyone else np.flatnonzero(now.begun)
-    moved, done = now.copied() if everyone else now.rows(which), [0] * len(which)
+    which: Any = slice(None) if everyone else np.flatnonzero(now.begun)
+    moved = now.copied() if everyone else now.rows(which)
+    done = [0] * len(moved.theta)
     if using.rules is not None:
         done = _by_kernel(form, using, moved, which, signals, out, part).tolist()
     for row in [row for row, count in enumerate(done) if part.start + count < part.stop]:
-        one, here, k = moved.rows(slice(row, row + 1)), which[row : row + 1], part.start + done[row]
+        one, here = moved.rows(slice(row, row + 1)), np.arange(len(now.begun))[which][row : row + 1]
+        k = part.start + done[row]
         while k < part.stop:
             until = part.stop if using.rules is None else k + 1
             _by_definition(form, using, one, int(here[0]), signals, out, slice(k, until))
@@ -393,21 +395,23 @@ def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Co
 
 
 def _by_kernel(
-    form: Form, using: Settings, now: State, which: np.ndarray, signals: _Signals, out: Columns, part: slice
+    form: Form, using: Settings, now: State, own: np.ndarray | slice, signals: _Signals, out: Columns, part: slice
 ) -> np.ndarray:
     """Advance the state of some actuators in place, and return how many samples of each the kernel has taken."""
-    (y, u, R), done = signals, np.zeros(len(which), dtype=np.intp)
-    own: Any = which if len(which) < len(y) else slice(None)
-    rules, F, Q = [a if len(a) == 1 else a[own] for a in (using.rules, using.F, using.Q) if a is not None]
-    flags = form.flags[own]
+    (y, u, R), done = signals, np.zeros(len(now.theta), dtype=np.intp)
+    rules, F, Q, alpha_sq, flags = *using[:4], form.flags
     if not all(using.enabled.tolist()):
         flags = flags.copy()
-        flags[:, 3] = using.enabled[own]
-    whole = isinstance(own, slice) and part == slice(0, y.shape[1])
+        flags[:, 3] = using.enabled
+    if len(done) < len(y):
+        rules, F, Q = [a if len(a) == 1 else a[own] for a in (rules, F, Q) if a is not None]
+        alpha_sq, flags = alpha_sq[own], flags[own]
+    # What a view costs, of one sample is much.
+    whole = len(done) == len(y) and part == slice(0, y.shape[1])
+    taken = signals if whole else (y[own, part], u[own, part], None if R is None else R[own, part])
     written = out if whole else Columns(*(np.ascontiguousarray(column[own, part]) for column in out))
     kernel.extension().track(
-        form.layout.numbers, (rules, F, Q, using.alpha_sq[own], now.windup, now.centre, flags),
-        (y[own, part], u[own, part], None if R is None else R[own, part]),
+        form.layout.numbers, (rules, F, Q, alpha_sq, now.windup, now.centre, flags), taken,
         (now.theta, now.P, *now.past, now.scale, now.readings), tuple(written), done,
     )  # fmt: skip
     for column, block in zip(out, () if whole else written, strict=False):

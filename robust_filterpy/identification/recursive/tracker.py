@@ -432,7 +432,7 @@ class ParameterTracker(Following, PolynomialSystem):
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        return Sample(*self._updated(y, u, R))
+        return Sample(*[column.item() for column in self._updated(y, u, R)])
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, progress: bool | None = None
@@ -968,7 +968,7 @@ class TrackerBank(Following):
         LinAlgError
             If a filter refuses its sample; no actuator has changed then.
         """
-        return BankSample(*self._updated(y, u, R))
+        return BankSample(*[column[:, 0] for column in self._updated(y, u, R)])
 
     def run(
         self,
