@@ -379,10 +379,12 @@ def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Co
     everyone = all(now.begun.tolist())
     which: Any = slice(None) if everyone else np.flatnonzero(now.begun)
     moved = now.copied() if everyone else now.rows(which)
-    done = [0] * len(moved.theta)
-    if using.rules is not None:
+    if using.rules is None:
+        done = [0] * len(moved.theta)
+    else:
         done = _by_kernel(form, using, moved, which, signals, out, part).tolist()
-    for row in [row for row, count in enumerate(done) if part.start + count < part.stop]:
+    length = part.stop - part.start
+    for row in [row for row, count in enumerate(done) if count < length]:
         one, here = moved.rows(slice(row, row + 1)), np.arange(len(now.begun))[which][row : row + 1]
         k = part.start + done[row]
         while k < part.stop:
@@ -399,7 +401,7 @@ def _by_kernel(
 ) -> np.ndarray:
     """Advance the state of some actuators in place, and return how many samples of each the kernel has taken."""
     (y, u, R), done = signals, np.zeros(len(now.theta), dtype=np.intp)
-    rules, F, Q, alpha_sq, flags = *using[:4], form.flags
+    (rules, F, Q, alpha_sq), flags, taken, written = using[:4], form.flags, signals, out
     if not all(using.enabled.tolist()):
         flags = flags.copy()
         flags[:, 3] = using.enabled
@@ -407,14 +409,14 @@ def _by_kernel(
         rules, F, Q = [a if len(a) == 1 else a[own] for a in (rules, F, Q) if a is not None]
         alpha_sq, flags = alpha_sq[own], flags[own]
     # What a view costs, of one sample is much.
-    whole = len(done) == len(y) and part == slice(0, y.shape[1])
-    taken = signals if whole else (y[own, part], u[own, part], None if R is None else R[own, part])
-    written = out if whole else Columns(*(np.ascontiguousarray(column[own, part]) for column in out))
+    if len(done) < len(y) or part.stop - part.start < y.shape[1]:
+        taken = y[own, part], u[own, part], None if R is None else R[own, part]
+        written = Columns(*(np.ascontiguousarray(column[own, part]) for column in out))
     kernel.extension().track(
         form.layout.numbers, (rules, F, Q, alpha_sq, now.windup, now.centre, flags), taken,
         (now.theta, now.P, *now.past, now.scale, now.readings), tuple(written), done,
     )  # fmt: skip
-    for column, block in zip(out, () if whole else written, strict=False):
+    for column, block in zip(out, () if written is out else written, strict=False):
         column[own, part] = block
     return done
 
