@@ -379,11 +379,8 @@ def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Co
     everyone = all(now.begun.tolist())
     which: Any = slice(None) if everyone else np.flatnonzero(now.begun)
     moved = now.copied() if everyone else now.rows(which)
-    if using.rules is None:
-        done = [0] * len(moved.theta)
-    else:
-        done = _by_kernel(form, using, moved, which, signals, out, part).tolist()
-    length = part.stop - part.start
+    counts = None if using.rules is None else _by_kernel(form, using, moved, which, signals, out, part)
+    done, length = [0] * len(moved.theta) if counts is None else counts.tolist(), part.stop - part.start
     for row in [row for row, count in enumerate(done) if count < length]:
         one, here = moved.rows(slice(row, row + 1)), np.arange(len(now.begun))[which][row : row + 1]
         k = part.start + done[row]
