@@ -326,7 +326,8 @@ INLINE void learnt_predicted(const int K, const learnt_memory *const memory, rea
 /* The classes of a sensor's next sample whatever the last one was. */
 INLINE void learnt_typical(const int K, const learnt_memory *const memory, real *RESTRICT p) {
     for (int j = 0; j < K; j++) p[j] = 0;
-    for (int i = 0; i < K * K; i++) p[i % K] += memory->counts[i];
+    for (int i = 0; i < K; i++)
+        for (int j = 0; j < K; j++) p[j] += memory->counts[i * K + j];
     learnt_normalize(1, 0, K, p);
 }
 
