@@ -66,8 +66,7 @@ def look_at_recording(kf: Any, weights: Array, y: Array, first: int, lagging: Ca
 
 def noted(kf: Any, weights: Array, y: Array) -> Array:
     """Return 2 for a clipped innovation and 1 for another, with its sign; 0 for one that is missing, or 0."""
-    signs = np.sign(y)
-    signs[np.isnan(weights)] = 0.0
+    signs = np.where(np.isnan(weights), 0.0, np.sign(y))
     return signs if kf.noise is not None else np.where(weights < _weight_at_clip(kf.choices), 2.0, 1.0) * signs
 
 
