@@ -292,3 +292,12 @@ def test_a_first_innovation_of_rounding_is_not_typical(first):
         kf.update(zs[0] + off)
         found.append(kf.batch_filter(zs[1:])[0])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+
+
+def test_the_first_innovation_is_a_typical_one():
+    kf = RobustKalmanFilter(1, 1)
+    kf.H[:] = 1.0
+    kf.predict()
+    kf.update(3.0)
+    # A median of a single |e| with S = 3, in units of a normal deviation.
+    assert kf.spread == pytest.approx([3.0 / np.sqrt(3.0) / scipy.stats.norm.ppf(0.75)])

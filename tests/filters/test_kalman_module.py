@@ -137,6 +137,7 @@ def test_batch_filter_and_rts_smoother_are_filterpys(update_first):
 
 @pytest.mark.parametrize("call, match", [
     (lambda: ours.update(np.zeros(2), np.eye(2), [1.0, 2.0], 1.0, np.eye(1, 2)), "z: expected 1"),
+    (lambda: ours.rts_smoother(np.zeros(4), np.ones((4, 1, 1)), np.eye(1), np.eye(1)), "Xs: expected shape"),
     (lambda: ours.update(np.zeros(2), np.eye(3), 1.0, 1.0, np.eye(1, 2)), "P: expected shape"),
     (lambda: ours.update(0.0, 1.0, np.inf, 1.0), "z: expected a finite"),
     (lambda: ours.update(0.0, 1.0, 1.0, 1.0, influence="x"), "influence"),
