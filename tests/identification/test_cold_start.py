@@ -81,6 +81,7 @@ def test_what_is_given_keeps_its_meaning():
     given = ParameterTracker(OutputError(2, 2), R=0.5)
     given.run(y, u)
     assert given.R == 0.5
+    assert ParameterTracker(identify(y, u, ARX(1, 1)), R=0.5).R == 0.5
     with pytest.raises(ValueError, match="start: expected 0 with theta, P or a filter object or model"):
         ParameterTracker(ARX(1, 1), theta=0.0, start=100)
     for bad in ({"start": -1}, {"regressor": "clean"}, {"R_memory": 1}):
