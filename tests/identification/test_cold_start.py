@@ -10,7 +10,7 @@ from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter
+from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, identify
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification import ARMAX, FIR, LinearRegression, LostTrackerWarning, TrackerBank
 from robust_filterpy.identification.recursive.recursion import ordinary_mean
