@@ -229,13 +229,13 @@ def test_a_grid_is_measured_from_its_beginning_and_follows_a_clock_that_drifts()
     n = 400
     rng = np.random.default_rng(3)
 
-    def refused(t):
+    def refused(t, dt=1.0):
         state, errors = None, []
         for part in np.split(np.column_stack((t, np.zeros(n))), [7, 8, 200]):
-            state, output = step(timed(dt=1.0), state, part)
+            state, output = step(timed(dt=dt), state, part)
             errors += output["error"].tolist()
         errors = [error if error is None or "away" in error else None for error in errors]
-        whole, output = step(timed(dt=1.0), None, np.column_stack((t, np.zeros(n))))
+        whole, output = step(timed(dt=dt), None, np.column_stack((t, np.zeros(n))))
         assert output["error"].tolist() == errors
         same(state, whole)
         return sum(error is not None and "away" in error for error in errors), whole["grid"][1]
@@ -243,6 +243,7 @@ def test_a_grid_is_measured_from_its_beginning_and_follows_a_clock_that_drifts()
     # Within .2 of the grid, in whatever order, is on it; a clock that is off by half a percent is followed.
     assert refused(np.arange(n) + rng.choice([-0.2, 0.2], n)) == (0, n - 1)
     assert refused(1e9 + 1.005 * np.arange(n)) == (0, n - 1)
+    assert refused(0.1005 * np.arange(n), 0.1) == (0, n - 1)
     # A period of 1.2 is not 1: each sample is taken where it was, or refused.
     for period in (1.2, 1.45, 2.5):
         lost, steps = refused(period * np.arange(n))
