@@ -223,7 +223,7 @@ def update(
     H = np.eye(1, n) if H is None else _checks.numbers("H", H)
     H = H.reshape(1, n) if H.ndim < 2 and H.size == n else H
     options.setdefault("scaling", "innovation")
-    kf = _filter(x, P, len(H) if H.ndim else 1, **options)
+    kf = _filter(x, P, len(np.atleast_2d(H)), **options)
     kf.update(z, R, H)
     x_post, P_post = _as_given(kf, mean)
     if not return_all:
