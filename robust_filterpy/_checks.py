@@ -131,8 +131,8 @@ def _no_number(array: Any) -> str:
     """Return what of an array is no number, where, and what to do: of text the first that does not even read as one."""
     if array.dtype.kind in "cmM":
         return f"dtype {array.dtype}: {shown(array)}"
-    strange = [k for k, item in enumerate(array.flat) if isinstance(item, _NO_NUMBER)]
-    k = next((k for k in strange if not _reads_as_number(array.flat[k])), strange[0])
+    others = [k for k, item in enumerate(array.flat) if isinstance(item, _NO_NUMBER)]
+    k = next((k for k in others if not _reads_as_number(array.flat[k])), others[0])
     place = f" at index {', '.join(map(str, map(int, np.unravel_index(k, array.shape))))}" if array.ndim else ""
     mend = "; pandas.to_numeric(.., errors='coerce') makes numbers of a column of text, and NaN of what is none"
     item = array.flat[k]

@@ -175,8 +175,8 @@ def correct_by_typical(
         grown = _opened(P * np.outer(judged.growth, judged.growth), seen, judged.opened)
         gained = (grown - P) @ seen.T
         P, C, S = grown, C + gained, S + seen @ gained
-    charged = S + np.diag(judged.charge) if judged.charge.any() else S
-    last = correct(x, P, y, C, charged, choices, judged.spread(S), skip_singular)
+    noisier = S + np.diag(judged.added) if judged.added.any() else S
+    last = correct(x, P, y, C, noisier, choices, judged.spread(S), skip_singular)
     B = S - R
     rest = np.where(np.isnan(y), np.nan, last.y - B @ last.score)
     left = np.diag(B - B @ last.information @ B if H is None else H @ last.P @ H.T)

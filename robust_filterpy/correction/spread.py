@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 #: Columns of a memory, shape (m, 22); those of a state that was stored before there were so many begin at 0.
-WEIGHT, SPREAD, SHARE, STRANGE, RUN, REST, JUMP, LAST, REPEATS = range(9)
+WEIGHT, SPREAD, SHARE, OUTLIERS, RUN, REST, JUMP, LAST, REPEATS = range(9)
 STEP, LEFT, GROWTH, USED, HELD, FILLED, WIDE, WIDENED, LASTED, VAIN, ON, REACH, AGE = range(9, 22)
 NUMBERS = 22
 
@@ -41,7 +41,7 @@ STEEP = 1.5  #: a run goes on while it grows by less than half
 ROUNDED = 1e-13  #: an innovation of so much of the reading and of its standard deviation is rounding
 FLOOR, STEEPEST = 1e-9, 50.0  #: less of H P H' / R is rounding; its logarithm does not grow by more
 LARGEST_GROWTH = 1e6  #: of S at one jump; makes the gain 1 - 1e-6
-WITNESS, APART = 0.47, 1.5  #: see `_charges`
+WITNESS, APART = 0.47, 1.5  #: see `_added_noise`
 
 
 class Prepared(NamedTuple):
@@ -51,7 +51,7 @@ class Prepared(NamedTuple):
     """Memory after the innovation, shape (m, 22)."""
     width: np.ndarray
     """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
-    charge: np.ndarray
+    added: np.ndarray
     """Variance that is a sensor's own noise beyond R, shape (m,)."""
     growth: np.ndarray
     """Factor of each state's standard deviation, shape (n,)."""
@@ -62,7 +62,7 @@ class Prepared(NamedTuple):
 
     def spread(self, S: np.ndarray) -> np.ndarray:
         """Return s, the width in units of the S that the correction is by, shape (m,)."""
-        variances = np.diag(S) + self.charge
+        variances = np.diag(S) + self.added
         return np.asarray(self.width / np.sqrt(np.where(variances > 0.0, variances, 1.0)))
 
 
@@ -96,7 +96,7 @@ def prepared(
     # Who has no typical innovation yet has shown zeros alone: any width will do.
     s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
-    charge = _charges(y, s, nominal, B, here) if here.sum() > 1 else np.zeros(len(y))
+    added = _added_noise(y, s, nominal, B, here) if here.sum() > 1 else np.zeros(len(y))
     narrowed = np.maximum(s / (1 + YIELD * memory[:, SHARE]), coarse)
     unit, out, back = s * nominal * wider, here & (size > BEND * narrowed), np.zeros(len(y), dtype=bool)
     for i in np.flatnonzero(here):
@@ -113,7 +113,7 @@ def prepared(
         back[i] = out[i] and own[JUMP] != 0 and abs(y[i] + own[JUMP]) < landing
     # What others that see the same are not off by is a sensor's own noise, no jump.
     growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * nominal * wider
-    for i in np.flatnonzero(out & (charge == 0) & (np.diag(B) > 0)):
+    for i in np.flatnonzero(out & (added == 0) & (np.diag(B) > 0)):
         if not _believed(memory[i], y[i], unit[i], back[i]):
             continue
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
@@ -128,7 +128,7 @@ def prepared(
             _note_outcome(memory[i], memory[i, AGE] == 0, memory[i, AGE] - 1)
         memory[i, AGE] = 0.0 if back[i] else memory[i, RUN]
         _forgive(memory[i], 0.0 if back[i] else y[i])
-    return Prepared(memory, width, charge, growth, opened, held)
+    return Prepared(memory, width, added, growth, opened, held)
 
 
 def after(memory: np.ndarray, rest: np.ndarray, left: np.ndarray, S: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -183,8 +183,8 @@ def _towards(median: float, aim: float, up: float, down: float) -> float:
 
 def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
     """Let one sensor's |e| move its spread and its share of outliers."""
-    if own[STRANGE] >= FEW:
-        own[[WEIGHT, SHARE, STRANGE]] = 0.0
+    if own[OUTLIERS] >= FEW:
+        own[[WEIGHT, SHARE, OUTLIERS]] = 0.0
     before, aim = own[WEIGHT], size / QUARTILE
     own[WEIGHT] += weight
     if before == 0:
@@ -194,14 +194,14 @@ def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
     # The far ones are left out of it.
     share = float(own[SHARE])
     own[SPREAD] = _towards(float(own[SPREAD]), aim, PACE * pace * (1 - share), PACE * pace * (1 + share))
-    own[STRANGE] = own[STRANGE] + 1 if far else 0
+    own[OUTLIERS] = own[OUTLIERS] + 1 if far else 0
     own[SHARE] += (far - own[SHARE]) * max(weight / (own[WEIGHT] + FEW), 1 / MEMORY)
 
 
 def _forgive(own: np.ndarray, jump: float) -> None:
     """Note a jump: the far ones in a row were no outliers, and it may be undone."""
-    own[SHARE] = max(own[SHARE] - own[STRANGE] * _step(own), 0.0)
-    own[[STRANGE, RUN, HELD]], own[JUMP] = 0.0, jump
+    own[SHARE] = max(own[SHARE] - own[OUTLIERS] * _step(own), 0.0)
+    own[[OUTLIERS, RUN, HELD]], own[JUMP] = 0.0, jump
 
 
 def _as_jumps(own: np.ndarray, far: float, unit: float) -> bool:
@@ -297,10 +297,10 @@ def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:
     return seen
 
 
-def _charges(y: np.ndarray, s: np.ndarray, nominal: np.ndarray, B: np.ndarray, here: np.ndarray) -> np.ndarray:
+def _added_noise(y: np.ndarray, s: np.ndarray, nominal: np.ndarray, B: np.ndarray, here: np.ndarray) -> np.ndarray:
     """Return what each sensor is noisier than those that see the same: that can only be its own noise."""
     seen = _seen_by(B, here)
-    charge, b = np.zeros(len(y)), np.diag(B)
+    added, b = np.zeros(len(y)), np.diag(B)
     for i in np.flatnonzero(here & (b > 0)):
         w = seen[i]
         total = w.sum()
@@ -313,8 +313,8 @@ def _charges(y: np.ndarray, s: np.ndarray, nominal: np.ndarray, B: np.ndarray, h
         high = max(v for v in says if w[others][says >= v].sum() >= total * (0.5 - 1e-9))
         odd = abs(y[i] - min(max(0.0, low), high)) / nominal[i]
         own = max(s[i] / APART, min(odd, 1e100) / FAR)
-        charge[i] = nominal[i] ** 2 * max((own / usual) ** 2 - 1, 0.0)
-    return charge
+        added[i] = nominal[i] ** 2 * max((own / usual) ** 2 - 1, 0.0)
+    return added
 
 
 def _goes_on(own: np.ndarray, y: float, near: float) -> bool:

@@ -1,8 +1,8 @@
 /* How each sensor's spread is learned: what its innovations usually are, in units of what S says.
 
    The spread is a median by recursion of |e|, e = y / sqrt(S_ii), without the far ones. What a sensor is noisier than
-   those that see the same is charged to its R; a run of clipped innovations is a jump
-   of the state, unless it is charged, and P grows until it is plausible. How
+   those that see the same is added to its R; a run of clipped innovations is a jump
+   of the state, unless noise is added, and P grows until it is plausible. How
    long a run must be is learned from those that lasted and those that came to nothing. Beside other sensors a far
    reading that repeats the one before counts only as far as that is usual: one that is stuck says nothing new. Where
    readings repeat, one smallest step between them is never clipped. */
@@ -16,7 +16,7 @@ typedef struct {
     real weight;  /* information that the spread rests on, sum of the roots of R_ii / S_ii; 0: none yet */
     real spread;  /* median of |e| over .6745, without the far ones */
     real share;   /* share of far innovations */
-    real strange; /* far ones in a row */
+    real outliers; /* far ones in a row */
     real run;     /* clipped ones in a row, of one sign, each where the last one left x */
     real rest;    /* z - H x after the last correction */
     real jump;    /* how far the last jump went, 0 if there was none to return from */
@@ -65,11 +65,11 @@ typedef struct {
 /* What a correction is to be changed by. */
 typedef struct {
     real *width;  /* (m) unit of each sensor's innovation, in the unit of z; below 0 for what says nothing new */
-    real *charge; /* (m) variance that is added to R */
+    real *added;  /* (m) variance that is added to R */
     real *growth; /* (n) what each state's deviation grows by */
     real *opened; /* (m) variance that a jump adds to what each sensor sees */
     real *nominal;   /* (m) root of S_ii as given */
-    int charges, grows;
+    int grows;
 } spread_change;
 
 #define spread_work(n, m) ((size_t)((n) + 12 * (m)))
@@ -89,7 +89,7 @@ INLINE real spread_towards(const real median, const real aim, const real up, con
 INLINE void spread_learn(spread_memory *const own, const real size, const real coarse, const real weight) {
     const real aim = size / SPREAD_QUARTILE;
     real known, pace, far;
-    if (own->strange >= SPREAD_FEW) own->weight = own->share = own->strange = 0;
+    if (own->outliers >= SPREAD_FEW) own->weight = own->share = own->outliers = 0;
     known = own->weight;
     own->weight += weight;
     if (known == 0) {
@@ -99,7 +99,7 @@ INLINE void spread_learn(spread_memory *const own, const real size, const real c
     pace = SPREAD_PACE * real_max(weight / known, SPREAD_FADING);
     far = size > SPREAD_FAR * real_max(own->spread, coarse) ? REAL(1.0) : REAL(0.0);
     own->spread = spread_towards(own->spread, aim, pace * (1 - own->share), pace * (1 + own->share));
-    own->strange = far != 0 ? own->strange + 1 : 0;
+    own->outliers = far != 0 ? own->outliers + 1 : 0;
     own->share += (far - own->share) * real_max(weight / (own->weight + SPREAD_FEW), SPREAD_FADING);
 }
 
@@ -130,7 +130,7 @@ CALLED real spread_quantile(const int m, const real *values, const real *seen, c
 }
 
 /* What sensor i is noisier than those that see the same: that can only be its own noise. */
-CALLED real spread_charge(const int m, const int i, const correction *const c, const real *R, const real *s,
+CALLED real spread_added(const int m, const int i, const correction *const c, const real *R, const real *s,
                           real *RESTRICT seen, real *RESTRICT says) {
     const real variance = c->S[i * m + i], total = spread_seen(m, i, c, R, seen);
     const real quorum = SPREAD_WITNESS * total * SPREAD_ROUNDING;
@@ -210,8 +210,8 @@ INLINE real spread_step(const spread_memory *const own) {
 
 /* Note a jump: the far ones in a row were no outliers, and where others are rare it may be undone at once. */
 INLINE void spread_forgive(spread_memory *const own, const real jump) {
-    own->share = real_max(own->share - own->strange * spread_step(own), 0);
-    own->strange = own->run = own->held = 0;
+    own->share = real_max(own->share - own->outliers * spread_step(own), 0);
+    own->outliers = own->run = own->held = 0;
     own->jump = jump;
 }
 
@@ -289,17 +289,17 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
     real *s, *nominal, *units, *size, *out, *ratio, *excess, *seen, coarse, e;
     change->growth = work;
     change->width = work + n;
-    change->charge = work + n + m;
+    change->added = work + n + m;
     change->opened = work + n + 2 * m;
     change->nominal = nominal = work + n + 3 * m;
     units = nominal + m, s = units + m, size = s + m, out = size + m, ratio = out + m, excess = ratio + m;
     seen = excess + m; /* and m more */
-    change->charges = change->grows = 0;
+    change->grows = 0;
     for (int k = 0; k < n; k++) change->growth[k] = 1;
     for (int i = 0; i < m; i++) {
         const real variance = c->S[i * m + i];
         spread_memory *const own = &memory[i];
-        change->charge[i] = change->opened[i] = 0;
+        change->added[i] = change->opened[i] = 0;
         nominal[i] = real_sqrt(variance);
         ratio[i] = spread_ratio(variance - R[i * m + i], R[i * m + i], variance);
         coarse = spread_coarse(own, nominal[i]);
@@ -324,11 +324,8 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         s[i] = own->weight > 0 ? real_max(own->spread, coarse) : 1;
     }
     if (c->observed > 1)
-        for (int i = 0; i < m; i++) {
-            if (c->left[i] == 0) continue;
-            change->charge[i] = spread_charge(m, i, c, R, s, seen, seen + m);
-            change->charges |= change->charge[i] > 0;
-        }
+        for (int i = 0; i < m; i++)
+            if (c->left[i] != 0) change->added[i] = spread_added(m, i, c, R, s, seen, seen + m);
     for (int i = 0; i < m; i++) {
         spread_memory *const own = &memory[i];
         const real y = c->y[i], rest = own->rest, wider = nominal[i] * out[i], unit = s[i] * wider;
@@ -359,7 +356,7 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         const real variance = c->S[i * m + i], b = variance - R[i * m + i];
         real bent, wanted;
         if (c->left[i] == 0 || out[i] == 0 || !spread_believed(own, c->y[i], units[i], out[i] == 2)) continue;
-        if (change->charge[i] > 0 || !(b > 0)) continue;
+        if (change->added[i] > 0 || !(b > 0)) continue;
         bent = size[i] / (SPREAD_BEND * s[i]);
         wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance;
         /* What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees. */

@@ -75,7 +75,7 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
                   real *RESTRICT x, real *RESTRICT P, correction *const c, real *shown, real *work) {
     real *spread = work + correction_work(n, m), *rest = spread + m;
     spread_memory *const learnt = (spread_memory *)rest;
-    spread_change change = {NULL, NULL, NULL, NULL, NULL, 0, 0};
+    spread_change change = {NULL, NULL, NULL, NULL, NULL, 0};
     if (H ? !innovate(n, m, y, x, P, H, R, M, c) : !update_take(m, y, c)) return 0;
     if (rule->scaling == SCALING_LEARNT) {
         for (int i = 0; i < m; i++) {
@@ -100,7 +100,7 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
         return rule->scaling != SCALING_UNIT || update_is_positive(n, P, rest);
     }
     for (int i = 0; i < m; i++) {
-        c->S[i * m + i] += change.charge[i];
+        c->S[i * m + i] += change.added[i];
         spread[i] = change.width[i] / real_sqrt(c->S[i * m + i]);
     }
     if (!correct_grouped(n, m, rule, spread, x, P, c)) return 0;
