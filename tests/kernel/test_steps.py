@@ -331,3 +331,23 @@ def test_a_number_that_is_no_variance_is_refused_as_the_definition_does(name, va
             if name == "Q":
                 assert np.array_equal(kf.x, before[0]) and np.array_equal(kf.P, before[1])
     assert said[0] == said[1]
+
+
+def test_noise_that_is_thirty_times_larger_from_now_on_is_typical_after_ten_readings(both):
+    """Ten far ones in a row are outliers, the next ones are what is usual."""
+    rng = np.random.default_rng(2)
+    zs = np.where(np.arange(140) < 60, 1.0, 30.0) * rng.choice([-1.0, 1.0], 140) * rng.uniform(0.5, 1.5, 140)
+
+    def louder():
+        kf, rows = RobustKalmanFilter(1, 1), []
+        kf.H[:], kf.Q[:] = 1.0, 0.01
+        for z in zs:
+            kf.predict()
+            kf.update(z)
+            rows.append(shown(kf, "_memory"))
+        return rows
+
+    ours, theirs = both(louder)
+    assert_alike(ours, theirs, 1e-9)
+    clipped = [row["weights"][0] < 0.5 for row in theirs]
+    assert all(clipped[60:69]) and not any(clipped[80:])
