@@ -75,10 +75,11 @@ def api_pages() -> dict[str, str]:
         "",
     ]
     pages = {"api/index.rst": "\n".join(index)}
+    shown: set[type] = set()
     for module, names in described.items():
         found = importlib.import_module(module)
         apart = [name for name in names if is_long(getattr(found, name))]
-        pages[f"api/{module}.rst"] = module_page(module, names, apart)
+        pages[f"api/{module}.rst"] = module_page(module, names, apart, shown)
         for name in apart:
             lines = [heading(name), directive(module, name, getattr(found, name))]
             pages[f"api/{module}.{name}.rst"] = "\n".join(lines)
@@ -109,8 +110,11 @@ def is_elsewhere(module: str, thing: object, name: str) -> bool:
     return room.startswith(ROOT) and not module.startswith(room) and home(thing, name) == room
 
 
-def module_page(module: str, names: list[str], apart: list[str]) -> str:
-    """Return the page of a module: its docstring, a table, and in full every name that has no page of its own."""
+def module_page(module: str, names: list[str], apart: list[str], shown: set[type]) -> str:
+    """Return the page of a module: its docstring, a table, and in full every name that has no page of its own.
+
+    What its names return is added to `shown`, of which each class stands on one page alone.
+    """
     found = importlib.import_module(module)
     lines = [heading(module), f".. automodule:: {module}\n   :no-members:\n"]
     if names:
@@ -122,7 +126,8 @@ def module_page(module: str, names: list[str], apart: list[str]) -> str:
         if len(apart) < len(names):
             lines += [heading("In full", "-")]
         lines += [directive(module, name, getattr(found, name)) for name in names if name not in apart]
-    back = results(getattr(found, name) for name in names)
+    back = [thing for thing in results(getattr(found, name) for name in names) if thing not in shown]
+    shown.update(back)
     if back:
         lines += [heading("What these return", "-")]
         lines += [directive(thing.__module__, thing.__qualname__, thing) for thing in back]
