@@ -33,9 +33,10 @@ def write(docs: Path, pages: dict[str, str]) -> None:
 
 
 def rooms() -> list[str]:
-    """Return the modules that list public names: each room, its inner rooms, and the drop-in for filterpy.kalman."""
+    """Return the modules that list public names: each room, its inner rooms, inputs, filterpy.kalman's drop-in."""
     found = [info.name for info in pkgutil.iter_modules(robust_filterpy.__path__, f"{ROOT}.")]
     found += [info.name for info in pkgutil.walk_packages(robust_filterpy.__path__, f"{ROOT}.") if info.ispkg]
+    found += [f"{ROOT}.plants.excitation"]
     return sorted(name for name in set(found) if "._" not in name and own_page(name))
 
 
