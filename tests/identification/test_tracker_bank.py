@@ -505,3 +505,17 @@ def test_a_bank_is_its_trackers_whatever_is_drawn(seed):
     ahead = rng.normal(size=(FEW, structure.n_inputs))
     theirs = [tracker.predict(ahead[i] if structure.n_inputs else None) for i, tracker in enumerate(trackers)]
     np.testing.assert_allclose(bank.predict(ahead if structure.n_inputs else None), theirs, rtol=1e-6, atol=1e-7)
+
+
+def test_filters_that_learn_what_is_typical_do_so_for_each_actuator_and_go_on():
+    structure = ARX(2, 2)
+    y, u = recording(structure)
+    y = y * np.geomspace(0.1, 10.0, N)
+    options = {"scaling": "learnt", "R": 0.25}
+    assert_is_the_loop(structure, y, u, **options)
+    bank, other = (support.paper_bank(N, structure, **options) for _ in range(2))
+    bank.run(y[:50], u[:50])
+    other.restore(bank.state())
+    bank.run(y[50:], u[50:])
+    other.run(y[50:], u[50:])
+    same(other.state(), bank.state())
