@@ -96,7 +96,7 @@ def main(argv=None):
         f"learns how large innovations are instead of taking S for it, {default[0] - 1:.0%}; with 10 % outliers ten "
         f"times as large as the noise the Kalman filter's error is {table['Kalman (Linear)'][dirty]:.1f} times the "
         f"limit, Huber's {table['Huber 1.345'][dirty]:.2f}, the default's {default[dirty]:.2f} and the best's "
-        f"({best[1]}) {best[0]:.2f}. With 30 % the default pays for what it is not told: {default[-1]:.2f}, where "
+        f"({best[1]}) {best[0]:.2f}. With 30 % the default pays for what it does not know: {default[-1]:.2f}, where "
         f"Huber with the true R has {table['Huber 1.345'][-1]:.2f}."
     )
 

@@ -26,7 +26,7 @@ KINDS = {
 
 
 def imm(kind):
-    """Return an IMM of a calm and an agile filter of the given class."""
+    """Return an IMM of a calm and an agile filter of the calm_share class."""
     filters = []
     for variance in (1e-4, 0.5):
         kf = kind(dim_x=2, dim_z=1)
@@ -71,17 +71,17 @@ def main(argv=None):
     results = {name: run(kind, zs) for name, kind in KINDS.items()}
     draw(truth, agile, results, options.out)
     calm = ~agile & (np.arange(zs.size) > 20)
-    told = {name: float(np.mean(mu[calm] < 0.5)) for name, (_, mu) in results.items()}
+    calm_share = {name: float(np.mean(mu[calm] < 0.5)) for name, (_, mu) in results.items()}
     rms = {name: float(np.sqrt(np.mean((x - truth)[20:] ** 2))) for name, (x, _) in results.items()}
     print(f"{'IMM of':28} calm model the likelier one    position error (rms)")
     for name in KINDS:
-        print(f"{name:28} {told[name]:>20.0%} {rms[name]:>22.1f} m")
+        print(f"{name:28} {calm_share[name]:>20.0%} {rms[name]:>22.1f} m")
     huber, tukey = list(KINDS)[1:]
     print(
-        f"Conclusion: in straight flight the calm model is the likelier one in {told['KalmanFilter']:.0%} "
-        f"of the samples with KalmanFilter, {told[huber]:.0%} with Huber's psi and {told[tukey]:.0%} with Tukey's; the "
-        f"position errors are {rms['KalmanFilter']:.1f}, {rms[huber]:.1f} and {rms[tukey]:.1f} m. Where model "
-        f"probabilities matter, take a bounded rho."
+        f"Conclusion: in straight flight the calm model is the likelier one in {calm_share['KalmanFilter']:.0%} "
+        f"of the samples with KalmanFilter, {calm_share[huber]:.0%} with Huber's psi and {calm_share[tukey]:.0%} with "
+        f"Tukey's; the position errors are {rms['KalmanFilter']:.1f}, {rms[huber]:.1f} and {rms[tukey]:.1f} m. Where "
+        f"model probabilities matter, take a bounded rho."
     )
 
 

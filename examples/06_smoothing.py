@@ -46,11 +46,11 @@ def estimates(zs, bad):
         x, P, _, _ = kf.rts_smoother(means, covariances)
         found[name] = x[:, 0, 0], np.sqrt(P[:, 0, 0])
     robust = smooth(prepared(KalmanFilter), zs)
-    found["smooth, told nothing"] = robust.x[:, 0, 0], np.sqrt(robust.P[:, 0, 0])
+    found["smooth, by default"] = robust.x[:, 0, 0], np.sqrt(robust.P[:, 0, 0])
     kf = prepared(KalmanFilter)
     means, covariances, _, _ = kf.batch_filter(list(zs), Rs=[RATIO**2 if one else 1.0 for one in bad])
     x, P, _, _ = kf.rts_smoother(means, covariances)
-    found["told which are outliers, RTS"] = x[:, 0, 0], np.sqrt(P[:, 0, 0])
+    found["outliers known, RTS"] = x[:, 0, 0], np.sqrt(P[:, 0, 0])
     return found, robust
 
 
@@ -95,7 +95,7 @@ def draw(truth, zs, bad, found, weights, out):
     axes[0].set(ylabel="position [m]", ylim=(truth.min() - 25, truth.max() + 25))
     axes[0].legend(fontsize=8, ncols=3, loc="upper left")
     figure.colorbar(dots, ax=axes[0], label="weight in smooth", pad=0.01)
-    axes[0].set_title("Each measurement weighed by all others: the error of a smoother that is told the outliers")
+    axes[0].set_title("Each measurement weighed by all others: the error of a smoother that knows the outliers")
     colours = (LOOKS[name]["color"] for name in ("Kalman", "Huber", "learnt", "ideal"))
     for ax, (name, (x, deviation)), colour in zip(axes[1:], found.items(), colours, strict=True):
         rms = np.sqrt(np.mean((x - truth) ** 2))

@@ -43,7 +43,7 @@ def simulate(seed=5):
     return u, y, theta
 
 
-# %% Both banks differ by psi; the Kalman filter is told the variance that the outliers give the noise.
+# %% Both banks differ by psi; the Kalman filter is given the variance that the outliers give the noise.
 START = dict(theta=[-1.4, 0.65, 1.0, 0.5], P=0.1, Q=Q)
 BANKS = {
     "Kalman": dict(influence=Linear(), R=SIGMA**2 * (1 + 99 * CONTAMINATION)),

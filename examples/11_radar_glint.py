@@ -1,4 +1,4 @@
-"""Plain, robust or adaptive, told R or not: what matters when a radar's echo jumps about the target?
+"""Plain, robust or adaptive, given R or not: what matters when a radar's echo jumps about the target?
 
 Range and bearing of a target in the plane; in one return out of seven the echo comes from elsewhere on the target or
 beside it (glint). The correction is bounded, whatever the measurement function h:
@@ -55,11 +55,11 @@ def difference(a, b):
 
 
 # %% The robust filters differ by the class name. A glint spoils the whole return, so psi takes it as one: "joint".
-def extended(cls, told=1.0, **choice):
-    """Return a step function of an extended filter that is told R times a factor."""
+def extended(cls, factor=1.0, **choice):
+    """Return a step function of an extended filter that is given R times a factor."""
     kf = cls(4, 2, **choice)
     kf.x, kf.P = np.array([2000.0, 0.0, 1000.0, 0.0]), np.diag([100.0, 30.0, 100.0, 30.0]) ** 2 / 10
-    kf.F, kf.Q, kf.R = F, Q.copy(), told * np.diag(SIGMA**2)
+    kf.F, kf.Q, kf.R = F, Q.copy(), factor * np.diag(SIGMA**2)
 
     def step(z):
         kf.predict()

@@ -19,7 +19,7 @@ from robust_filterpy.plotting import LOOKS
 STEPS, WORN = 1600, 800
 F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
 G = 0.1 * np.array([[0.5], [1.0]])
-FACTORS = (0.1, 1.0, 10.0)  # R that the filter is told, over the true one at the start
+FACTORS = (0.1, 1.0, 10.0)  # R that the filter is given, over the true one at the start
 
 
 def simulate(rng):
@@ -44,7 +44,7 @@ def rms(path, truth):
     return float(np.sqrt(np.mean((path[:, 0, 0] - truth)[50:] ** 2)))
 
 
-# %% Every filter with every R; the one that is told the size of each sample's noise says what is possible.
+# %% Every filter with every R; the one that is given the size of each sample's noise says what is possible.
 def main(argv=None):
     """Run, draw, tabulate, conclude."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -52,8 +52,8 @@ def main(argv=None):
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
     truth, zs, sigma = simulate(np.random.default_rng(options.seed))
-    told = moving(KalmanFilter(2, 1), 1.0).batch_filter(zs, Rs=[np.array([[s**2]]) for s in sigma])[0]
-    possible = rms(told, truth)
+    given = moving(KalmanFilter(2, 1), 1.0).batch_filter(zs, Rs=[np.array([[s**2]]) for s in sigma])[0]
+    possible = rms(given, truth)
 
     _, practice, _ = simulate(np.random.default_rng(options.seed + 1))
     kf = moving(RobustKalmanFilter(2, 1, noise=Contaminated()), 10.0)
@@ -64,12 +64,12 @@ def main(argv=None):
         "AdaptiveKalmanFilter": lambda R: moving(AdaptiveKalmanFilter(2, 1), R),
     }
     loss = {name: [rms(make(R).batch_filter(zs)[0], truth) / possible for R in FACTORS] for name, make in makes.items()}
-    print(f"{'error over the informed filter':32}" + "".join(f"   R told x {factor:<4g}" for factor in FACTORS))
+    print(f"{'error over the informed filter':32}" + "".join(f"   R given x {factor:<4g}" for factor in FACTORS))
     for name, values in loss.items():
         print(f"{name:32}" + "".join(f"{value:15.2f}" for value in values))
     worn = rms(fitted.apply(kf).batch_filter(zs)[0], truth) / possible
     print(
-        f"estimate_noise, told R x 10, says from a recording of the new sensor that it is "
+        f"estimate_noise, given R x 10, says from a recording of the new sensor that it is "
         f"{fitted.R_scale[0]:.3f} of that; a filter with that noise does not learn on when the sensor wears: {worn:.2f}"
     )
 
@@ -85,7 +85,7 @@ def main(argv=None):
 
 
 def follow(make, zs):
-    """Return R as learnt after each step with its standard error, for each R that was told."""
+    """Return R as learnt after each step with its standard error, for each R that was given."""
     learnt, errors = {}, {}
     for factor in FACTORS:
         kf = make(factor)
@@ -108,7 +108,7 @@ def draw(learnt, errors, loss, out):
     left.step(k, np.where(k < WORN, 1.0, 9.0), "k--", lw=1.5, label="true R of ordinary samples")
     colour = LOOKS["learnt"]["color"]
     for style, (factor, path) in zip(("--", "-", ":"), learnt.items(), strict=True):
-        left.plot(k, path, style, color=colour, lw=1.8, label=f"learnt, told {factor:g}")
+        left.plot(k, path, style, color=colour, lw=1.8, label=f"learnt, given {factor:g}")
     low, high = learnt[1.0] - errors[1.0], learnt[1.0] + errors[1.0]
     left.fill_between(k, np.maximum(low, 0.05), high, color=colour, alpha=0.25, lw=0, label="± standard error")
     left.set(
@@ -116,7 +116,7 @@ def draw(learnt, errors, loss, out):
         ylim=(0.05, 40),
         xlabel="step",
         ylabel="variance R",
-        title="R is learnt, whatever was told, while a tenth are outliers",
+        title="R is learnt, whatever was given, while a tenth are outliers",
     )
     left.legend(fontsize=8, loc="lower right")
     width, colours = 0.26, [LOOKS[name]["color"] for name in ("Kalman", "Huber", "learnt")]
@@ -126,7 +126,7 @@ def draw(learnt, errors, loss, out):
     right.axhline(1.0, color="k", lw=0.8)
     right.set(
         xticks=np.arange(len(FACTORS)), xticklabels=[f"{factor:g}" for factor in FACTORS],
-        xlabel="R told, over the true one at the start", ylabel="error over the informed filter's",
+        xlabel="R given, over the true one at the start", ylabel="error over the informed filter's",
         title="What a wrong R costs",
     )  # fmt: skip
     right.legend(fontsize=8)

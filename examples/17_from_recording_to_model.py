@@ -1,7 +1,7 @@
 """From a logger's file to a model that one may trust: what does it take?
 
-The file has dates, gaps, spikes, an output in degrees with an offset and an input in percent. `select_structure` is
-told nothing of that, and finds orders, delay and parameters of y = B(q)/A(q) u + offset + noise. The second half of the
+The file has dates, gaps, spikes, an output in degrees with an offset and an input in percent. `select_structure` finds
+orders, delay and parameters of y = B(q)/A(q) u + offset + noise without being given any of that. The second half of the
 file says whether the model is good. A tracker goes on from it, is saved, and resumes as if nothing had happened.
 """
 

@@ -2,7 +2,7 @@
 
 Question. The fourth-order problem (31)-(34) is filtered by the four filters that two choices make, T(k) = S^(-1/2)
 or T = 1 and E[psi'] or psi'(nu) in the covariance, and by the plain Kalman filter; the paper's figures 3 and 4 show
-one run each. What do many runs say, and what remains of the difference to a filter that is told which
+one run each. What do many runs say, and what remains of the difference to a filter that is given which
 measurements are outliers?
 
 One equation (37, 39, 47, 49)::

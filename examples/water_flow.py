@@ -72,15 +72,15 @@ def build(cls, flow: np.ndarray, R: float = 0.5**2, **choices) -> KalmanFilter:
     return kf
 
 
-# The usual flow is to be kept for as long as a stop lasts, so what is usual is told, by S, and not learnt.
-TOLD, TUKEY, EXPECTED = {"scaling": "innovation"}, {"influence": TukeyBiweight()}, {"information": "expected"}
+# The usual flow is to be kept for as long as a stop lasts, so S gives what is usual, and nothing is learned.
+GIVEN, TUKEY, EXPECTED = {"scaling": "innovation"}, {"influence": TukeyBiweight()}, {"information": "expected"}
 FILTERS = {
     "KalmanFilter": (KalmanFilter, {}),
     "Robust, the default": (RobustKalmanFilter, {}),
-    "Robust, Huber": (RobustKalmanFilter, TOLD),
-    "Robust, Huber, expected": (RobustKalmanFilter, {**TOLD, **EXPECTED}),
-    "Robust, Tukey": (RobustKalmanFilter, {**TOLD, **TUKEY}),
-    "Robust, Tukey, expected": (RobustKalmanFilter, {**TOLD, **TUKEY, **EXPECTED}),
+    "Robust, Huber": (RobustKalmanFilter, GIVEN),
+    "Robust, Huber, expected": (RobustKalmanFilter, {**GIVEN, **EXPECTED}),
+    "Robust, Tukey": (RobustKalmanFilter, {**GIVEN, **TUKEY}),
+    "Robust, Tukey, expected": (RobustKalmanFilter, {**GIVEN, **TUKEY, **EXPECTED}),
 }
 
 
@@ -95,7 +95,7 @@ def track(kf: KalmanFilter, flow: np.ndarray) -> np.ndarray:
 
 
 def undisturbed(flow: np.ndarray, R: float = 0.5**2) -> np.ndarray:
-    """Return the reference: filterpy's smoother, past and future used, told to skip the disturbed hours."""
+    """Return the reference: filterpy's smoother, past and future used, made to skip the disturbed hours."""
     kf, quiet = build(KalmanFilter, flow, R), flow.copy()
     for first, after in DISTURBANCES.values():
         quiet[first:after] = np.nan

@@ -25,12 +25,12 @@ from robust_filterpy.testing.contracts import assert_unchanged as assert_unchang
 # What 1.4.5 lacks, the tests compare with the definition.
 FILTERPY_2 = hasattr(KalmanFilter, "update_sequential")
 
-# What makes a filter come back, and one that is told the noise, and one that doubts the process as well.
+# What makes a filter come back, and one that is given the noise, and one that doubts the process as well.
 RECOVERING = {"influence": TukeyBiweight(), "patience": 12}
-TOLD = {"noise": Contaminated()}
+NOISE_GIVEN = {"noise": Contaminated()}
 TWO_SIDED = {"noise": Contaminated(), "process": Scales((1.0, 10.0, 100.0), jump=0.0)}
 recovering = partial(RobustKalmanFilter, **RECOVERING)
-told = partial(RobustKalmanFilter, **TOLD)
+noise_given = partial(RobustKalmanFilter, **NOISE_GIVEN)
 two_sided = partial(RobustKalmanFilter, **TWO_SIDED)
 
 STATE = ("x", "P", "x_prior", "P_prior", "x_post", "P_post")
@@ -429,7 +429,7 @@ def by_night(values, *by_day):
 
 
 def paper_tracker(structure, **options):
-    """The paper's recursion from the first sample: no start, no constant, R told (1 unless given)."""
+    """The paper's recursion from the first sample: no start, no constant, R is 1 unless given."""
     own = {} if "filter" in options and not isinstance(options["filter"], type) else {"R": 1.0}
     return ParameterTracker(structure, **{"start": 0, **own, **options})
 

@@ -42,7 +42,7 @@ Tracking: TypeAlias = Callable[..., Tracked]
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant, its noise, and what a tracker is told before the first sample."""
+    """A plant, its noise, and what a tracker is given before the first sample."""
 
     name: str
     theta: tuple[float, ...]  # mean of theta(0)

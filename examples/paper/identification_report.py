@@ -41,10 +41,10 @@ LEVELS = (0.0, *FIRST_FIGURE)
 EARLY = slice(0, 100)
 MAIN = "W = 1e-4 I"
 
-BETTER = "The robust filter is better than the Kalman filter (told the ordinary noise)."
-ALSO_BETTER = "It is also better than a Kalman filter that is told the variance of all the noise."
+BETTER = "The robust filter is better than the Kalman filter (given the ordinary noise)."
+ALSO_BETTER = "It is also better than a Kalman filter that is given the variance of all the noise."
 NO_WORSE = "Under Gaussian noise it is no worse than the Kalman filter."
-UNTOLD = "The runs say the contrary of the paper's, and of all runs before: look for a mistake here first."
+CONTRARY = "The runs say the contrary of the paper's, and of all runs before: look for a mistake here first."
 
 
 def make(options: Options) -> Part:
@@ -65,7 +65,7 @@ def make(options: Options) -> Part:
     well = {level: study(replace(WELL, contamination=level), options.runs, options) for level in LEVELS}
     limits = bounds(well[0.1].information, WELL)
     part.save(error_figure([("contamination 0.1", well[0.1], limits)]), "well_conditioned.png",
-              "The plant where theta can be told, contamination 0.1.", options)  # fmt: skip
+              "The plant where theta can be identified, contamination 0.1.", options)  # fmt: skip
     for level in LEVELS:
         part.text.append(table(level, found, well[level]))
     white = study(replace(SECTION4, white=True), options.runs, options, (LITERAL, LABELS))
@@ -121,8 +121,8 @@ def _claims(found: dict[str, Found], options: Options) -> list[Claim]:
     return [
         claim("9-10, 13-14, 17-18", "The estimates follow the parameters.",
               f"{LITERAL} over staying at theta-bar, {every}", each(STAY), 1.0, "The prior tells more than the data."),
-        claim("11, 15, 19", BETTER, f"{LITERAL} over {KALMAN}, {every}", each(KALMAN), 1.0, UNTOLD),
-        claim("11, 15, 19", ALSO_BETTER, f"{LITERAL} over {KALMAN_TOTAL}, {every}", each(KALMAN_TOTAL), 1.0, UNTOLD),
+        claim("11, 15, 19", BETTER, f"{LITERAL} over {KALMAN}, {every}", each(KALMAN), 1.0, CONTRARY),
+        claim("11, 15, 19", ALSO_BETTER, f"{LITERAL} over {KALMAN_TOTAL}, {every}", each(KALMAN_TOTAL), 1.0, CONTRARY),
         _growth("11, 15, 19", grown[MAIN], beside),
         claim("Remark 3", NO_WORSE, f"{LITERAL} over {KALMAN} without outliers, at most 1.1", at(0.0, KALMAN), 1.1,
               slower),
@@ -149,7 +149,7 @@ def _growth(figures: str, steps: list[Interval], beside: str = "") -> Claim:
     apart = True if steps[1].low > steps[0].high else False if steps[1].high < steps[0].low else None
     criterion = "squared error, Kalman of the ordinary noise over robust: interval at .15 above that at .05"
     text = "The superiority is greater at higher contamination."
-    return Claim(figures, text, criterion, _pair(steps) + beside, apart, UNTOLD)
+    return Claim(figures, text, criterion, _pair(steps) + beside, apart, CONTRARY)
 
 
 def _input_claim(pink: Run, white: Run, options: Options) -> Claim:
@@ -170,14 +170,14 @@ def _input_claim(pink: Run, white: Run, options: Options) -> Claim:
 
 
 def _well_claims(well: Found, options: Options) -> list[Claim]:
-    """Test the same on the plant where theta can be told; T = 1 is no filter there, and is counted elsewhere."""
+    """Test the same on the plant where theta can be identified; T = 1 is no filter there, and is counted elsewhere."""
 
     def claim(text: str, denominator: str, levels: tuple[float, ...], high: float) -> Claim:
         ratios = {f"at {c:g}": ratio_of(well[c], INNOVATION, denominator, options.seed) for c in levels}
         holds = together(judged(interval, high=high) for interval in ratios.values())
         limit = "below 1" if high == 1.0 else f"at most {high:g}"
         criterion = f"squared error, {INNOVATION} over {denominator}, {limit}"
-        return Claim(WELL.name, text, criterion, _listed(ratios), holds, UNTOLD)
+        return Claim(WELL.name, text, criterion, _listed(ratios), holds, CONTRARY)
 
     levels = tuple(FIRST_FIGURE)
     return [

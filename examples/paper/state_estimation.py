@@ -110,7 +110,7 @@ def broken_unit(options: Options) -> Claim:
         f"{shown(ratio)} times that with the outliers known",
         refused == 0,
         "(49) takes P H'H P away without dividing by S: what is left is no covariance once H P H' exceeds 1. The same "
-        "happens to the tracker on the plant where theta can be told, from P0 = I (tables below).",
+        "happens to the tracker on the plant where theta can be identified, from P0 = I (tables below).",
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What the adapters to libraries of series share: a model where none was told, each series from its own beginning."""
+"""What the adapters to libraries of series share: a model where none was given, each series from its own beginning."""
 
 import numpy as np
 import pytest

@@ -5,7 +5,7 @@
 Without a rule another expression stands in its place in ``kernel/learnt.h`` (see `RULES`); which, is chosen while the
 filter runs. The recordings are those of `adaptive_traps`, `default_study` and `drop_in_study` and a few more, the same
 for each rule. A figure is the root mean square error of what the sensors see, in units of R, over that of the Kalman
-filter which is told the covariances of every step; or the share of states within the 95 % region; or steps until the
+filter which is given the covariances of every step; or the share of states within the 95 % region; or steps until the
 estimate is back. The table says for each rule where the filter is worse without it, and where it is better: by more
 than 2 % (coverage: .03, a step) and three standard errors over the recordings, from what to what, the farthest first.
 Where no row is worse, a test says what the rule is for. --write-page puts the table into docs/learnt_noise.md.
@@ -150,8 +150,8 @@ def ramp(seed: int, steps: int = 300) -> Trap:
     """A level that is on a ramp, one deviation a step."""
     one, truth = np.eye(1), np.arange(float(steps))[:, None]
     zs = truth + np.random.default_rng(seed).standard_normal((steps, 1))
-    told = np.ones((steps, 1, 1))
-    return Trap(one, one, 0.01 * one, one, np.zeros(1), 10.0 * one, truth, zs, told, told)
+    given = np.ones((steps, 1, 1))
+    return Trap(one, one, 0.01 * one, one, np.zeros(1), 10.0 * one, truth, zs, given, given)
 
 
 def coarse(seed: int, step: float, sigma: float, rests: int = 0, steps: int = 400) -> Trap:
@@ -163,7 +163,7 @@ def coarse(seed: int, step: float, sigma: float, rests: int = 0, steps: int = 40
     zs[:rests] = 0.0
     zs = step * np.round(zs / step) if step else zs
     Q, R = 0.01 * two, (sigma**2 + step**2 / 12.0) * two
-    Qs, Rs = (np.tile(told, (steps, 1, 1)) for told in (Q, R))
+    Qs, Rs = (np.tile(given, (steps, 1, 1)) for given in (Q, R))
     return Trap(two, two, Q, R, np.zeros(2), 10.0 * two, truth, zs, Qs, Rs)
 
 

@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
 
 def with_labels(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states of the Kalman filter that is told the size of every noise, and their covariances."""
+    """Return the states of the Kalman filter that is given the size of every noise, and their covariances."""
     x, P, path = case.x0, case.P0, np.empty_like(case.truth)
     covariances = np.empty((*path.shape, len(x)))
     for k, z in enumerate(case.zs):
@@ -112,7 +112,7 @@ NOISES: dict[str, Callable[..., Any]] = {
     "R steps by 1/25": _steps(0.2),
 }
 ROOT = 0.1 * np.array([0.5, 1.0])
-#: Densities of independent noises up to a factor, for the filter that is told all but the labels.
+#: Densities of independent noises up to a factor, for the filter that is given all but the labels.
 DENSITIES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mixture .1, scale 10": lambda v: 0.9 * np.exp(-0.5 * v**2) + 0.01 * np.exp(-0.005 * v**2),
     "mixture .05, scale 100": lambda v: 0.95 * np.exp(-0.5 * v**2) + 0.0005 * np.exp(-0.00005 * v**2),
@@ -141,7 +141,7 @@ def point(
     q_factor: float = 1.0,
     r_factor: float = 1.0,
 ) -> Case:
-    """Return a moving point whose position is measured; the filter may be told wrong Q and R."""
+    """Return a moving point whose position is measured; the filter may be given wrong Q and R."""
     g = np.random.default_rng(seed)
     truth = _moving(g, steps)
     v, label = NOISES[kind](g, steps)
@@ -177,7 +177,7 @@ def manoeuvring(seed: int, steps: int = 500) -> Case:
     """Return a plane where speed and acceleration decay, and Cauchy's noise.
 
     The setting in which J. N. M. Neuhoefer compares nine robust filters (continental/outlier-robust-student-t-filter):
-    acceleration with a time constant of 2 s, friction of .25 a second, both coordinates read each .2 s. R is told as a
+    acceleration with a time constant of 2 s, friction of .25 a second, both coordinates read each .2 s. R is given as a
     quarter of the mean speed squared, the noise's scale matrix is what of Cauchy's density is closest to that.
     """
     g, alpha, beta, dt, I = np.random.default_rng(seed), 0.5, 0.25, 0.2, np.eye(2)
@@ -201,7 +201,7 @@ def manoeuvring(seed: int, steps: int = 500) -> Case:
 
 
 def with_density(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states of `manoeuvring` by a filter that is told the noise's density, and their covariances.
+    """Return the states of `manoeuvring` by a filter that is given the noise's density, and their covariances.
 
     Cauchy's density is that of normal noises of many sizes; what each of them leads to is merged by moments.
     """

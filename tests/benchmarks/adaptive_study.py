@@ -1,4 +1,4 @@
-"""Compare the filter that learns its noise with peers, on noises, jumps and models that nobody told it.
+"""Compare the filter that learns its noise with peers, on noises, jumps and models that it was not given.
 
 Run ``python tests/benchmarks/adaptive_study.py [--table NAME] [--runs N] [--seed S] [--jobs J] [--quick]``. All filters
 see the same recordings; intervals are 95 % bootstrap intervals over them. What the peers' authors tune by the truth is
@@ -43,11 +43,11 @@ from robust_filterpy.testing import bootstrap_interval
 
 #: States and their covariances.
 Estimator = Callable[[Case], tuple[np.ndarray, np.ndarray]]
-LABELS, KALMAN, ADAPTIVE = "told every size", "Kalman", "adaptive"
+LABELS, KALMAN, ADAPTIVE = "given every size", "Kalman", "adaptive"
 #: Whole process variance where a tenth has ten times the deviation.
 WHOLE = 1.0 + 0.1 * 99.0
 TUNING_SEED = 90_000
-#: Mean square error over that of the filter told every size, at most.
+#: Mean square error over that of the filter given every size, at most.
 TARGETS = {
     "clean": 1.009, "mixture .1, scale 10": 1.126, "mixture .05, scale 100": 1.015, "one-sided +20, .1": 1.03,
     "Student t(2)": 1.5, "bursts of 5": 1.39, "runs of 10 at +10": 4.4, "Laplace": 0.94, "uniform": 1.01,
@@ -73,13 +73,13 @@ def of_filter(build: Callable[[int, int], Any], q_scale: float = 1.0) -> Estimat
 
 def ours() -> dict[str, Estimator]:
     """Return the filters of this package, and filterpy's."""
-    told = Contaminated(0.1, 10.0)
+    given = Contaminated(0.1, 10.0)
     return {
         KALMAN: of_filter(KalmanFilter),
         "Huber": of_filter(partial(RobustKalmanFilter, grouping="joint")),
-        "told mixture .1, 10": of_filter(partial(RobustKalmanFilter, noise=told, grouping="joint")),
+        "given mixture .1, 10": of_filter(partial(RobustKalmanFilter, noise=given, grouping="joint")),
         "two-sided": of_filter(
-            partial(RobustKalmanFilter, noise=told, process=Scales((1, 10, 100), jump=0), grouping="joint")
+            partial(RobustKalmanFilter, noise=given, process=Scales((1, 10, 100), jump=0), grouping="joint")
         ),
         "adaptive, process trusted": of_filter(partial(AdaptiveKalmanFilter, process=Scales((1.0,)), grouping="joint")),
         ADAPTIVE: of_filter(partial(AdaptiveKalmanFilter, grouping="joint")),
@@ -113,13 +113,13 @@ PEERS = {
     "variational R, tuned": (adaptive_peers.variational, adaptive_peers.GRID_VARIATIONAL),
     "innovation-based R, tuned": (adaptive_peers.innovation_based, adaptive_peers.GRID_WINDOW),
 }
-#: The best three of the table that `planes` repeats, and what else of ours is told S as they are.
+#: The best three of the table that `planes` repeats, and what else of ours is given S as they are.
 PEERS_OF_PLANES = {
     "Student t filter of Neuhoefer, tuned": (student_t.fitted, student_t.GRID_FITTED),
     "similarity measure, tuned": (similarity.similarity, similarity.GRID),
     "inflated R, tuned": (inflation.inflated, inflation.GRID),
 }
-TOLD_S = {"Huber": Huber(), "Tukey": TukeyBiweight(), "Student t(3)": StudentT(3.0)}
+GIVEN_S = {"Huber": Huber(), "Tukey": TukeyBiweight(), "Student t(3)": StudentT(3.0)}
 ONE_SIDED = ("WoLF IMQ, tuned", "WoLF TMD, tuned", "ISKF one step, tuned", "Student t filter, tuned")
 
 
@@ -225,12 +225,12 @@ def planes(args: argparse.Namespace) -> None:
     """Print the tables of the setting in which nine robust filters were compared.
 
     Their figures are mean lengths of the whole state's error, although the head of their table says position: filter
-    that is told the sizes 1.77, their own 2.01, similarity measure 2.06, inflated R 2.07, a gate 2.26, the others 2.5
+    that is given the sizes 1.77, their own 2.01, similarity measure 2.06, inflated R 2.07, a gate 2.26, the others 2.5
     and more. In the second table it is the position.
     """
     joint = partial(RobustKalmanFilter, grouping="joint", scaling="innovation")
-    more = {f"{name}, told S": of_filter(partial(joint, influence=psi)) for name, psi in TOLD_S.items()}
-    more |= {"told the density": with_density}
+    more = {f"{name}, given S": of_filter(partial(joint, influence=psi)) for name, psi in GIVEN_S.items()}
+    more |= {"given the density": with_density}
     for what, error in (("whole state", length), ("position", distance)):
         title = f"Manoeuvres in a plane, Cauchy noise: {what}"
         compare(title, manoeuvring, error, LABELS, args, peers=PEERS_OF_PLANES, more=more)
@@ -247,12 +247,12 @@ def distance(path: np.ndarray, case: Case) -> float:
 
 
 def floors(args: argparse.Namespace) -> None:
-    """Print what a filter can reach that is told the density of the noise, R and Q, but no labels."""
+    """Print what a filter can reach that is given the density of the noise, R and Q, but no labels."""
     print("\n| noise | optimal, over the labels | 95 % interval | adaptive over the optimal |\n|---|---|---|---|")
     adaptive = ours()[ADAPTIVE]
     for kind, density in DENSITIES.items():
         cases = [point(seed, kind) for seed in range(args.seed, args.seed + args.runs)]
-        best, told, learnt = (
+        best, given, learnt = (
             np.array([mean_square(estimate(case), case) for case in cases])
             for estimate in (
                 partial(optimal, density=density),
@@ -260,7 +260,7 @@ def floors(args: argparse.Namespace) -> None:
                 lambda case: adaptive(case)[0],
             )
         )
-        ratio = bootstrap_interval((best, told), "ratio", rng=args.seed)
+        ratio = bootstrap_interval((best, given), "ratio", rng=args.seed)
         cells = f"{ratio.estimate:.3f} | {ratio.low:.3f} to {ratio.high:.3f} | {learnt.mean() / best.mean():.3f}"
         print(f"| {kind} | {cells} |", flush=True)
 

@@ -1,8 +1,8 @@
 """The traps of learnt noise: recordings on which a filter that learns everything may be worse than one that does not.
 
 Run ``python tests/benchmarks/adaptive_traps.py [--runs N] [--seed S] [--rows A B] [--write-page]``. Each row has a
-figure and what it is aimed at: a root mean square error over that of the Kalman filter which is told the covariances of
-every step (where the noise has a colour: told R and Q), the share of states within the 95 % region, or steps until the
+figure and what it is aimed at: a root mean square error over that of the Kalman filter given the covariances of every
+step (where the noise has a colour: given R and Q), the share of states within the 95 % region, or steps until the
 estimate is back; with each the adaptive filter's NEES over n and coverage. --rows makes those from A to before B;
 --write-page puts all of them into docs/learnt_noise.md.
 """
@@ -31,7 +31,7 @@ STEPS, FROM = 600, 100
 
 
 class Named(AdaptiveKalmanFilter):
-    """Told by `update` whose reading each is, where two take turns."""
+    """`update` says whose reading each is, where two take turns."""
 
     def batch_filter(self, zs: Any, *given: Any, **named: Any) -> Any:
         """Filter by `predict` and `update`."""
@@ -60,7 +60,7 @@ GATE, JOINT, JUMPS, STEPPING, NAMED = OPTIONS
 
 
 class Trap(NamedTuple):
-    """What a filter is told, the truth, and the covariances of each step for the filter that knows them."""
+    """What a filter is given, the truth, and the covariances of each step for the filter that knows them."""
 
     F: np.ndarray
     H: np.ndarray
@@ -111,7 +111,7 @@ def mixed(g: np.random.Generator, share: float = 0.1, scale: float = 10.0, size:
 
 
 def in_turn(seed: int) -> Trap:
-    """Two sensors of one position take turns, with sigma 5 and .1, both told 1; the rows of the other are NaN."""
+    """Two sensors of one position take turns, with sigma 5 and .1, both given 1; the rows of the other are NaN."""
     g = np.random.default_rng(seed)
     trap = moving(g, [5.0, 0.1], 2)
     trap.zs[::2, 1] = trap.zs[1::2, 0] = np.nan
@@ -186,7 +186,7 @@ def level(seed: int) -> Trap:
 
 
 def jumping(seed: int, size: float, every: int = 200, speed: float = 0.0) -> Trap:
-    """The position, and the speed if told, jumps at regular times, clean measurements."""
+    """The position, and the speed if asked, jumps at regular times, clean measurements."""
     g = np.random.default_rng(seed)
     trap = moving(g, 1.0)
     jumps, Qs = np.zeros((STEPS, 2)), trap.Qs.copy()
@@ -257,7 +257,7 @@ def boxes(seed: int, steps: int = 60) -> Trap:
 
 
 def filtered(build: Callable[[int, int], Any], trap: Trap, knows: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Return means and covariances; one that knows is told the covariances of every step."""
+    """Return means and covariances; one that knows is given the covariances of every step."""
     kf = build(len(trap.x0), len(trap.R))
     kf.F, kf.H, kf.Q, kf.R, kf.x, kf.P = trap.F, trap.H, trap.Q, trap.R, trap.x0[:, None].copy(), trap.P0.copy()
     if build is not KalmanFilter:
@@ -340,11 +340,11 @@ def row(
     A figure is a ratio of pooled errors, a mean share, or a median number of steps.
     """
     filters = {**FILTERS, **({option: OPTIONS[option]} if option else {})}
-    found: dict[str, list[float]] = {name: [] for name in ["told all", *filters]}
+    found: dict[str, list[float]] = {name: [] for name in ["given all", *filters]}
     held = []
     for seed in seeds:
         trap = draw(seed)
-        found["told all"].append(measure(trap, *filtered(KalmanFilter, trap, knows=True)))
+        found["given all"].append(measure(trap, *filtered(KalmanFilter, trap, knows=True)))
         for name, build in filters.items():
             path = filtered(build, trap)
             found[name].append(measure(trap, *path))
@@ -353,7 +353,7 @@ def row(
     kept = np.mean(held, axis=0).tolist()
     if measure is error:
         pooled = {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in found.items()}
-        over = pooled[GATE if "gate's" in title else "Kalman" if "filterpy's" in title else "told all"]
+        over = pooled[GATE if "gate's" in title else "Kalman" if "filterpy's" in title else "given all"]
         return {name: value / over for name, value in pooled.items()}, kept
     middle = np.mean if measure is coverage else np.median
     return {name: float(middle(values)) for name, values in found.items()}, kept

@@ -1,4 +1,4 @@
-"""Recordings whose residuals are no white noise: what `identify` makes of them, told nothing.
+"""Recordings whose residuals are no white noise: what `identify` makes of them by default.
 
     python tests/benchmarks/coloured_recordings.py [PART ..] [--draws 20] [--first 0]
 
@@ -41,7 +41,7 @@ def least_squares(y: Any, u: Any, fresh: Any, n: int = 2) -> Any:
 
 
 def compared(y: Any, u: Any, structure: Any, clean: Any, fresh: Any) -> tuple[float, float, float]:
-    """Return the fits of the model told nothing, that with a constant, and least squares; levels left out."""
+    """Return the fits of the default model, that with a constant, and least squares; levels left out."""
     shown = [recorded(y, u, structure, **o).simulate(fresh) for o in ({}, {"trend": "constant"})]
     shown.append(least_squares(y, u, fresh))
     a, b, c = (percent(clean - clean.mean(), one - one.mean()) for one in shown)

@@ -1,7 +1,7 @@
 """Which default loses least in the worst case? Every choice on problems of many kinds, none of them tuned.
 
 Run ``python tests/benchmarks/default_study.py [--runs N] [--seed S] [--jobs J] [--steps N]``. The table has a row for
-each problem and a column for each filter: root mean square error over that of the Kalman filter which is told the size
+each problem and a column for each filter: root mean square error over that of the Kalman filter which is given the size
 of every noise. Below it stand each filter's worst and mean ratio, and the same over the best filter of each row, since
 some problems leave more room below the labels than others. The last columns judge the covariances of some: the mean of
 d' P^-1 d / n, which is 1 if P is the error's (NEES), and how often the truth is in the 95 % region.
@@ -31,13 +31,13 @@ FILTERS: dict[str, Callable[[int, int], Any]] = {
     "Kalman": KalmanFilter,
     "gate": gate,
     "Huber": RobustKalmanFilter,
-    "Huber, told S": partial(RobustKalmanFilter, scaling="innovation"),
+    "Huber, given S": partial(RobustKalmanFilter, scaling="innovation"),
     "Huber, joint": partial(RobustKalmanFilter, influence=Huber(), grouping="joint"),
     "Tukey": partial(RobustKalmanFilter, influence=TukeyBiweight()),
     "Tukey, joint": partial(RobustKalmanFilter, influence=TukeyBiweight(), grouping="joint"),
     "Student t": partial(RobustKalmanFilter, influence=StudentT()),
     "Student t, joint": partial(RobustKalmanFilter, influence=StudentT(), grouping="joint"),
-    "told (.1, 10)": partial(RobustKalmanFilter, noise=Contaminated()),
+    "given (.1, 10)": partial(RobustKalmanFilter, noise=Contaminated()),
     "recovering": partial(RobustKalmanFilter, influence=TukeyBiweight(), patience=12),
     "two-sided": partial(RobustKalmanFilter, noise=Contaminated(), process=Scales((1, 10, 100), jump=0)),
     "adaptive": AdaptiveKalmanFilter,
@@ -120,7 +120,7 @@ def _path(g: np.random.Generator, F: Any, root: Any, steps: int, n: int, w: Any 
 
 
 def labelled(case: Case) -> np.ndarray:
-    """Return the states of the filter that is told the size of every noise, of each sensor where they differ."""
+    """Return the states of the filter that is given the size of every noise, of each sensor where they differ."""
     if case.v_scale.ndim == 1:
         return with_labels(case)[0]
     kf = _filled(KalmanFilter(len(case.x0), len(case.R)), case)

@@ -148,7 +148,7 @@ def reactors(seed: int, share: float = 0.1, scale: float = 10.0, steps: int = 10
 
 
 def boxes(seed: int, bad: float, steps: int = 60) -> Case:
-    """Return a walker's box as trackers hold it: centre, area, aspect ratio, with R told far too small for the area."""
+    """Return a walker's box as trackers hold it: centre, area, aspect ratio, R far too small for the area."""
     g = np.random.default_rng(seed)
     truth = np.zeros((steps, 7))
     truth[0] = [*g.uniform(100, 500, 2), g.uniform(60, 100) ** 2 * 2.2, 0.42, *g.normal(0, 2, 2), g.normal(0, 20)]
@@ -220,11 +220,11 @@ def turning(seed: int, share: float = 0.0, steps: int = 120) -> Case:
     return _told(F, Q, np.diag([1.0, 1.0, 10.0, 10.0]), np.r_[zs[0], np.zeros(3)], P0, truth, zs, is_bad)
 
 
-def with_labels(case: Case, told: bool = False) -> np.ndarray:
-    """Return the Kalman filter's states, told the size of every noise or, with told, what Q and R say."""
+def with_labels(case: Case, given: bool = False) -> np.ndarray:
+    """Return the Kalman filter's states, given the size of every noise or, with given, what Q and R say."""
     x, P, path = case.x0, case.P0, np.empty_like(case.truth)
-    w_scale = np.ones_like(case.w_scale) if told else case.w_scale
-    v_scale = np.ones_like(case.v_scale) if told else case.v_scale
+    w_scale = np.ones_like(case.w_scale) if given else case.w_scale
+    v_scale = np.ones_like(case.v_scale) if given else case.v_scale
     for k, z in enumerate(case.zs):
         x, P = case.F @ x, case.F @ P @ case.F.T + w_scale[k] ** 2 * case.Q
         here = np.flatnonzero(np.isfinite(z) & (v_scale[k] < BAD))

@@ -2,7 +2,7 @@
 
 Run ``python tests/benchmarks/drop_in_study.py [--runs N] [--seed S] [--jobs J] [--only TEXT] [--frontier [PATH]]``. A
 row is a problem, its figure a mean square error of what is measured (of redundant sensors: the median over the
-recordings of the root mean square error), over filterpy's filter and over the Kalman filter that is told the size of
+recordings of the root mean square error), over filterpy's filter and over the Kalman filter that is given the size of
 every noise and leaves out sensors that are bad. The start 75 away counts steps until the error stays below 3, beyond
 filterpy's. Box trackers: one minus the overlap with the true box, over filterpy's. Reactors: root mean square error of
 all states. Daily cycles: hours read rightly. ``--frontier`` draws what the length of a run that is taken for a
@@ -73,7 +73,7 @@ LENGTHS = (2, 3, 4, 5, 6, 8)
 
 
 class Row(NamedTuple):
-    """A problem, what the filters are told wrongly, how errors are counted, which class."""
+    """A problem, what the filters are given wrongly, how errors are counted, which class."""
 
     draw: Callable[[int], Case]
     P: float = 1.0
@@ -172,7 +172,7 @@ def _points(n: int) -> Any:
 
 
 def path_of(kf: Any, row: Row, case: Case) -> np.ndarray:
-    """Return the estimates of a filter that is told what the row says."""
+    """Return the estimates of a filter that is given what the row says."""
     if row.kind in ("linear", "EKF"):
         kf.F = case.F
     if row.kind == "linear":
@@ -224,7 +224,7 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 def trial(name: str, seed: int) -> list[float]:
     """Return the figures of filterpy, of ours, and of who knows the labels."""
-    # That S is told too small, and that many are clipped, is what some rows are about.
+    # That S is given too small, and that many are clipped, is what some rows are about.
     for said in (OutlierShareWarning, CorrelatedInnovationsWarning, StuckSensorWarning):
         warnings.simplefilter("ignore", said)
     row = rows()[name]
@@ -233,7 +233,7 @@ def trial(name: str, seed: int) -> list[float]:
         case = case._replace(v_scale=np.repeat(case.v_scale[:, None], case.zs.shape[1], axis=1))
     # filterpy has no missing components: who is silent is left out for it.
     silent = np.isnan(case.zs).any()
-    theirs = with_labels(case, told=True) if silent else path_of(build(row.kind, case, None), row, case)
+    theirs = with_labels(case, given=True) if silent else path_of(build(row.kind, case, None), row, case)
     paths = [theirs, *(path_of(build(row.kind, case, robust), row, case) for robust in OURS), with_labels(case)]
     return [figure(row, case, path) for path in paths]
 

@@ -54,9 +54,9 @@ MODELS = {
     "the same in space": kinematic(3),
     "position and velocity, extended": lighthouse(),
     "the same, noise learnt": lighthouse(noise=Learnt()),
-    "position and velocity, noise told": kinematic(1, noise=Contaminated()),
+    "position and velocity, noise given": kinematic(1, noise=Contaminated()),
     "position and velocity, noise learnt": kinematic(1, noise=Learnt()),
-    "ARX(2, 2), R told": ParameterTracker(ARX(2, 2), start=0, R=1.0),
+    "ARX(2, 2), R given": ParameterTracker(ARX(2, 2), start=0, R=1.0),
     "OutputError(2, 2), R followed": ParameterTracker(OutputError(2, 2), start=0, offset=True),
     "OutputError(4, 4), R followed": ParameterTracker(OutputError(4, 4), start=0, offset=True),
 }

@@ -56,8 +56,8 @@ def main() -> None:
         checks = [check for check in filter_checks(not_claimed=not_claimed) if args.all or check.stochastic]
         found = failures(checks, make, seeds)
         total += sum(found.values())
-        told = ", ".join(f"{check} {count}" for check, count in found.items()) or "none"
-        print(f"filter {name}: {len(checks)} checks x {args.seeds} seeds, failures: {told}", flush=True)
+        given = ", ".join(f"{check} {count}" for check, count in found.items()) or "none"
+        print(f"filter {name}: {len(checks)} checks x {args.seeds} seeds, failures: {given}", flush=True)
     print(f"failures in all: {total} (target 0) {'met' if total == 0 else 'MISSED'}")
 
 

@@ -1,6 +1,6 @@
 """Tables of sensors in time: late data, faults and false alarms, forecasts, speed.
 
-python tests/benchmarks/fusion_study.py [speed] [late] [bounds] [verdicts] [false] [untold] [forecasts] [doubts]
+python tests/benchmarks/fusion_study.py [speed] [late] [bounds] [verdicts] [false] [unknown] [forecasts] [doubts]
     [--runs 5] [--readings 200000]
 """
 
@@ -160,7 +160,7 @@ def redundant(seed, length, fault=None, size=0.0, onset=30.0, who="b"):
 
 
 def watching(motion):
-    """A fusion of these that is told everything and looks for faults."""
+    """A fusion of these that is given everything and looks for faults."""
     sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in SEEN}
     return Fusion(motion, sensors, 1.0, P0=100.0 * np.eye(2), watch=True)
 
@@ -199,7 +199,7 @@ def density(e, spread, noise=1.0):
 
 
 def innovations(motion, readings):
-    """Innovations of the Kalman filter told everything, and the variances of what it expected."""
+    """Innovations of the Kalman filter given everything, and the variances of what it expected."""
     x, P, before, found = np.zeros(2), 100.0 * np.eye(2), 0.0, []
     for _, t, z in readings:
         F, Q, _ = motion.matrices(t - before)
@@ -213,15 +213,15 @@ def innovations(motion, readings):
 def possible(fault, size, runs):
     """Seconds that a fault takes at least, at one false alarm in 1e5 readings, mean over which sensor fails.
 
-    First Lorden's bound, log(1e5) over the divergence of a reading: noise is normal. Then a CUSUM that is told who,
-    what, how large and since when it might be: noise has outliers as learnt. Nobody is told as much.
+    First Lorden's bound, log(1e5) over the divergence of a reading: noise is normal. Then a CUSUM that is given who,
+    what, how large and since when it might be: noise has outliers as learnt. Nobody is given as much.
     """
     enough, found = math.log(1e5), np.full((2, 3, runs), np.nan)
     for (i, who), seed in product(enumerate("bac"), range(runs)):
         motion, quiet = redundant(seed, 50.0)
         _, loud = redundant(seed, 50.0, fault, size, who=who)
         (e0, spread), (e, _) = innovations(motion, quiet), innovations(motion, loud)
-        divergence, told = 0.0, 0.0
+        divergence, given = 0.0, 0.0
         for (name, t, _), healthy, now, p in zip(loud, e0, e, spread, strict=True):
             if t <= 30.0 or (fault == "noisier" and name != who):
                 continue
@@ -232,8 +232,8 @@ def possible(fault, size, runs):
             else:
                 divergence += 0.5 * (now - healthy) ** 2 / (p + 1.0)
                 likely = density(healthy, p)
-            told = max(told, 0.0) + math.log(likely / density(now, p))
-            for k, much in enumerate((divergence, told)):
+            given = max(given, 0.0) + math.log(likely / density(now, p))
+            for k, much in enumerate((divergence, given)):
                 if much >= enough and np.isnan(found[k, i, seed]):
                     found[k, i, seed] = t - 30.0
     return np.nanmedian(found, axis=2).mean(axis=1)
@@ -242,11 +242,11 @@ def possible(fault, size, runs):
 def bounds(args):
     """What is possible."""
     print(f"seconds to the alarm, mean over which sensor fails, at one false alarm in 1e5 readings, {args.runs} runs:")
-    print("target, Lorden's bound (no outliers), a CUSUM told who, what and how large (outliers as learnt)")
+    print("target, Lorden's bound (no outliers), a CUSUM given who, what and how large (outliers as learnt)")
     for fault in ("biased", "drifting", "noisier"):
         for size, target in TARGETS[fault].items():
-            least, told = possible(fault, size, args.runs)
-            print(f"  {fault:9s} {size:4.1f}  {target:5.2f}  {least:5.2f}  {told:5.2f}", flush=True)
+            least, given = possible(fault, size, args.runs)
+            print(f"  {fault:9s} {size:4.1f}  {target:5.2f}  {least:5.2f}  {given:5.2f}", flush=True)
 
 
 def verdicts(args):
@@ -319,13 +319,13 @@ MODELS = {"clean": (0.1, 1.0, 0.0), "10 % outliers": (0.1, 1.0, 0.1), "Q / 10, R
 AHEAD, LEVELS, ORIGINS = np.array([1, 10, 50]), (0.5, 0.8, 0.95), np.arange(3000, 3960, 80)
 
 
-def untold(args):
+def unknown(args):
     """What it costs that nobody tells R: one of three sensors is off by five deviations from the middle on."""
     print(
         f"90 s, the third sensor off from 45 s on: first verdict on it, s after; others accused; {args.runs} recordings"
     )
     deviations, periods = {"a": 0.5, "b": 1.0, "c": 0.8}, {"a": 1.0, "b": 0.25, "c": 0.5}
-    for told in (True, False):
+    for given in (True, False):
         after, accused = [], 0
         for seed in range(args.runs):
             rng, rows = np.random.default_rng(seed), {"time": [], "sensor": [], "value": []}
@@ -337,17 +337,17 @@ def untold(args):
                 rows["value"].extend(
                     20.0 * np.sin(stamps / 15.0) + deviations[name] * (rng.normal(size=len(stamps)) + off)
                 )
-            sensors = {name: Sensor([1.0, 0.0], R=sigma**2 if told else None) for name, sigma in deviations.items()}
+            sensors = {name: Sensor([1.0, 0.0], R=sigma**2 if given else None) for name, sigma in deviations.items()}
             found = Fusion(constant_velocity(1, 0.5), sensors, 2.0, watch=True).run(rows)
             said = [(t, name) for t, name, one in found.verdicts if one.fault not in ("departs", "healthy")]
             after.append(min((t - 45.0 for t, name in said if name == "c" and t > 45.0), default=math.inf))
             accused += any(name != "c" for _, name in said)
-        what = "told" if told else "not told"
+        what = "given" if given else "not given"
         print(f"  R {what:8s} {', '.join(f'{t:.1f}' for t in after)}; others accused in {accused}", flush=True)
 
 
 def oracle(spread, share, level):
-    """Half the width of the band of a reading whose noise, of sd 1, and ten for a share, is told."""
+    """Half the width of the band of a reading whose noise, of sd 1, and ten for a share, is given."""
     sd, low, high = np.sqrt([spread + 1.0, spread + 100.0]), 0.0, 40.0 * np.sqrt(spread + 1.0)
     for _ in range(50):
         middle = 0.5 * (low + high)
@@ -359,7 +359,7 @@ def oracle(spread, share, level):
 def forecasts(args):
     """How often bands hold after 3,000 readings, for readings and for the signal, and how wide they are."""
     print(f"a point seen once a second, {args.runs} runs of {len(ORIGINS)} forecasts after 3,000 readings: share of")
-    print("readings and of the signal inside, width of the readings' band over that of a filter told everything")
+    print("readings and of the signal inside, width of the readings' band over that of a filter given everything")
     print("  model            ahead   " + "   ".join(f"{level:4.2f} (signal) width" for level in LEVELS))
     F, Q, _ = constant_velocity(1, 0.1).matrices(1.0)
     for model, (q, R, share) in MODELS.items():
@@ -373,14 +373,14 @@ def forecasts(args):
             z = places + rng.normal(size=4020) * np.where(rng.random(4020) < share, 10.0, 1.0)
             sensors = {"gps": Sensor([1.0, 0.0], R=R)}
             fusion = Fusion(constant_velocity(1, q), sensors, 1.0, P0=100.0 * np.eye(2))
-            told = {"noise": Contaminated(share, 10.0), "process": Scales((1.0,), jump=0.0)}
-            told = Fusion(constant_velocity(1, 0.1), {"gps": Sensor([1.0, 0.0], R=1.0)}, 1.0, **told)
+            given = {"noise": Contaminated(share, 10.0), "process": Scales((1.0,), jump=0.0)}
+            given = Fusion(constant_velocity(1, 0.1), {"gps": Sensor([1.0, 0.0], R=1.0)}, 1.0, **given)
             for t in range(ORIGINS[-1] + 1):
-                for one in (fusion, told):
+                for one in (fusion, given):
                     one.observe("gps", float(t), z[t])
                 if t not in ORIGINS:
                     continue
-                spread = [told.estimate(float(t + h)).P[0, 0] for h in AHEAD]
+                spread = [given.estimate(float(t + h)).P[0, 0] for h in AHEAD]
                 for k, level in enumerate(LEVELS):
                     found = fusion.forecast((t + AHEAD).astype(float), level)
                     for i, (band, values) in enumerate(((found.readings, z), (found.signal, places))):
@@ -501,7 +501,7 @@ def doubts(args):
     print(f"  a stamp takes {np.median(times[True]):.2f} ms in doubt, {np.median(times[False]):.2f} ms else")
 
 
-TABLES = {one.__name__: one for one in (speed, late, bounds, verdicts, false, untold, forecasts, doubts)}
+TABLES = {one.__name__: one for one in (speed, late, bounds, verdicts, false, unknown, forecasts, doubts)}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)

@@ -309,14 +309,14 @@ def arx(arguments):
 
 
 def tracker(arguments):
-    """Track OE(4, 4) plants by default, nothing told, and compare with the batch estimate that starts at the truth."""
-    found = {"tracker": [], "told R, start=0": [], "filterpy's Kalman": [], "padasip": [], "from the truth": []}
+    """Track OE(4, 4) plants by default, nothing given, and compare with the batch estimate that starts at the truth."""
+    found = {"tracker": [], "given R, start=0": [], "filterpy's Kalman": [], "padasip": [], "from the truth": []}
     for plant in range(arguments.plants):
         truth, y, u, _, fresh = recording(arguments.seed, 4, plant, 0.1)
         structure = OutputError(4, 4)
         for name, one in (
             ("tracker", ParameterTracker(structure)),
-            ("told R, start=0", ParameterTracker(structure, R=SIGMA**2, start=0)),
+            ("given R, start=0", ParameterTracker(structure, R=SIGMA**2, start=0)),
             ("filterpy's Kalman", ParameterTracker(structure, filter=KalmanFilter)),
         ):
             one.run(y, u)
@@ -334,9 +334,9 @@ def tracker(arguments):
 
 
 def drifting(arguments):
-    """Follow parameters that wander, or jump, after the start: told nothing but Q, with the recursion told all."""
+    """Follow parameters that wander, or jump, after the start: given nothing but Q, with the recursion given all."""
     for name, jump in (("wander by Q = 1e-5 I", 0.0), ("jump by .3 in b", 0.3)):
-        errors = {"told nothing but Q": [], "told R, theta, P and Q": [], "filterpy's Kalman, told nothing but Q": []}
+        errors = {"given nothing but Q": [], "given R, theta, P and Q": [], "filterpy's Kalman, given Q only": []}
         for plant in range(arguments.plants):
             rng = np.random.default_rng([arguments.seed, 41, plant])
             steps = np.sqrt(1e-5) * rng.normal(size=(SAMPLES, 4)) * (jump == 0.0)
@@ -349,14 +349,14 @@ def drifting(arguments):
             u = rng.choice([-1.0, 1.0], SAMPLES)
             noise = outlying(rng, 0.1, False, SIGMA, SAMPLES)[0]
             y = simulate_output_error(path, u, noise=noise, na=2, nb=2).y
-            told = dict(theta=path[0], P=0.01, R=SIGMA**2)
-            for kind, options in zip(errors, ({}, told, {"filter": KalmanFilter}), strict=True):
+            given = dict(theta=path[0], P=0.01, R=SIGMA**2)
+            for kind, options in zip(errors, ({}, given, {"filter": KalmanFilter}), strict=True):
                 found = ParameterTracker(OutputError(2, 2), Q=1e-5, **options).run(y, u).theta
                 errors[kind].append(np.linalg.norm(found - path, axis=1)[600:].mean())
         means = {kind: float(np.mean(values)) for kind, values in errors.items()}
         print(f"{name}: mean error of theta: " + "   ".join(f"{kind} {value:.4f}" for kind, value in means.items()))
         nothing, everything = list(means.values())[:2]
-        target(f"told nothing but Q, over told everything, {name}", nothing / everything, 1.0)
+        target(f"given nothing but Q, over given everything, {name}", nothing / everything, 1.0)
 
 
 def slowly_sampled(arguments, period):
@@ -369,17 +369,17 @@ def slowly_sampled(arguments, period):
 
 
 def noise_scale(arguments):
-    """Follow an R that nobody told: errors with the true R, coverage of the intervals, a step of the noise."""
+    """Follow an R that is not given: errors with the true R, coverage of the intervals, a step of the noise."""
     truth = np.array([-1.5, 0.7, 1.0, 0.5])
     for contamination in (0.0, 0.1):
-        errors, inside = {"told R": [], "followed": [], "from 1e-4 R": [], "from 1e4 R": []}, []
+        errors, inside = {"given R": [], "followed": [], "from 1e-4 R": [], "from 1e4 R": []}, []
         for plant in range(arguments.plants):
             rng = np.random.default_rng([arguments.seed, 31, plant])
             u = rng.choice([-1.0, 1.0], SAMPLES)
             y = output_of(truth, u) + outlying(rng, contamination, False, SIGMA, SAMPLES)[0]
             model = identify(y[:400], u[:400], OutputError(2, 2))
             trackers = {
-                "told R": ParameterTracker(model, R=SIGMA**2),
+                "given R": ParameterTracker(model, R=SIGMA**2),
                 "followed": ParameterTracker(model),
                 "from 1e-4 R": ParameterTracker(model),
                 "from 1e4 R": ParameterTracker(model),
@@ -399,7 +399,7 @@ def noise_scale(arguments):
         for name in list(rms)[1:]:
             target(
                 f"error over that with the true R, {name}, contamination {contamination}",
-                rms[name] / rms["told R"],
+                rms[name] / rms["given R"],
                 1.1,
             )
         coverage = float(np.mean(inside))
@@ -430,8 +430,8 @@ def regressors(arguments):
                 one = ParameterTracker(ARX(2, 2), regressor=regressor)
                 one.run(y, u)
                 errors[regressor].append(np.linalg.norm(one.theta - truth))
-            told = identify(np.where(labels, np.nan, y), u, ARX(2, 2)).theta
-            errors["label-knowing"].append(np.linalg.norm(told - truth))
+            given = identify(np.where(labels, np.nan, y), u, ARX(2, 2)).theta
+            errors["label-knowing"].append(np.linalg.norm(given - truth))
         rms = {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in errors.items()}
         print(f"ARX(2, 2), contamination {contamination}: " + "  ".join(f"{n} {v:.4f}" for n, v in rms.items()))
         if contamination == 0.1:

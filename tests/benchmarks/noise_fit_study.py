@@ -1,7 +1,7 @@
 """Does `estimate_noise` find the greatest likelihood, wherever R and Q begin? Random models, with and without outliers.
 
 Run ``python tests/benchmarks/noise_fit_study.py [--models N] [--seed S] [--steps N] [--shares ..] [--jobs J] [--als N]
-[--intervals N [--level]] [--statsmodels]``. A model has up to 4 states and 3 sensors; R and Q are told wrongly by
+[--intervals N [--level]] [--statsmodels]``. A model has up to 4 states and 3 sensors; R and Q are given wrongly by
 factors between 1e-4 and 1e4. The gap is what the worst of three such estimates lacks, in nats, of the best that they or
 a dense search find: that looks at 5292 places over all four numbers, and goes downhill from the 30 lowest that are
 lower than their neighbours. Over N random models, or recordings of one level with R = 1 and Q = .25: how often an
@@ -47,8 +47,8 @@ def recording(g: np.random.Generator, model: Any, steps: int, share: float, size
     return path, path @ H.T + scale * np.sqrt(r) * g.standard_normal((steps, len(r)))
 
 
-def told(model: Any, q: float = 1.0, r: float = 1.0) -> KalmanFilter:
-    """Return a filter that is told a multiple of Q and of R."""
+def given(model: Any, q: float = 1.0, r: float = 1.0) -> KalmanFilter:
+    """Return a filter that is given a multiple of Q and of R."""
     F, H, Q, R = model
     kf = KalmanFilter(len(F), len(H))
     kf.F, kf.H, kf.Q, kf.R, kf.P = F, H, q * np.diag(Q), r * np.diag(R), 10.0 * np.eye(len(F))
@@ -60,9 +60,9 @@ def gap(seed: int, steps: int, share: float) -> float:
     g = np.random.default_rng(seed)
     model = random_model(g)
     zs = recording(g, model, steps, share)[1]
-    found = [estimate_noise(told(model, *factors), zs) for factors in 10.0 ** g.uniform(-4, 4, (3, 2))]
-    # What a filter that is told the truth would make small: one cost for all.
-    data = of_filter(told(model), zs, *[None] * 5)
+    found = [estimate_noise(given(model, *factors), zs) for factors in 10.0 ** g.uniform(-4, 4, (3, 2))]
+    # What a filter that is given the truth would make small: one cost for all.
+    data = of_filter(given(model), zs, *[None] * 5)
     n, m = data.H.shape[:0:-1]
     problem = NoiseFit(data, np.zeros(m, dtype=int), np.zeros(n, dtype=int), (None, None))
     points = np.array([_point(one, data) for one in found])
@@ -71,7 +71,7 @@ def gap(seed: int, steps: int, share: float) -> float:
 
 
 def _point(found: NoiseEstimate, data: Problem) -> list[float]:
-    """Return an estimate as a point of the problem of the filter that is told the truth."""
+    """Return an estimate as a point of the problem of the filter that is given the truth."""
     factors = found.R[0, 0] / data.R[0, 0, 0], found.Q[0, 0] / data.Q[0, 0, 0]
     return [*np.log(factors), np.log(found.contamination / (1.0 - found.contamination)), np.log(found.scale_ratio)]
 
@@ -90,7 +90,7 @@ def held(seed: int, steps: int, share: float, level: bool) -> list[float]:
     """Return for the factors of R and of Q whether the interval of level .95 holds the truth; NaN for no two ends."""
     g = np.random.default_rng(seed)
     model = (np.eye(1), np.eye(1), np.array([0.25]), np.ones(1)) if level else random_model(g)
-    ends = estimate_noise(told(model), recording(g, model, steps, share)[1]).intervals(0.95)
+    ends = estimate_noise(given(model), recording(g, model, steps, share)[1]).intervals(0.95)
     both = [
         (float(low <= 1.0 <= high), low > 0.0 and high < np.inf) for low, high in (ends.R_scale[0], ends.Q_scale[0])
     ]

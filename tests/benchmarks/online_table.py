@@ -28,7 +28,7 @@ from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.influence.functions import StudentT, TukeyBiweight
 
-LEARNT, TOLD, JOINT = {"noise": "learnt"}, {"noise": Contaminated(0.1, 10.0)}, {"grouping": "joint"}
+LEARNT, GIVEN, JOINT = {"noise": "learnt"}, {"noise": Contaminated(0.1, 10.0)}, {"grouping": "joint"}
 ADAPTIVE = {**LEARNT, "process": "scales"}
 F, ROWS = np.eye(4) + 0.1 * np.eye(4, k=2), np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
 STEPS, TURNS = 200, 5
@@ -201,11 +201,11 @@ def table():
         ("StudentT", {"influence": StudentT(4)}, 0.3),
         ("patience", {"patience": 8}, 3), ("psi in Python", {"influence": Biweight()}, 3),
         ("learnt", LEARNT, 0.8), ("learnt joint", {**LEARNT, **JOINT}, 1), ("adaptive", ADAPTIVE, 0.8),
-        ("adaptive joint", {**ADAPTIVE, **JOINT}, 1), ("told", TOLD, 1), ("told joint", {**TOLD, **JOINT}, 1),
-        ("told groups", {**TOLD, "grouping": ((0, 1),)}, 1),
+        ("adaptive joint", {**ADAPTIVE, **JOINT}, 1), ("given", GIVEN, 1), ("given joint", {**GIVEN, **JOINT}, 1),
+        ("given groups", {**GIVEN, "grouping": ((0, 1),)}, 1),
         ("adaptive groups", {**ADAPTIVE, "grouping": ((0, 1),)}, 1),
-        ("told, process told", {**TOLD, "process": Contaminated(0.05, 10.0)}, 1),
-        ("told, process scales", {**TOLD, "process": "scales"}, 1),
+        ("given, process given", {**GIVEN, "process": Contaminated(0.05, 10.0)}, 1),
+        ("given, process scales", {**GIVEN, "process": "scales"}, 1),
     ):  # fmt: skip
         yield name, lambda o=options: linear(**o), plain, *peer, target
     for name, options, targets in (("default", {}, (0.4, 0.4, 0.4, 1, 0.3, 0.3)), ("adaptive", ADAPTIVE, (1,) * 6)):
@@ -222,7 +222,7 @@ def table():
         ("cubature", cubature, polar, CubatureKalmanFilter, rf.filters.RobustCubatureKalmanFilter),
     ):
         other = (lambda m=made, c=theirs: m(c)), walk if theirs is not CubatureKalmanFilter else column
-        for kind, options in (("default", {}), ("learnt", LEARNT), ("told", TOLD), ("patience", {"patience": 8})):
+        for kind, options in (("default", {}), ("learnt", LEARNT), ("given", GIVEN), ("patience", {"patience": 8})):
             target = 3 if kind == "patience" else 1
             yield f"{name}, {kind}", lambda m=made, c=cls, o=options: m(c, **o), walk, *other, target
     yield (

@@ -17,7 +17,7 @@ from robust_filterpy.plants.linear import stable
 
 
 class Recording(NamedTuple):
-    """A problem's matrices, its true states and measurements, and what no filter is told."""
+    """A problem's matrices, its true states and measurements, and what no filter is given."""
 
     F: np.ndarray
     H: np.ndarray
@@ -91,7 +91,7 @@ def errors(kf: Any, data: Recording) -> np.ndarray:
 
 
 def errors_with_labels(data: Recording) -> np.ndarray:
-    """Return the errors of the Kalman filter that is told which noises are large."""
+    """Return the errors of the Kalman filter that knows which noises are large."""
     kf = prepared(KalmanFilter(len(data.x0), len(data.R)), data)
     path = np.empty_like(data.truth)
     for k, z in enumerate(data.zs):
@@ -120,7 +120,7 @@ def level(rng: np.random.Generator, jump: float = 0.0, run: int = 0, size: float
 
 
 class Identification(NamedTuple):
-    """A recording of a plant whose parameters jump, and what no tracker is told."""
+    """A recording of a plant whose parameters jump, and what no tracker is given."""
 
     structure: Structure
     theta: np.ndarray

@@ -32,7 +32,7 @@ from robust_filterpy.identification import ParameterTracker
 from robust_filterpy.influence import Hampel
 from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
-LABELS = "Kalman, told the labels"
+LABELS = "Kalman, given the labels"
 TWO_SIDED = {"noise": Contaminated(), "process": Scales((1, 10, 100), jump=0)}
 
 
@@ -42,8 +42,8 @@ def one_sided(dim_x: int, dim_z: int) -> dict[str, Callable[[], Any]]:
         "Kalman (filterpy)": lambda: KalmanFilter(dim_x, dim_z),
         "chi-square gate, 99.73 %": lambda: gate(dim_x, dim_z),
         "Huber 1.345": lambda: RobustKalmanFilter(dim_x, dim_z, grouping="joint"),
-        "Huber 1.345, told S": lambda: RobustKalmanFilter(dim_x, dim_z, scaling="innovation", grouping="joint"),
-        "Tukey 4.685, told S": lambda: RobustKalmanFilter(
+        "Huber 1.345, given S": lambda: RobustKalmanFilter(dim_x, dim_z, scaling="innovation", grouping="joint"),
+        "Tukey 4.685, given S": lambda: RobustKalmanFilter(
             dim_x, dim_z, influence=TukeyBiweight(), scaling="innovation", grouping="joint"
         ),
         "Hampel": lambda: RobustKalmanFilter(dim_x, dim_z, influence=Hampel(), grouping="joint"),

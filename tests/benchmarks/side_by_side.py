@@ -41,7 +41,7 @@ from robust_filterpy.testing import fit_percent
 PAGE = Path(__file__).parents[2] / "docs" / "side_by_side.md"
 STEPS, TUNING_SEED = 800, 90_000
 OURS = {"ours": RobustKalmanFilter, "ours, adaptive": AdaptiveKalmanFilter}
-#: Those that nothing was tuned for: ours need not be told the truth, nor these.
+#: Those that nothing was tuned for: neither they nor ours need the truth.
 UNTUNED = ("filterpy", "gate", "gate, reset")
 #: The names of those whose filters are recursions of a paper's, written in tests/benchmarks/peers.
 SHORT = {
@@ -56,7 +56,7 @@ LEFT_OUT = ("IMM of two models", "Laplace", "the same, R given 10 times too smal
 
 
 class Drawn(NamedTuple):
-    """How the recording of a problem is drawn, what the filters are told wrongly, and who knows the labels."""
+    """How the recording of a problem is drawn, what the filters are given wrongly, and who knows the labels."""
 
     draw: Callable[[int], Case]
     P: float = 1.0
@@ -71,8 +71,8 @@ class Drawn(NamedTuple):
             case = case._replace(v_scale=np.repeat(case.v_scale[:, None], case.zs.shape[1], axis=1))
         return case
 
-    def told(self, seed: int) -> Case:
-        """Return a recording with the matrices that every filter is told."""
+    def given(self, seed: int) -> Case:
+        """Return a recording with the matrices that every filter is given."""
         case = self.true(seed)
         return case._replace(P0=self.P * case.P0, Q=self.Q * case.Q, R=self.R * case.R)
 
@@ -134,7 +134,7 @@ def kalman_q(practice: list[Case]) -> Callable[[Case], np.ndarray]:
 
 def states(problem: Drawn, seeds: range) -> dict[str, float]:
     """Return everybody's error over that of the filter which knows the labels: the geometric mean over recordings."""
-    practice = [problem.told(TUNING_SEED)]
+    practice = [problem.given(TUNING_SEED)]
     filters: dict[str, Callable[[Case], Any]] = {
         "filterpy": partial(alone, KalmanFilter), "Q tuned": kalman_q(practice),
         "gate": partial(filtered, correct=gate()), "gate, reset": partial(filtered, correct=gate(patience=10)),
@@ -145,7 +145,7 @@ def states(problem: Drawn, seeds: range) -> dict[str, float]:
     filters |= {ours: partial(alone, build) for ours, build in OURS.items()}
     ratios = []
     for seed in seeds:
-        case, labels = problem.told(seed), error(_path(problem.labels(problem.true(seed))), problem.true(seed))
+        case, labels = problem.given(seed), error(_path(problem.labels(problem.true(seed))), problem.true(seed))
         ratios.append([error(_path(estimate(case)), case) / labels for estimate in filters.values()])
     return dict(zip(filters, np.exp(np.log(ratios).mean(axis=0)).tolist(), strict=True))
 
@@ -270,7 +270,7 @@ def versions() -> str:
 
 
 def _quietly(problem: Drawn, seeds: range) -> dict[str, float]:
-    """Return what `states` does, without the warnings of filters that are told wrongly."""
+    """Return what `states` does, without the warnings of filters that are given wrongly."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return states(problem, seeds)

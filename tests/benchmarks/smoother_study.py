@@ -39,7 +39,7 @@ from robust_filterpy.influence import Linear
 from robust_filterpy.smoothing import FixedLagSmoother, smooth_series
 from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
-LABELS = "told the labels, RTS"
+LABELS = "given the labels, RTS"
 #: States and their covariances, None where a smoother gives none.
 Path = tuple[np.ndarray, np.ndarray | None]
 #: An error; the normalized estimation error squared over its mean, and the share of states within the region of .95.
@@ -79,8 +79,8 @@ def cart(rng: np.random.Generator, contamination: float, scale: float, steps: in
     return Recording(F, H, Q, np.eye(1), np.zeros(2), P0, truth, zs, none, bad)
 
 
-def told(data: Recording, jumped: float, outlier: float) -> Path:
-    """Return what the smoother makes of it that is told which noises are large, and how much."""
+def given(data: Recording, jumped: float, outlier: float) -> Path:
+    """Return what the smoother makes of it that knows which noises are large, and how much."""
     Qs = data.Q * np.where(data.jumps, jumped**2, 1.0)[:, None, None]
     Rs = data.R * np.where(data.outliers, outlier**2, 1.0)[:, None, None]
     kf = KalmanFilter(len(data.x0), len(data.R))
@@ -117,7 +117,7 @@ def cart_trial(rng: np.random.Generator, contamination: float, scale: float) -> 
         "smooth, Tukey": path(smooth(kf, data.zs, influence=TukeyBiweight())),
         "smooth, learnt (default)": path(smooth(kf, data.zs)),
         "live, lag 20, learnt": (live.smooth_batch(data.zs, 20)[0], None),
-        LABELS: told(data, 1.0, scale),
+        LABELS: given(data, 1.0, scale),
     }
     return {name: judged(data.truth, *one, lambda d: float(np.mean(d[:, 0] ** 2))) for name, one in states.items()}
 
@@ -168,7 +168,7 @@ def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) 
     states = {
         "Kalman + RTS": passed_and_smoothed(KalmanFilter(4, 2), data),
         "Huber filter + RTS": passed_and_smoothed(RobustKalmanFilter(4, 2, grouping="joint"), data),
-        "noise-matched filter (told) + RTS": passed_and_smoothed(
+        "noise-matched filter (given) + RTS": passed_and_smoothed(
             RobustKalmanFilter(4, 2, grouping="joint", **noise), data
         ),
         "two-sided filter + RTS": passed_and_smoothed(
@@ -177,7 +177,7 @@ def vehicle_trial(rng: np.random.Generator, process: float, measurement: float) 
         "smooth, Student t(4), both noises": path(smooth(kf, data.zs, influence=StudentT(), process=StudentT())),
         "smooth, learnt (default)": path(smooth(kf, data.zs)),
         "smooth, learnt, both noises": path(smooth(kf, data.zs, process=None)),
-        LABELS: told(data, 10.0, 10.0),
+        LABELS: given(data, 10.0, 10.0),
     }
     return {name: judged(data.truth, *one, distance) for name, one in states.items()}
 
@@ -244,7 +244,7 @@ def radar_trial(rng: np.random.Generator, contamination: float, steps: int = 200
 
 
 def ratios(title: str, trial: Callable[..., Any], runs: int, seed: int, jobs: int) -> None:
-    """Print each smoother's error over that of the one that is told the labels, with its interval."""
+    """Print each smoother's error over that of the one that is given the labels, with its interval."""
     start = time.perf_counter()
     found = monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked()
     print(f"\n{title}\n{runs} runs, seed {seed}, {time.perf_counter() - start:.0f} s; error over that of: {LABELS}\n")
@@ -384,10 +384,10 @@ def speed_table(runs: int, seed: int, jobs: int) -> None:
 
 
 def wrong_noise_table(runs: int, seed: int, jobs: int) -> None:
-    """Print what R or Q told ten times wrong costs, whether it is said, and what fitting them first saves."""
-    print("\nThe cart, 400 steps, 10 % outliers of ten times the size, R and Q told wrong: squared error of")
-    print("the position over that of the smoother told the labels; coverage of the region of .95; also after a fit\n")
-    print("| told | error | coverage | said, runs | error, fitted first | coverage |\n|---|---|---|---|---|---|")
+    """Print what R or Q given ten times wrong costs, whether it is said, and what fitting them first saves."""
+    print("\nThe cart, 400 steps, 10 % outliers of ten times the size, R and Q given wrong: squared error of")
+    print("the position over that of the smoother given the labels; coverage of the region of .95; also after a fit\n")
+    print("| given | error | coverage | said, runs | error, fitted first | coverage |\n|---|---|---|---|---|---|")
     for name, r, q in (("right", 1, 1), ("R / 10", 0.1, 1), ("R x 10", 10, 1), ("Q / 10", 1, 0.1), ("Q x 10", 1, 10)):
         errors, inside, said = np.zeros((3, runs)), np.zeros((2, runs)), 0
         for run in range(runs):
@@ -398,7 +398,7 @@ def wrong_noise_table(runs: int, seed: int, jobs: int) -> None:
                 warnings.simplefilter("ignore")
                 found = [smooth(kf, data.zs), smooth(estimate_noise(kf, data.zs).apply(copy.deepcopy(kf)), data.zs)]
             said += "do not fit" in found[0].message
-            off = np.array([x[:, 0] - data.truth[:, 0] for x in (*(each.x for each in found), told(data, 1.0, 10.0))])
+            off = np.array([x[:, 0] - data.truth[:, 0] for x in (*(each.x for each in found), given(data, 1.0, 10.0))])
             errors[:, run] = (off**2).mean(axis=1)
             variances = np.array([each.P[:, 0, 0] for each in found])
             inside[:, run] = (off[:2] ** 2 < 3.841 * variances).mean(axis=1)

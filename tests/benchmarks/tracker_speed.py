@@ -37,7 +37,7 @@ def against_least_squares(rng):
     y = simulate_arx(THETA, u, na=4, nb=4, noise=0.1 * rng.standard_normal(SAMPLES)).y
     phi = ARX(4, 4).regressors(u, y)
     names = ("forgetting", "Q")
-    # From nothing, as padasip; a tracker that is told no start looks for one in the whole recording first.
+    # From nothing, as padasip; a tracker that is given no start looks for one in the whole recording first.
     start = {"theta": 0.0, "P": 1.0, "R": 0.01}
     settings = {"forgetting": {"forgetting": 0.999, **start}, "Q": {"Q": 1e-6, **start}}
     serves, target = ("the kernel", 0.03) if KERNEL else ("the definition", 1.0)

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from support import TOLD, cart, make, of_matrices, random_problem, recovering, simulate, through, with_
+from support import NOISE_GIVEN, cart, make, of_matrices, random_problem, recovering, simulate, through, with_
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, side_by_side
@@ -60,7 +60,7 @@ def test_bursts_are_learnt_and_cost_less_than_to_a_filter_with_the_share():
             bad[first : first + 5] = True
         problem, truth, zs = moving(seed, 1500, np.where(bad, 10.0, 1.0))
         adaptive = make(AdaptiveKalmanFilter, problem, 1, **ORDINARY)
-        given = make(RobustKalmanFilter, problem, 1, **TOLD)
+        given = make(RobustKalmanFilter, problem, 1, **NOISE_GIVEN)
         errors.append([((kf.batch_filter(zs)[0] - truth)[300:, 0] ** 2).mean() for kf in (adaptive, given)])
         lengths.append(adaptive.noise_learnt.run_length[0])
     ours, theirs = np.mean(errors, axis=0)

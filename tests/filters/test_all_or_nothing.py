@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 import support
-from support import recovering, told, two_sided
+from support import noise_given, recovering, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -18,7 +18,7 @@ from robust_filterpy.filters import RobustCubatureKalmanFilter, snapshot
 from robust_filterpy.filters.snapshot import _copied
 from robust_filterpy.influence import Huber
 
-LINEAR = [RobustKalmanFilter, recovering, told, two_sided, AdaptiveKalmanFilter]  # fmt: skip
+LINEAR = [RobustKalmanFilter, recovering, noise_given, two_sided, AdaptiveKalmanFilter]  # fmt: skip
 ERRORS = [KeyboardInterrupt, OSError, ZeroDivisionError, MemoryError, SystemExit, ValueError]
 
 

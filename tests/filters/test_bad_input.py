@@ -257,7 +257,7 @@ def test_options_that_are_none_or_make_no_sense_together_are_named(build, option
 
 
 @pytest.mark.parametrize("kf, name, value, words", [
-    (support.told(2, 1), "scaling", "unit", "follows from noise="),
+    (support.noise_given(2, 1), "scaling", "unit", "follows from noise="),
     (linear(), "process", "scales", "noise='learnt'"), (linear(), "learnt", np.zeros((1, 30)), "noise=Learnt"),
     *((nonlinear(cls, noise="learnt"), "influence", Huber(), "noise=") for cls in NONLINEAR),
     *((nonlinear(cls, **support.RECOVERING), "patience", 1, "patience") for cls in NONLINEAR),

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 import support
-from support import RECOVERING, recovering, told, two_sided
+from support import RECOVERING, noise_given, recovering, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -45,10 +45,10 @@ FILTERS = {
     "Tukey": (partial(by_S, influence=TukeyBiweight()), ("recovers", "likelihood")),
     "extended by S": (partial(RobustExtendedKalmanFilter, scaling="innovation"), ()),
     "recovering": (recovering, ("likelihood", "memoryless")),
-    "noise-matched": (partial(told, grouping="joint"), ("recovers",)),
-    "noise-matched, each sensor": (told, ("recovers", "linear")),
+    "noise-matched": (partial(noise_given, grouping="joint"), ("recovers",)),
+    "noise-matched, each sensor": (noise_given, ("recovers", "linear")),
     "two-sided": (two_sided, ("linear", "prediction", "memoryless")),
-    "two-sided, given": (partial(told, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "recovers")),
+    "two-sided, given": (partial(noise_given, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "recovers")),
     "adaptive": (AdaptiveKalmanFilter, ("linear", "prediction", "memoryless")),
     "adaptive, joint": (partial(AdaptiveKalmanFilter, grouping="joint"), ("linear", "prediction", "memoryless")),
     "learnt": (learnt, ("linear", "memoryless", "recovers")),

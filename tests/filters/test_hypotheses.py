@@ -8,7 +8,7 @@ import support
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from support import cart, make, random_problem, simulate, through, told, two_sided, with_
+from support import cart, make, noise_given, random_problem, simulate, through, two_sided, with_
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, RobustKalmanFilter
 from robust_filterpy.correction import Scales
@@ -18,8 +18,8 @@ BOTH = {"grouping": "joint", "noise": Contaminated(0.1, 10.0), "process": Contam
 KINDS = [
     pytest.param(RobustKalmanFilter, {}, id="default"),
     pytest.param(RobustKalmanFilter, {"grouping": "joint", "scaling": "innovation"}, id="joint"),
-    pytest.param(told, BOTH, id="matched"),
-    pytest.param(told, {**BOTH, "grouping": "component"}, id="matched-component"),
+    pytest.param(noise_given, BOTH, id="matched"),
+    pytest.param(noise_given, {**BOTH, "grouping": "component"}, id="matched-component"),
     pytest.param(two_sided, {}, id="two-sided"),
     pytest.param(two_sided, {"grouping": "joint"}, id="two-sided-joint"),
     pytest.param(AdaptiveKalmanFilter, {"grouping": "joint"}, id="adaptive-joint"),
@@ -54,7 +54,7 @@ CLASSES = [(0.85, 1.0), (0.05, 10.0), (0.05, 100.0), (0.05, 1000.0)]
 
 
 @pytest.mark.parametrize("cls, dim_z, options, process, noise", [
-    (told, 2, BOTH, [(0.8, 1.0), (0.2, 36.0)], [(0.9, 1.0), (0.1, 100.0)]),
+    (noise_given, 2, BOTH, [(0.8, 1.0), (0.2, 36.0)], [(0.9, 1.0), (0.1, 100.0)]),
     (AdaptiveKalmanFilter, 2, {"grouping": "joint", "process": Scales((1.0, 10.0, 100.0), 50.0)}, SCALES, CLASSES),
     (AdaptiveKalmanFilter, 1, {"process": Scales((1.0, 10.0, 100.0), 50.0)}, SCALES, CLASSES),
 ], ids=["given", "learnt, joint", "learnt"])  # fmt: skip
@@ -77,7 +77,7 @@ def test_one_step_is_the_exact_posterior_over_all_hypotheses(cls, dim_z, options
 def test_a_jump_that_nothing_denies_widens_P():
     """The scale of each step is drawn anew, so P is that of the mixture, measured or not."""
     problem = cart()
-    kf, w = make(told, problem, **BOTH), BOTH["process"]
+    kf, w = make(noise_given, problem, **BOTH), BOTH["process"]
     larger = (1 + w.contamination * (w.scale_ratio**2 - 1)) * problem.Q
     for z in (None, None, 0.5, None):
         P = problem.F @ kf.P @ problem.F.T + larger

@@ -156,7 +156,7 @@ def test_a_singular_s_is_said_and_a_pseudo_inverse_is_obeyed():
 
 
 def test_under_noise_a_users_inverse_changes_nothing_and_a_singular_s_is_an_error():
-    kf, other = (support.load(support.told(2, 1), support.cart()) for _ in range(2))
+    kf, other = (support.load(support.noise_given(2, 1), support.cart()) for _ in range(2))
     kf.inv = np.linalg.pinv
     kf.update(7.0)
     other.update(7.0)
@@ -181,7 +181,8 @@ BOUNDED = [Huber(), Hampel(), TukeyBiweight(), StudentT()]
 JOINT = {"grouping": "joint"}
 POLICIES = {
     **{repr(influence): (RobustKalmanFilter, {"influence": influence}) for influence in BOUNDED},
-    "joint": (RobustKalmanFilter, JOINT), "given": (support.told, {}), "given, joint": (support.told, JOINT),
+    "joint": (RobustKalmanFilter, JOINT), "given": (support.noise_given, {}),
+    "given, joint": (support.noise_given, JOINT),
     "two-sided": (support.two_sided, {}), "two-sided, joint": (support.two_sided, JOINT),
     "adaptive": (AdaptiveKalmanFilter, {}), "adaptive, joint": (AdaptiveKalmanFilter, JOINT),
 }  # fmt: skip

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import support
-from support import recovering, told, two_sided
+from support import noise_given, recovering, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -59,7 +59,8 @@ def test_a_numpy_that_raises_changes_no_number(path, influence, scaling, informa
 
 
 @pytest.mark.parametrize(
-    "cls", [recovering, told, two_sided, AdaptiveKalmanFilter], ids=["recovering", "given", "two-sided", "adaptive"]
+    "cls", [recovering, noise_given, two_sided, AdaptiveKalmanFilter],
+    ids=["recovering", "given", "two-sided", "adaptive"],
 )
 def test_nor_does_it_stop_another_filter_or_a_series(path, raising, cls):
     problem = support.random_problem(5, 3, 2)

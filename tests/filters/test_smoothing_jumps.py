@@ -5,7 +5,7 @@ import pytest
 import support
 from filterpy.common import Saver
 from filterpy.kalman import KalmanFilter
-from support import told, two_sided
+from support import noise_given, two_sided
 
 from robust_filterpy import Contaminated
 
@@ -18,13 +18,13 @@ def recording():
 
 
 def doubting(kind):
-    if kind is told:
+    if kind is noise_given:
         noise = Contaminated(0.05, 100.0)
         return support.make(kind, LEVEL, noise=Contaminated(0.0), process=noise)
     return support.make(kind, LEVEL, noise=Contaminated(0.1, 5.0))
 
 
-KINDS = [told, two_sided]
+KINDS = [noise_given, two_sided]
 
 
 @pytest.mark.parametrize("kind", KINDS)

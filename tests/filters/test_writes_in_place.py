@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from support import Extended, of_matrices, recovering, told, two_sided
+from support import Extended, noise_given, of_matrices, recovering, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -19,7 +19,7 @@ H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]])
 
 LINEAR = {
     "default": RobustKalmanFilter, "innovation": partial(RobustKalmanFilter, scaling="innovation"),
-    "recovering": recovering, "given": told, "two_sided": two_sided,
+    "recovering": recovering, "given": noise_given, "two_sided": two_sided,
     "learnt": partial(RobustKalmanFilter, noise="learnt"), "adaptive": AdaptiveKalmanFilter,
 }  # fmt: skip
 MAKERS = {

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
-from support import RECOVERING, recovering, told, two_sided
+from support import RECOVERING, noise_given, recovering, two_sided
 
 from robust_filterpy import (
     ARX,
@@ -71,7 +71,7 @@ FILTERS = {
     "column": lambda: RobustKalmanFilter(2, 1),
     "recovering": linear(recovering, patience=3),
     "two-sided": linear(two_sided),
-    "noise-matched": linear(told, process=Contaminated(0.1, 10.0)),
+    "noise-matched": linear(noise_given, process=Contaminated(0.1, 10.0)),
     "adaptive": linear(AdaptiveKalmanFilter),
     "extended": extended,
     "unscented": sigma_points(RobustUnscentedKalmanFilter),

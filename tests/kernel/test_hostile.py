@@ -118,25 +118,26 @@ POLICIES = (
 )  # fmt: skip
 NAMES = (
     "x", "P", "F", "Q", "H", "R", "B", "_alpha_sq", "dim_x", "dim_z", "inv", "_memory", "_kept", "_policy", "_choices",
-    "u", "z", "told R", "told H", "M",
+    "u", "z", "R passed", "H passed", "M",
 )  # fmt: skip
 ENTRIES = ("predict", "correct", "predict_mixture", "correct_mixture")
 
 
 def ordinary(options, n, m, seed):
     kf = support.make(RobustKalmanFilter, support.random_problem(seed % 7, n, m, 1), 1 + seed % 2, **options)
-    told = {
-        "u": np.ones(1), "z": np.arange(float(m)), "told R": kf.R.copy(), "told H": kf.H.copy(), "M": np.zeros((n, m)),
+    passed = {
+        "u": np.ones(1), "z": np.arange(float(m)), "R passed": kf.R.copy(), "H passed": kf.H.copy(),
+        "M": np.zeros((n, m)),
     }  # fmt: skip
     kf.predict()
-    kf.update(told["z"])
-    return kf, told
+    kf.update(passed["z"])
+    return kf, passed
 
 
-def spoil(kf, told, g):
-    """Spoil some attributes of a filter and what it is told, by assignment in its dictionary, past all checks."""
+def spoil(kf, passed, g):
+    """Spoil some attributes of a filter and what it is passed, by assignment in its dictionary, past all checks."""
     for name in g.choice(NAMES, size=g.integers(1, 4)):
-        owner = told if name in told else kf.__dict__
+        owner = passed if name in passed else kf.__dict__
         name = name if name in owner else "_" + name
         if name not in owner:
             continue
@@ -170,17 +171,17 @@ def test_a_spoilt_filter_does_what_the_definition_does(monkeypatch, options):
         found = []
         for extension in (EXTENSION, None):
             g = np.random.default_rng(seed)
-            kf, told = ordinary(options, *[(2, 1), (3, 2), (1, 3)][seed % 3], seed)
-            spoil(kf, told, g)
+            kf, passed = ordinary(options, *[(2, 1), (3, 2), (1, 3)][seed % 3], seed)
+            spoil(kf, passed, g)
             for entry in ENTRIES:
-                given = (told["u"], None) if "predict" in entry else (told["z"], told["told R"])
+                given = (passed["u"], None) if "predict" in entry else (passed["z"], passed["R passed"])
                 arguments = (*given, None, None)
                 if extension is not None:
                     outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(copy.copy(kf), *a)])
             support.served_by(monkeypatch, extension)
             raised = outcome([
-                lambda kf=kf, told=told: kf.predict(told["u"]),
-                lambda kf=kf, told=told: kf.update(told["z"], R=told["told R"]),
+                lambda kf=kf, passed=passed: kf.predict(passed["u"]),
+                lambda kf=kf, passed=passed: kf.update(passed["z"], R=passed["R passed"]),
             ])  # fmt: skip
             found.append((raised, kf.__dict__.get("x"), kf.__dict__.get("P")))
         (one, *first), (two, *second) = found
@@ -237,14 +238,14 @@ def test_a_filter_that_changes_while_it_is_read_does_no_harm(options):
 @pytest.mark.slow
 @pytest.mark.parametrize("options", POLICIES, ids=range(len(POLICIES)))
 def test_threads_on_one_filter_do_no_harm(options):
-    kf, told = ordinary(options, 3, 2, 1)
+    kf, passed = ordinary(options, 3, 2, 1)
     x, P = kf.x.copy(), kf.P.copy()
 
     def work(seed):
         g = np.random.default_rng(seed)
         for _ in range(ROUNDS):
             calls = (
-                lambda: kf.predict(), lambda: kf.update(told["z"]), lambda: kf.batch_filter(np.zeros((20, 2))),
+                lambda: kf.predict(), lambda: kf.update(passed["z"]), lambda: kf.batch_filter(np.zeros((20, 2))),
                 lambda: setattr(kf, "x", x.copy()), lambda: setattr(kf, "P", P.copy()), lambda: kf.y,
             )  # fmt: skip
             outcome([calls[g.integers(len(calls))]])
@@ -256,5 +257,5 @@ def test_threads_on_one_filter_do_no_harm(options):
         thread.join()
     kf.x, kf.P = x, P
     kf.predict()
-    kf.update(told["z"])
+    kf.update(passed["z"])
     support.assert_positive_definite(kf.P)

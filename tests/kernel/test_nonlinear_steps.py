@@ -49,15 +49,15 @@ def filters(kind, **options):
     return kf
 
 
-def stepped(kf, z, extension, monkeypatch, **told):
+def stepped(kf, z, extension, monkeypatch, **passed):
     """Step by an extension, or by the definition alone; what it raises, None if nothing."""
     with monkeypatch.context() as patch, np.errstate(all="ignore"):
         patch.setattr(shell, "_extension", extension)
         patch.setattr(moments.kernel, "extension", lambda: extension)
         try:
             kf.predict()
-            extra = (told.pop("H", slope), told.pop("Hx", seen)) if isinstance(kf, RobustExtendedKalmanFilter) else ()
-            kf.update(z, *extra, **told)
+            extra = (passed.pop("H", slope), passed.pop("Hx", seen)) if isinstance(kf, RobustExtendedKalmanFilter) else ()
+            kf.update(z, *extra, **passed)
         except REFUSED as error:
             return type(error)
     return None
@@ -79,11 +79,11 @@ def test_what_is_passed_spoilt_is_refused_or_taken_as_by_the_definition(kind, mo
         place = ("z", "R", "H", "Hx")[seed % (4 if kind == "extended" else 2)]
         given = {"z": np.array([5.2, 0.3]), "R": np.diag([0.4, 0.3]), "H": slope(one.x), "Hx": seen(one.x)}
         given[place] = spoilt(given[place], g, [])
-        told = {"R": given["R"]}
+        passed = {"R": given["R"]}
         if kind == "extended":
-            told |= {"H": lambda x, H=given["H"]: H, "Hx": lambda x, at=given["Hx"]: at}
+            passed |= {"H": lambda x, H=given["H"]: H, "Hx": lambda x, at=given["Hx"]: at}
         before = {name: np.array(getattr(one, name)) for name in ("x", "P", "z")}
-        raised = [stepped(kf, given["z"], e, monkeypatch, **told) for kf, e in ((one, EXTENSION), (two, None))]
+        raised = [stepped(kf, given["z"], e, monkeypatch, **passed) for kf, e in ((one, EXTENSION), (two, None))]
         assert (raised[0] is None) == (raised[1] is None), (seed, place, given[place], raised)
         served += raised[0] is None
         if raised[0] is None and max(np.abs(two.x).max(), np.abs(two.P).max()) < 1e9 and given["z"] is not None:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
-from support import by_night, draws, of_matrices, told
+from support import by_night, draws, noise_given, of_matrices
 
 from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
 from robust_filterpy.noise._problem import NoiseFit, descend, log_likelihoods, of_filter, valleys
@@ -106,7 +106,7 @@ def test_each_sensor_gets_its_own_factor_and_missing_ones_do_no_harm():
     assert same.Q == pytest.approx(kf.Q)
 
 
-@pytest.mark.parametrize("kind", [KalmanFilter, RobustKalmanFilter, told])
+@pytest.mark.parametrize("kind", [KalmanFilter, RobustKalmanFilter, noise_given])
 def test_the_filter_is_left_alone_until_apply(kind):
     kf = guess(kind)
     before = (kf.x.copy(), kf.P.copy(), kf.R.copy(), kf.Q.copy())
@@ -116,7 +116,7 @@ def test_the_filter_is_left_alone_until_apply(kind):
         np.testing.assert_array_equal(was, now)
     assert found.apply(kf) is kf
     np.testing.assert_array_equal(kf.R, found.R)
-    if kind is told:
+    if kind is noise_given:
         assert (kf.noise.contamination, kf.noise.scale_ratio) == (found.contamination, found.scale_ratio)
 
 
@@ -179,7 +179,7 @@ def test_matrices_of_each_step_and_inputs_are_those_of_batch_filter():
         "Hs": [np.array([[h, 0.1]]) for h in rng.uniform(0.5, 2.0, n)], "us": rng.choice([-1.0, 1.0], (n, 1)),
     }  # fmt: skip
     Qs, Rs = [q * Q for q in rng.uniform(0.5, 2.0, n)], [np.array([[r]]) for r in rng.uniform(0.5, 8.0, n)]
-    kf, matched = guess(), guess(told)
+    kf, matched = guess(), guess(noise_given)
     kf.B = matched.B = np.array([[0.5], [1.0]])
     zs = np.cumsum(rng.standard_normal(n)) + np.sqrt(np.ravel(Rs)) * rng.standard_normal(n)
     zs[7] = np.nan

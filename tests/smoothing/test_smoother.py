@@ -6,7 +6,7 @@ import pytest
 import support
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import HuberT
-from support import told
+from support import noise_given
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, smooth
 from robust_filterpy.influence import Linear
@@ -196,7 +196,7 @@ def test_any_filter_will_do_is_left_as_it_was_and_its_grouping_is_taken():
     np.testing.assert_array_equal(ours.x, theirs.x)
     np.testing.assert_array_equal(ours.weights[:, 0], ours.weights[:, 1])
     support.assert_unchanged(before, kf)
-    smooth(support.make(told, problem), pairs)
+    smooth(support.make(noise_given, problem), pairs)
 
 
 BAD = [

@@ -149,8 +149,8 @@ def test_the_order_of_the_filters_does_not_hang_on_the_choice_of_R(water, sigma)
         np.abs(water.track(water.build(cls, flow, sigma**2, **choices), flow) - reference)[first:after].max()
         for cls, choices in (
             (KalmanFilter, {}),
-            (RobustKalmanFilter, water.TOLD),
-            (RobustKalmanFilter, water.TOLD | {"influence": TukeyBiweight()}),
+            (RobustKalmanFilter, water.GIVEN),
+            (RobustKalmanFilter, water.GIVEN | {"influence": TukeyBiweight()}),
         )
     )
     assert tukey < 0.5 * huber < 0.25 * kalman
