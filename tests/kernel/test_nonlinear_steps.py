@@ -56,7 +56,8 @@ def stepped(kf, z, extension, monkeypatch, **passed):
         patch.setattr(moments.kernel, "extension", lambda: extension)
         try:
             kf.predict()
-            extra = (passed.pop("H", slope), passed.pop("Hx", seen)) if isinstance(kf, RobustExtendedKalmanFilter) else ()
+            linearized = isinstance(kf, RobustExtendedKalmanFilter)
+            extra = (passed.pop("H", slope), passed.pop("Hx", seen)) if linearized else ()
             kf.update(z, *extra, **passed)
         except REFUSED as error:
             return type(error)
