@@ -36,6 +36,8 @@ _GONE = {
     "plot_parameters": "plot_states, or plot() of what tracker.run returned",
     "plot_fit": "compare({\"name\": model}, y, u).plot() draws models over what was measured",
     "plot_tuning": "to_frame() of what tracker.tuned returned has the values and their log-likelihoods",
+    "ServoObserver": "it is examples/servo/observer.py; simulate_servo(.., observer=) takes any",
+    "random_coefficient": "plants.linear.random_walk(start, variance, n, accept=) keeps a path within bounds",
     "batch": "filter_series is in robust_filterpy, and in robust_filterpy.filters",
     "FilterBank": "filter_series(z[:, None], .., state=result.state) takes one step of many filters",
 }

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from servo.observer import ServoObserver
 
 from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.correction import Scales
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
-from robust_filterpy.plants.servo import PneumaticParameters, ServoObserver, random_coefficient, simulate_servo
+from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
 from robust_filterpy.plants.servo.equations import beta_coefficient
 from robust_filterpy.plants.servo.position_loop import ServoRecording
 
@@ -59,7 +60,7 @@ def conditions(
     reference = AMPLITUDE * np.repeat(receding_horizon_binary(shape, -(-steps // HOLD), rng=rng), HOLD)[:steps]
     t = DT * np.arange(steps)
     share = t / t[-1]
-    alpha = random_coefficient("alpha", t, low=1.05, high=1.35, rng=rng)
+    alpha = wandering(t, 1.05, 1.35, rng)
     # The valve wears in, the air warms up and cools down, a load comes half-way, the supply sags as others draw on it.
     beta = beta_coefficient(alpha, 0.16 + 0.18 * share, 1 + 0.1 * np.sin(2 * np.pi * share))
     load = np.interp(share, [0, 0.5, 0.53], [0.0, 0.0, 5.0])
@@ -70,6 +71,15 @@ def conditions(
     drawn = [law.rvs_labelled(steps, rng) for law in laws]
     noise, is_outlier = (np.column_stack(part) for part in zip(*drawn, strict=True))
     return Conditions(reference, physics, noise, is_outlier, outlier_std)
+
+
+def wandering(t: np.ndarray, low: float, high: float, rng: np.random.Generator) -> np.ndarray:
+    """Draw a slow random walk that is reflected at two bounds; a free one would move .05 of the way in a second."""
+    width = high - low
+    steps = 0.05 * width * np.sqrt(np.diff(t)) * rng.standard_normal(t.size - 1)
+    free = 0.5 * width + np.concatenate([[0.0], np.cumsum(steps)])
+    # To fold a free walk is the same as to reflect it at the bounds.
+    return low + np.abs((free + width) % (2 * width) - width)
 
 
 def drive(given: Conditions, loop: str) -> ServoRecording:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import control
 import numpy as np
 import pandas
 import pytest
-import scipy.stats
-from filterpy.kalman import KalmanFilter
 
-from robust_filterpy import Contaminated, RobustKalmanFilter
+from robust_filterpy import Contaminated
 from robust_filterpy.plants.servo import (
     PneumaticParameters,
-    ServoObserver,
     pneumatic_servo,
     position_loop,
-    random_coefficient,
     simulate_servo,
 )
 from robust_filterpy.plants.servo.equations import servo_derivatives
@@ -90,28 +85,6 @@ def test_a_load_pushes_the_piston_off_its_reference_against_the_load():
     recording = simulate_servo(np.zeros(300), 0.01, load=np.repeat([0.0, 20.0], 150))
     assert abs(recording.position[149]) < 1e-4
     assert recording.position[150:].min() < -5e-4
-
-
-# --- random coefficients ------------------------------------------------------------------------------------------
-
-
-def test_random_paths_stay_in_their_bounds_move_as_slowly_as_asked_for_and_visit_the_whole_range_evenly():
-    path = random_coefficient("beta", 0.01 * np.arange(200_000), low=0.2, high=0.4, spread=0.1, rng=3)
-    assert path.min() >= 0.2 and path.max() <= 0.4 and path[0] == pytest.approx(0.3)
-    # Reflections, at most one step in hundreds, shorten a few increments.
-    assert np.diff(path).std() == pytest.approx(0.1 * 0.2 * 0.1, rel=0.01)
-    # Far apart in time, samples of a reflected walk are independent and uniform.
-    path = random_coefficient("alpha", 1000.0 * np.arange(2000), spread=0.2, rng=4)
-    assert scipy.stats.kstest(path[1:], "uniform", args=(1.0, 0.3997)).pvalue > 1e-6
-
-
-def test_random_paths_repeat_with_a_seed_and_leave_the_global_state_alone():
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
-    first, second, other = (random_coefficient("alpha", T, rng=rng) for rng in (5, np.random.default_rng(5), 6))
-    assert np.array_equal(first, second) and not np.array_equal(first, other)
-    assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
-    assert random_coefficient("alpha", T, start=1.05, rng=5)[0] == pytest.approx(1.05)
-    assert np.all(random_coefficient("alpha", T, spread=0.0) == 1.19985)
 
 
 # --- operating points and linear models ---------------------------------------------------------------------------
@@ -225,7 +198,7 @@ def test_a_failing_solver_is_not_passed_over(monkeypatch):
         simulate_servo(np.full(5, 0.01), 0.01)
 
 
-# The servo's loop on sensors that err: the observer, what outliers do to the piston, and the files of a recording.
+# The servo's loop on sensors that err, and the files of a recording.
 
 
 def sensor_noise(n, contamination, seed, factor=40.0):
@@ -233,9 +206,8 @@ def sensor_noise(n, contamination, seed, factor=40.0):
     return np.column_stack([Contaminated(contamination, factor, s).rvs(size=n, random_state=rng) for s in STD])
 
 
-def drive(noise, filter=None, **options):
-    observer = None if filter is None else ServoObserver(filter(6, 3, 6), DT, STD)
-    return simulate_servo(reference(len(noise)), DT, noise=noise, observer=observer, **options)
+def drive(noise, **options):
+    return simulate_servo(reference(len(noise)), DT, noise=noise, **options)
 
 
 def test_readings_are_the_truth_with_the_noise_that_was_given():
@@ -265,50 +237,6 @@ def test_the_loop_runs_on_what_the_observer_says():
     assert np.all(recording.acceleration_estimate == 3.0)
     opening = 1.2 * (0.01 - 0.5 * recording.position_measured) - 5e-4 * 3.0
     assert recording.valve == pytest.approx(np.sign(opening) * (0.009 + 0.991 * np.abs(opening)))
-
-
-def test_observer_without_noise_in_its_model_s_own_plant_follows_the_motion():
-    # The observer's own alpha and beta, and no dry friction: what is left is its linearization and its start.
-    p = replace(P, coulomb_friction=0.0, static_friction=0.0)
-    observer = ServoObserver(KalmanFilter(6, 3, 6), DT, STD, p)
-    n = 300
-    recording = simulate_servo(reference(n), DT, p, noise=np.zeros((n, 3)), observer=observer)
-    assert np.abs(recording.position_estimate - recording.position).max() < 5e-5
-    held = zip(recording.position, recording.velocity, recording.P_a, recording.P_b, strict=True)
-    acceleration = np.array([servo_derivatives(p)(*x, 0.0, 0.0, 1.2, 0.3)[1] for x in held])
-    assert np.std(recording.acceleration_estimate - acceleration) < 0.05 * np.std(acceleration)
-    assert observer.beta == pytest.approx(0.3, rel=0.1)
-
-
-def test_observer_learns_the_flow_through_the_valve():
-    n = 600
-    for beta in (0.2, 0.45):
-        observer = ServoObserver(KalmanFilter(6, 3, 6), DT, STD)
-        noise = sensor_noise(n, 0.0, 3)
-        simulate_servo(reference(n), DT, noise=noise, observer=observer, beta=beta)
-        assert observer.beta == pytest.approx(beta, rel=0.15)
-
-
-def test_outliers_move_the_piston_less_when_the_robust_filter_runs_the_loop():
-    deviations, travels = np.empty((2, 3, 2))
-    for i, seed in enumerate((11, 12, 13)):
-        noise = sensor_noise(1000, 0.1, seed)
-        without = drive(np.where(np.abs(noise) > 5 * STD, noise / 40, noise), KalmanFilter)
-        for j, filter in enumerate((KalmanFilter, RobustKalmanFilter)):
-            recording = drive(noise, filter)
-            deviations[i, j] = np.sqrt(np.mean((recording.position - without.position) ** 2))
-            travels[i, j] = np.abs(np.diff(recording.valve)).sum() - np.abs(np.diff(without.valve)).sum()
-    assert np.all(deviations[:, 1] < 0.7 * deviations[:, 0]) and np.all(travels[:, 1] < 0.4 * travels[:, 0])
-
-
-def test_an_outlier_cannot_throw_the_estimate_off_the_stroke():
-    observer = ServoObserver(KalmanFilter(6, 3, 6), DT, STD)
-    point = operating_point(velocity=0.0)
-    for k in range(200):
-        z = np.array([0.0, point.P_a, point.P_b]) + (k % 7 == 3) * np.array([0.3, -5e5, 5e5])
-        estimate = observer(z, 0.0)
-        assert abs(estimate.position) <= P.stroke / 2 and math.isfinite(estimate.acceleration)
-    assert 0.075 <= observer.beta <= 1.3297
 
 
 def test_files_hold_every_signal_with_its_unit(tmp_path):

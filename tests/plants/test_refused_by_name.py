@@ -5,7 +5,6 @@ import math
 import control
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 from recordings import assert_refused
 
 from robust_filterpy import Contaminated
@@ -20,9 +19,7 @@ from robust_filterpy.plants.excitation import (
 from robust_filterpy.plants.linear import random_walk, stable
 from robust_filterpy.plants.servo import (
     PneumaticParameters,
-    ServoObserver,
     pneumatic_servo,
-    random_coefficient,
     simulate_servo,
 )
 from robust_filterpy.plants.servo.equations import valve_opening
@@ -110,16 +107,6 @@ REFUSED = [
         "friction": ["none"],
     }),
     (linearize_servo, {"dt": 0.01, "velocity": -0.05}, {"load": [-500.0]}),
-    (random_coefficient, {"name": "alpha", "t": [0.0, 1.0]}, {
-        "name": ["gamma"],
-        "spread": [-0.1],
-        "t": [[0.0, 0.0], []],
-    }),
-    (ServoObserver, {"filter": KalmanFilter(6, 3, 6), "dt": 0.01, "std": [1.0, 1.0, 1.0]}, {
-        "filter": [KalmanFilter(5, 3, 6)],
-        "dt": [0.0],
-        "std": [[1.0, 1.0], [1.0, 0.0, 1.0]],
-    }),
 ]  # fmt: skip
 
 
@@ -156,9 +143,6 @@ def test_what_cannot_be_is_refused_by_name(call, good, wrong):
     (lambda: pneumatic_servo(beta=[0.3, 0.4]), "use lambda t: np"),
     (lambda: pneumatic_servo(alpha=lambda t: 1.0 + t).dynamics(0.5, np.array([0, 0, 3e5, 3e5]), np.zeros(2)),
      r"alpha\(0.5\): expected values in"),
-    (lambda: random_coefficient("alpha", [0.0, 1.0], low=0.9), "bounds of alpha: expected values in"),
-    (lambda: random_coefficient("alpha", [0.0, 1.0], low=1.3, high=1.2), "expected low < high"),
-    (lambda: random_coefficient("alpha", [0.0, 1.0], low=1.1, start=1.0), "start of alpha"),
 ])  # fmt: skip
 def test_what_helps_is_said(call, words):
     with pytest.raises((ValueError, TypeError), match=words):

@@ -3,16 +3,15 @@
 * `equations`: equations (1)-(7) as functions of floats, and as a python-control system; its constants, its uncertain
   alpha and beta.
 * `linearization`: its steady motions, linear models about them, gains by which its loop is stable.
-* `position_loop`: the loop simulated: what drives it, its recording, with files of it for other tools; an observer
-  that estimates the motion in it from sensors that err.
+* `position_loop`: the loop simulated: what drives it, its recording, with files of it for other tools.
 """
 
 from __future__ import annotations
 
 from robust_filterpy._lazy import elsewhere
-from robust_filterpy.plants.servo.equations import PneumaticParameters, pneumatic_servo, random_coefficient
-from robust_filterpy.plants.servo.position_loop import ServoObserver, simulate_servo
+from robust_filterpy.plants.servo.equations import PneumaticParameters, pneumatic_servo
+from robust_filterpy.plants.servo.position_loop import simulate_servo
 
-__all__ = ["PneumaticParameters", "ServoObserver", "pneumatic_servo", "random_coefficient", "simulate_servo"]
+__all__ = ["PneumaticParameters", "pneumatic_servo", "simulate_servo"]
 
 __getattr__ = elsewhere(__name__)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array, option
+from robust_filterpy._checks import Array
 
 if TYPE_CHECKING:
     import control
@@ -185,7 +185,6 @@ Coefficient: TypeAlias = "float | Callable[[float], float]"
 
 ALPHA_RANGE = (1.0, 1.3997)
 BETA_RANGE = (0.075, 1.3297)
-RANGES = {"alpha": ALPHA_RANGE, "beta": BETA_RANGE}
 
 
 def beta_coefficient(alpha: ArrayLike, discharge_coefficient: ArrayLike, temperature_ratio: ArrayLike = 1.0) -> Any:
@@ -227,69 +226,6 @@ def beta_coefficient(alpha: ArrayLike, discharge_coefficient: ArrayLike, tempera
     return float(beta) if beta.ndim == 0 else beta
 
 
-def random_coefficient(
-    name: str, t: ArrayLike, *, low: float | None = None, high: float | None = None, spread: float = 0.05,
-    start: float | None = None, rng: Any = None,
-) -> Array:  # fmt: skip
-    """Draw a slow random path of alpha(t) or beta(t), eqs (2) and (6).
-
-    A random walk reflected at `low` and `high`: it is continuous in time, and in the long run every value between
-    the two is equally likely.
-
-    Parameters
-    ----------
-    name : {"alpha", "beta"}
-        The heat coefficient, in [1, 1.3997], or the bound parameter, in [0.075, 1.3297].
-    t : array_like, shape (N,)
-        Times, strictly increasing, in s.
-    low, high : float, optional
-        Bounds of the path, within its range; by default the ends of it.
-    spread : float
-        Standard deviation of the unreflected walk after one second, as a fraction of ``high - low``.
-    start : float, optional
-        Value at ``t[0]``; the middle of the bounds by default.
-    rng : None, int or numpy.random.Generator
-        Source of randomness, handed to `numpy.random.default_rng`.
-
-    Returns
-    -------
-    numpy.ndarray, shape (N,)
-
-    Raises
-    ------
-    ValueError
-        If there is no coefficient of this name, the bounds leave its range, `start` leaves the bounds, `spread` is
-        negative or `t` does not increase.
-
-    Notes
-    -----
-    The range of beta is wide: from its bottom to its top the gain from valve to velocity grows 18 times, more than one
-    position loop can carry well; give narrower bounds, or compose beta from its causes with `beta_coefficient`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> path = random_coefficient("alpha", np.arange(0, 20, 0.01), low=1.1, high=1.3, rng=1)
-    >>> bool(1.1 <= path.min() and path.max() <= 1.3)
-    True
-    """
-    limits = RANGES[option("name", name, RANGES)]
-    times = _increasing(t, "t")
-    low, high = limits[0] if low is None else low, limits[1] if high is None else high
-    checked([low, high], f"bounds of {name}", limits)
-    if not low < high:
-        raise ValueError(f"bounds of {name}: expected low < high, got {low} and {high}")
-    if not (np.isfinite(spread) and spread >= 0):
-        raise ValueError(f"spread: expected a number >= 0, got {spread}")
-    first = 0.5 * (low + high) if start is None else float(checked(start, f"start of {name}", (low, high)))
-    width = high - low
-    steps = np.random.default_rng(rng).standard_normal(times.size - 1) * spread * width * np.sqrt(np.diff(times))
-    free = np.concatenate([[first - low], first - low + np.cumsum(steps)])
-    # To fold a free walk is the same as to reflect it at the bounds.
-    folded = np.abs((free + width) % (2 * width) - width)
-    return np.clip(low + folded, low, high)
-
-
 def coefficient_function(value: Coefficient, name: str, limits: tuple[float, float]) -> Callable[[float], float]:
     """Return a coefficient as a function of time that refuses to leave its range."""
     if callable(value):
@@ -309,16 +245,6 @@ def coefficient_function(value: Coefficient, name: str, limits: tuple[float, flo
         )
     number = float(constant)
     return lambda t: number
-
-
-def _increasing(t: ArrayLike, name: str) -> Array:
-    """Return times as an array, or refuse them."""
-    times = np.asarray(t, dtype=float)
-    if times.ndim != 1 or times.size == 0:
-        raise ValueError(f"{name}: expected a non-empty sequence of times, got shape {times.shape}")
-    if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0):
-        raise ValueError(f"{name}: expected finite, strictly increasing times")
-    return times
 
 
 def checked(value: Any, name: str, limits: tuple[float, float]) -> Array:
