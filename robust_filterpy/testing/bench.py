@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 import unittest
 import warnings
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -22,7 +23,7 @@ from robust_filterpy.testing import runs
 from robust_filterpy.testing.contamination import Kinds
 from robust_filterpy.testing.drawing import Scenario, draw
 from robust_filterpy.testing.models import StateModel, random_stable
-from robust_filterpy.testing.runs import FilterRun
+from robust_filterpy.testing.runs import Run
 
 #: Samples after which a filter is old.
 OLD = 1200
@@ -54,15 +55,21 @@ class Check:
         Whether it may fail by chance.
     expected_failure : str or None
         Why it is expected to fail.
-    subject : callable
-        ``subject(make, name, seed)`` returns what the promise is tested on.
+    claims : frozenset of str
+        What the estimator claims.
+    seed : int
+        Of what is drawn, with the name of the check.
+    false_alarm : float
+        Probability that a right estimator fails a stochastic check.
     """
 
     function: Callable[[Any], None]
     needs: frozenset[str]
     stochastic: bool
     expected_failure: str | None = None
-    subject: Callable[..., Any] | None = None
+    claims: frozenset[str] = frozenset()
+    seed: int = 0
+    false_alarm: float = 1e-6
 
     @property
     def name(self) -> str:
@@ -85,9 +92,11 @@ class Check:
 
     def __call__(self, make: Callable[..., Any], *, seed: int | None = None) -> None:
         """Test the promise."""
+        first = self.seed if seed is None else _checks.count("seed", seed)
+        subject = FilterSubject(make, self.claims, (first, zlib.crc32(self.name.encode())), self.false_alarm)
         try:
             with np.errstate(all="ignore"):
-                self.function(self.subject(make, self.name, seed))  # type: ignore[misc]
+                self.function(subject)
         except unittest.SkipTest:
             raise
         except Exception as error:
@@ -293,11 +302,11 @@ class FilterSubject:
         kf.predict()
         return (kf, *runs.state(kf))
 
-    def many(self, contamination: Kinds = "none", count: int = RUNS) -> tuple[list[Scenario], list[FilterRun]]:
+    def many(self, contamination: Kinds = "none", count: int = RUNS) -> list[Run]:
         """Run new filters over independent recordings of one system."""
         model = self.model()
         scenarios = [draw(model, _STEPS, contamination=contamination, rng=self.rng) for _ in range(count)]
-        return scenarios, [runs.run_filter(self.new(model), scenario) for scenario in scenarios]
+        return [runs.run_filter(self.new(model), scenario) for scenario in scenarios]
 
     def work(self) -> tuple[Callable[[], Any], Sequence[Callable[[Any], Any]]]:
         """Return what makes loaded filters, and predictions and corrections in turn."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -53,12 +52,8 @@ def filter_checks(
         _checks.option("expected_failures", name, names)
     alpha, seed = contracts.probability(false_alarm), _checks.count("seed", seed)
 
-    def subject(make: Callable[..., Any], name: str, other: int | None) -> FilterSubject:
-        start = seed if other is None else _checks.count("seed", other)
-        return FilterSubject(make, claims, (start, zlib.crc32(name.encode())), alpha)
-
     return [
-        replace(entry, expected_failure=expected.get(entry.name), subject=subject)
+        replace(entry, expected_failure=expected.get(entry.name), claims=claims, seed=seed, false_alarm=alpha)
         for entry in FILTER_PROMISES
         if entry.needs <= claims
     ]

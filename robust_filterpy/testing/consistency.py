@@ -7,14 +7,13 @@ y ~ N(0, S), and its errors have x - truth ~ N(0, P), hence
 * NEES: the sum of (x - truth)' P^-1 (x - truth) over independent runs, at one step, is chi-square with n a run;
 * the mean of L^-1 (x - truth), P = L L', over M runs is N(0, I/M).
 
-A tracker's parameters are held to the truth, to a reference that knows the labels, and to its own intervals.
+A tracker's parameters are states as any other, and are held to the truth and to a reference that knows the labels.
 
 Several tests share the false-alarm probability (Bonferroni), so that the probability stated is an upper bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.diagnostics.recording import bulk
 from robust_filterpy.testing.contracts import at_least_one, band, fail, probability, times
-from robust_filterpy.testing.runs import FilterRun, Runs, TrackerRun, as_runs, as_tracker_runs
+from robust_filterpy.testing.runs import Run, Runs, as_runs
 
 # NEES is looked at so often along the runs.
 _INSTANTS = 5
@@ -35,8 +34,9 @@ def assert_consistent(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1
 
     Parameters
     ----------
-    runs : FilterRun, filterpy Saver, or list of these
-        Independent runs; without a truth (a Saver) only the innovations are tested.
+    runs : Run, filterpy Saver, or list of these
+        Independent runs; without a truth (a Saver) only the innovations are tested, without innovations (of a tracker)
+        only the errors of its parameters.
     factor : float, default 1
         S and P may be wrong by this factor, either way, before the test minds: for filters that are no Kalman filters.
     false_alarm : float, default 1e-6
@@ -61,9 +61,11 @@ def assert_consistent(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1
     """
     tested, factor = as_runs(runs), at_least_one(factor)
     instants = _instants(tested) if all(run.truth is not None and run.P is not None for run in tested) else []
-    alpha = probability(false_alarm) / (1 + len(instants))
+    # A tracker's runs have no innovations.
+    shown = not instants or all(run.y is not None for run in tested)
+    alpha = probability(false_alarm) / (shown + len(instants))
     errors = [text for k in instants if (text := _nees(tested, k, factor, alpha))]
-    fail([_nis(tested, factor, alpha), *errors[-1:]])
+    fail([_nis(tested, factor, alpha) if shown else None, *errors[-1:]])
 
 
 def assert_unbiased(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-6) -> None:
@@ -71,7 +73,7 @@ def assert_unbiased(runs: Runs, *, factor: float = 1.0, false_alarm: float = 1e-
 
     Parameters
     ----------
-    runs : FilterRun or list of FilterRun
+    runs : Run or list of Run
         Independent runs with their truth.
     factor : float, default 1
         P may be too small by this factor before the test minds.
@@ -105,7 +107,7 @@ def assert_innovations_white(runs: Runs, *, lags: int = 5, tolerance: float = 0.
 
     Parameters
     ----------
-    runs : FilterRun, filterpy Saver, or list of these
+    runs : Run, filterpy Saver, or list of these
         What to read.
     lags : int, default 5
         How far apart, at most, in samples.
@@ -126,7 +128,7 @@ def assert_innovations_white(runs: Runs, *, lags: int = 5, tolerance: float = 0.
     deviation follows Student's t exactly, whatever the scale of S.
     """
     tested, lags = as_runs(runs), _checks.count("lags", lags, 1)
-    sensors = tested[0].y.shape[1]
+    sensors = tested[0].whitened.shape[1]
     alpha, failures = probability(false_alarm) / (lags * sensors), []
     for lag in range(1, lags + 1):
         for i in range(sensors):
@@ -180,7 +182,7 @@ def assert_covariance_stays_one(P: Any, *, rtol: float = 1e-6) -> None:
             )
 
 
-def _nis(runs: list[FilterRun], factor: float, alpha: float) -> str | None:
+def _nis(runs: list[Run], factor: float, alpha: float) -> str | None:
     """Test the innovations of all runs together."""
     e = np.concatenate([run.whitened for run in runs])
     total, dof, steps = float(np.nansum(e**2)), int((~np.isnan(e)).sum()), int((~np.isnan(e)).any(axis=1).sum())
@@ -196,7 +198,7 @@ def _nis(runs: list[FilterRun], factor: float, alpha: float) -> str | None:
     )
 
 
-def _cause(runs: list[FilterRun], e: Array, ratio: float) -> str:
+def _cause(runs: list[Run], e: Array, ratio: float) -> str:
     """Say what innovations of the wrong size may come from."""
     if ratio < 1.0:
         return "R or Q too large"
@@ -211,7 +213,7 @@ def _cause(runs: list[FilterRun], e: Array, ratio: float) -> str:
     return f"{why} (the innovations are correlated by {r:+.2f})"
 
 
-def _nees(runs: list[FilterRun], k: int, factor: float, alpha: float) -> str | None:
+def _nees(runs: list[Run], k: int, factor: float, alpha: float) -> str | None:
     """Test the errors of all runs at one step."""
     errors = np.array([run.standardized_error(k) for run in runs])
     total, (M, n) = float(np.sum(errors**2)), errors.shape
@@ -255,51 +257,10 @@ def _colour(r: float) -> str:
     return "the filter follows too eagerly (Q too large, R too small)"
 
 
-def _instants(runs: list[FilterRun]) -> list[int]:
+def _instants(runs: list[Run]) -> list[int]:
     """Return a few steps that every run has, the last one among them."""
     shortest = min(len(run) for run in runs)
     return sorted({round(k) for k in np.linspace(shortest / _INSTANTS, shortest, _INSTANTS) - 1.0})
-
-
-def assert_efficient(
-    runs: Runs, *, at_least: float, relative_to: Sequence[FilterRun] | FilterRun, false_alarm: float = 1e-6
-) -> None:
-    """Assert that the squared error is not much larger than that of a reference on the same recordings.
-
-    Parameters
-    ----------
-    runs : FilterRun or list of FilterRun
-        At least ten independent runs.
-    at_least : float
-        Efficiency, the reference's mean squared error over the filter's, that must not be missed; in (0, 1].
-    relative_to : list of FilterRun
-        The reference, such as ``[scenario.reference for scenario in scenarios]``: it knows every label.
-    false_alarm : float, default 1e-6
-        Probability that a filter of just this efficiency fails.
-
-    Raises
-    ------
-    AssertionError
-        If it is missed.
-
-    Notes
-    -----
-    Errors are squared in units of the reference's P, so that no state outweighs another. The test is Student's, on
-    at_least * error - reference over the runs, which share their noise.
-    """
-    tested, reference = as_runs(runs), as_runs(relative_to)
-    if len(tested) != len(reference) or [len(run) for run in tested] != [len(run) for run in reference]:
-        raise ValueError(
-            f"relative_to: expected a run of the same length for each of the {len(tested)} runs, got {len(reference)}"
-        )
-    errors, best = (
-        [
-            float(np.mean((run.error / np.where(known.deviation > 0, known.deviation, np.inf)) ** 2))
-            for run, known in zip(which, reference, strict=True)
-        ]
-        for which in (tested, reference)
-    )
-    fail([ratio_of_errors(np.array(errors), np.array(best), at_least, false_alarm)])
 
 
 def ratio_of_errors(errors: Array, reference: Array, at_least: float, false_alarm: float) -> str | None:
@@ -322,12 +283,12 @@ def ratio_of_errors(errors: Array, reference: Array, at_least: float, false_alar
     )
 
 
-def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: float = 1e-6) -> None:
+def assert_recovers_parameters(runs: Runs, *, factor: float = 2.0, false_alarm: float = 1e-6) -> None:
     """Assert that the last parameters are as close to the truth as the noise lets anybody come.
 
     Parameters
     ----------
-    runs : TrackerRun or list of TrackerRun
+    runs : Run or list of Run
         From `run_tracker`, the scenario with its reference included.
     factor : float, default 2
         The covariance of the errors may be that much larger than that of the tracker that knows the labels.
@@ -339,21 +300,20 @@ def assert_recovers_parameters(runs: Any, *, factor: float = 2.0, false_alarm: f
     AssertionError
         If not; it names the parameter that is furthest off, and says whether another order or sign would fit.
     """
-    tried, failures = as_tracker_runs(runs), []
-    limit = at_least_one(factor) * float(stats.chi2.isf(probability(false_alarm) / len(tried), tried[0].theta.shape[1]))
+    tried, failures = as_runs(runs), []
+    alpha = probability(false_alarm) / len(tried)
     for i, run in enumerate(tried):
-        P = run.over.reference.P
-        if P is None:
-            raise ValueError("scenario: expected a reference with P")
-        error = run.error[-1]
+        scenario, error = run.of("scenario"), run.error[-1]
+        limit = at_least_one(factor) * float(stats.chi2.isf(alpha, error.size))
+        P = scenario.reference.P[-1]
         distance = float(error @ np.linalg.pinv(P, hermitian=True) @ error) if np.isfinite(error).all() else np.inf
         if not distance <= limit:
             sigma = np.sqrt(np.maximum(P.diagonal(), np.finfo(float).tiny))
             j = int(np.argmax(np.where(np.isfinite(error), np.abs(error) / sigma, np.inf)))
-            name, truth = run.over.structure.names[j], run.theta[-1] - error
+            theta = run.of("x")[-1]
             failures.append(
-                f"run {i}: {name} = {run.theta[-1, j]:.4g}, the truth is {truth[j]:.4g} (+- {sigma[j]:.2g} for the "
-                f"tracker that knows the labels){_resemblance(run.theta[-1], truth)}"
+                f"run {i}: {scenario.structure.names[j]} = {theta[j]:.4g}, the truth is {(theta - error)[j]:.4g} (+- "
+                f"{sigma[j]:.2g} for the tracker that knows the labels){_resemblance(theta, theta - error)}"
             )
     fail(failures[:1])
 
@@ -369,78 +329,42 @@ def _resemblance(theta: np.ndarray, truth: np.ndarray) -> str:
 
 
 def assert_tracks(
-    runs: Any, *, at_least: float = 0.5, relative_to: Sequence[TrackerRun] | TrackerRun | None = None, skip: int = 0,
-    false_alarm: float = 1e-6,
-) -> None:  # fmt: skip
-    """Assert that parameters that move are followed almost as well as by a reference.
+    runs: Runs, *, at_least: float = 0.5, relative_to: Runs | None = None, skip: int = 0, false_alarm: float = 1e-6
+) -> None:
+    """Assert that states, or parameters, are followed almost as well as by a reference.
 
     Parameters
     ----------
-    runs : TrackerRun or list of TrackerRun
+    runs : Run or list of Run
         At least ten independent runs.
     at_least : float, default .5
-        The reference's mean squared error over the tracker's, in (0, 1].
-    relative_to : list of TrackerRun, optional
-        The reference. Default: the tracker that knows every label and every jump.
+        Efficiency, the reference's mean squared error over that of the runs, in (0, 1], which must not be missed.
+    relative_to : Run or list of Run, optional
+        The reference, on the same recordings. Default: the filter or tracker that knows every label and every jump.
     skip : int, default 0
         Samples at the start that do not count.
     false_alarm : float, default 1e-6
-        Probability that a tracker of just this efficiency fails.
+        Probability that an estimator of just this efficiency fails.
 
     Raises
     ------
     AssertionError
-        If not.
+        If it is missed.
+
+    Notes
+    -----
+    Errors are squared in units of the reference's P, so that none outweighs another. The test is Student's, on
+    at_least * error - reference over the runs, which share their noise.
     """
-    tested = as_tracker_runs(runs)
-    best = [run.over.reference for run in tested] if relative_to is None else as_tracker_runs(relative_to)
-    skip = _checks.count("skip", skip)
-    if [len(run.theta) for run in best] != [len(run.theta) for run in tested]:
-        raise ValueError(f"relative_to: expected a run of the same length for each of the {len(tested)} runs")
+    tested, skip = as_runs(runs), _checks.count("skip", skip)
+    best = [run.of("scenario").reference for run in tested] if relative_to is None else as_runs(relative_to)
+    if [len(run) for run in best] != [len(run) for run in tested]:
+        raise ValueError(
+            f"relative_to: expected a run of the same length for each of the {len(tested)} runs, got {len(best)}"
+        )
     errors, reference = (
-        np.array([np.mean(np.sum(run.error[skip:] ** 2, axis=1)) for run in which]) for which in (tested, best)
-    )
+        np.array([np.mean((run.error / np.where(known.deviation > 0, known.deviation, np.inf))[skip:] ** 2)
+                  for run, known in zip(which, best, strict=True)])
+        for which in (tested, best)
+    )  # fmt: skip
     fail([ratio_of_errors(errors, reference, at_least, false_alarm)])
-
-
-def assert_interval_coverage(
-    runs: Any, *, level: float = 0.95, tolerance: float = 0.0, false_alarm: float = 1e-6
-) -> None:
-    """Assert that theta -+ z std holds the truth as often as it says, neither less nor more.
-
-    Parameters
-    ----------
-    runs : TrackerRun or list of TrackerRun
-        Independent runs with std; their last sample counts.
-    level : float, default .95
-        Probability of each interval.
-    tolerance : float, default 0
-        The probability may be that much smaller or larger, for intervals that are not exact.
-    false_alarm : float, default 1e-6
-        Probability that right intervals fail: the bounds are exact binomial ones, shared by the parameters.
-
-    Raises
-    ------
-    AssertionError
-        If not; it names the parameter and the share that was covered.
-    """
-    tested = as_tracker_runs(runs)
-    if not 0.0 < _checks.real("level", level) < 1.0:
-        raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")
-    if any(run.std is None for run in tested):
-        raise ValueError("runs: expected runs with std, of a tracker that has P")
-    half = float(stats.norm.isf((1.0 - level) / 2))
-    inside = np.array([np.abs(run.error[-1]) <= half * run.std[-1] for run in tested if run.std is not None])
-    M, n = inside.shape
-    alpha = probability(false_alarm) / (2 * n)
-    low = stats.binom.ppf(alpha, M, max(level - tolerance, 0.0))
-    high = stats.binom.isf(alpha, M, min(level + tolerance, 1.0))
-    hits, failures = inside.sum(axis=0), []
-    for name, count in zip(tested[0].over.structure.names, hits, strict=True):
-        if not low <= count <= high:
-            word = "too short: P is too small" if count < low else "too long: P is too large"
-            failures.append(
-                f"the {level:.0%} intervals of {name} hold the truth in {count} of {M} runs, expected {low:.0f} to "
-                f"{high:.0f}: they are {word}"
-            )
-    fail(failures[:1])

@@ -23,7 +23,7 @@ from robust_filterpy.testing import runs
 from robust_filterpy.testing.contamination import Kinds, objects, spoilt
 from robust_filterpy.testing.models import MODELS, StateModel
 from robust_filterpy.testing.plants import PLANTS, Plant, draw_plant, jump_rows
-from robust_filterpy.testing.runs import FilterRun
+from robust_filterpy.testing.runs import Run
 
 __all__ = ["Scenario", "draw"]
 
@@ -80,7 +80,7 @@ class Scenario:
         return runs.load(kf, self.model)
 
     @cached_property
-    def reference(self) -> FilterRun:
+    def reference(self) -> Run:
         """The Kalman filter (extended, for a nonlinear sensor) that knows every label and every jump."""
         return runs.run_filter(_LabelKnowing(self), self)
 

@@ -31,7 +31,7 @@ from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 from robust_filterpy.plants.linear import linear_parameters, random_walk, stable
 from robust_filterpy.testing.contamination import Kinds, Spoilt, objects, of_noise, spoilt
-from robust_filterpy.testing.runs import TrackerRun, run_tracker
+from robust_filterpy.testing.runs import Run, run_tracker
 
 if TYPE_CHECKING:
     import control
@@ -133,20 +133,16 @@ class PlantScenario:
         return tracker
 
     @cached_property
-    def reference(self) -> TrackerRun:
+    def reference(self) -> Run:
         """The Kalman tracker that starts at the truth, with P = I, and knows every label and every jump."""
         tracker = self.load(ParameterTracker(self.structure, influence=Linear(), theta=self.theta[0], P=1.0))
         measured = np.isfinite(self.noise_ratio)
         y = np.where(measured, self.y, np.nan)
         variance = self.R * np.where(measured, self.noise_ratio, 1.0) ** 2
-        if not self.is_jump.any():
-            result = tracker.run(y, self.u, variance)
-            return TrackerRun(result.theta, result.std, tracker.P, self.theta, self)
-        moves = np.diff(self.theta, axis=0, prepend=self.theta[:1])
-        Q = tracker.Q
+        moves, Q = np.diff(self.theta, axis=0, prepend=self.theta[:1]), tracker.Q
 
         def sample(k: int) -> Any:
-            tracker.Q = Q + np.outer(moves[k], moves[k]) if self.is_jump[k] else Q
+            tracker.Q = Q + np.outer(moves[k], moves[k]) * self.is_jump[k]
             return tracker.update(y[k], self.u[k], variance[k])
 
         return run_tracker(tracker, self, sample)

@@ -19,25 +19,27 @@ if TYPE_CHECKING:
     from robust_filterpy.testing.models import StateModel
     from robust_filterpy.testing.plants import PlantScenario
 
-__all__ = ["FilterRun", "TrackerRun", "run_filter", "run_tracker"]
+__all__ = ["Run", "run_filter", "run_tracker"]
 
 
 @dataclass(frozen=True, eq=False)
-class FilterRun:
-    """Hold N steps of a filter. What is None was not recorded, and what needs it cannot be asserted.
+class Run:
+    """Hold N steps of a filter, or of a tracker, whose state is theta. What is None was not recorded.
 
     Attributes
     ----------
-    y : ndarray, shape (N, m)
+    y : ndarray, shape (N, m), optional
         Innovations z - h(x_prior), NaN where a sensor was missing.
-    S : ndarray, shape (N, m, m)
+    S : ndarray, shape (N, m, m), optional
         Their covariances according to the filter.
-    x, x_prior : ndarray, shape (N, n), optional
-        States after and before each correction.
-    P, P_prior : ndarray, shape (N, n, n), optional
+    x : ndarray, shape (N, n), optional
+        States, or parameters, after each correction.
+    P : ndarray, shape (N, n, n), optional
         Their covariances.
     truth : ndarray, shape (N, n), optional
-        True states.
+        The true ones.
+    scenario : Scenario or PlantScenario, optional
+        What it ran over.
 
     Raises
     ------
@@ -45,48 +47,51 @@ class FilterRun:
         If the lengths or shapes do not fit together.
     """
 
-    y: Array
-    S: Array
+    y: Array | None = None
+    S: Array | None = None
     x: Array | None = None
     P: Array | None = None
-    x_prior: Array | None = None
-    P_prior: Array | None = None
     truth: Array | None = None
+    scenario: Scenario | PlantScenario | None = None
 
     def __post_init__(self) -> None:
         """Check every shape against those of y and x."""
-        shapes: dict[str, tuple[int, ...]] = {"S": (*np.shape(self.y), np.shape(self.y)[-1])}
-        if np.ndim(self.y) != 2:
-            raise ValueError(f"y: expected shape (N, m), got {np.shape(self.y)}")
-        if self.x is not None:
-            n = np.shape(self.x)[-1]
-            rows = (len(self.y), n)
-            shapes |= {"x": rows, "x_prior": rows, "truth": rows, "P": (*rows, n), "P_prior": (*rows, n)}
-        _require_shapes(self, "y", shapes)
+        for first, name in ((self.y, "y"), (self.x, "x")):
+            if first is not None and np.ndim(first) != 2:
+                raise ValueError(f"{name}: expected shape (N, {'m' if name == 'y' else 'n'}), got {np.shape(first)}")
+        (N, m), (rows, n) = (np.shape(one) if one is not None else (None, None) for one in (self.y, self.x))
+        N = rows if N is None else N
+        for name, shape in {"S": (N, m, m), "x": (N, n), "truth": (N, n), "P": (N, n, n)}.items():
+            value = getattr(self, name)
+            if value is not None and None not in shape and np.shape(value) != shape:
+                raise ValueError(f"{name}: expected shape {shape} of a run of {N} steps, got {np.shape(value)}")
 
     def __len__(self) -> int:
         """Count the steps."""
-        return len(self.y)
+        return len(self.of("y") if self.x is None else self.x)
+
+    def of(self, name: str) -> Any:
+        """Return what was recorded under a name, or raise if nothing was."""
+        value = getattr(self, name)
+        if value is None:
+            raise ValueError(f"{name}: expected a run with {name}; run_filter and run_tracker return one")
+        return value
 
     @property
     def error(self) -> Array:
         """Estimate minus truth, shape (N, n)."""
-        if self.x is None or self.truth is None:
-            raise ValueError("truth: expected a run with x and truth; run_filter(kf, scenario) returns one")
-        return self.x - self.truth
+        return np.asarray(self.of("x") - self.of("truth"))
 
     @property
     def deviation(self) -> Array:
-        """Standard deviations of the states according to the filter, shape (N, n)."""
-        if self.P is None:
-            raise ValueError("P: expected a run with P; run_filter(kf, scenario) returns one")
-        return np.sqrt(np.einsum("kii->ki", self.P))
+        """Standard deviations of the estimates according to the filter, shape (N, n)."""
+        return np.sqrt(np.maximum(np.einsum("kii->ki", self.of("P")), 0.0))
 
     @cached_property
     def whitened(self) -> Array:
         """L^-1 y with L the Cholesky factor of the observed part of S, shape (N, m); NaN where missing."""
-        e = np.full(self.y.shape, np.nan)
-        for k, (y, S) in enumerate(zip(self.y, self.S, strict=True)):
+        e = np.full(self.of("y").shape, np.nan)
+        for k, (y, S) in enumerate(zip(self.of("y"), self.of("S"), strict=True)):
             seen = np.flatnonzero(~np.isnan(y))
             if seen.size:
                 e[k, seen] = _whitened(S[np.ix_(seen, seen)], y[seen], f"S of step {k}")
@@ -94,22 +99,11 @@ class FilterRun:
 
     def standardized_error(self, step: int) -> Array:
         """Return L^-1 (x - truth) at a step, L the Cholesky factor of P, shape (n,)."""
-        if self.P is None:
-            raise ValueError("P: expected a run with P; run_filter(kf, scenario) returns one")
-        return _whitened(self.P[step], self.error[step], f"P of step {step % len(self)}")
-
-
-def _require_shapes(run: Any, of: str, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Raise where something of a run does not fit its first array."""
-    for name, shape in shapes.items():
-        value = getattr(run, name)
-        if value is not None and np.shape(value) != shape:
-            expected = f"expected shape {shape} for {of} of shape {np.shape(getattr(run, of))}"
-            raise ValueError(f"{name}: {expected}, got {np.shape(value)}")
+        return _whitened(self.of("P")[step], self.error[step], f"P of step {step % len(self)}")
 
 
 #: A run, several, or Savers.
-Runs: TypeAlias = "FilterRun | Sequence[FilterRun] | Any"
+Runs: TypeAlias = "Run | Sequence[Run] | Any"
 
 
 def _whitened(covariance: Array, values: Array, name: str) -> Array:
@@ -123,18 +117,18 @@ def _whitened(covariance: Array, values: Array, name: str) -> Array:
         raise AssertionError(f"{name} is no covariance: its least eigenvalue is {least:.3g}") from None
 
 
-def as_runs(runs: Runs) -> list[FilterRun]:
+def as_runs(runs: Runs) -> list[Run]:
     """Return a list of runs from a run, a `filterpy.common.Saver`, or several of them."""
-    if isinstance(runs, FilterRun):
+    if isinstance(runs, Run):
         return [runs]
     if is_saver(runs):
         saved = of_saver(runs)
-        return [FilterRun(saved.y, saved.S)]
+        return [Run(saved.y, saved.S)]
     if isinstance(runs, Iterable) and not isinstance(runs, (str, bytes, np.ndarray)):
         parts = [run for part in runs for run in as_runs(part)]
         if parts:
             return parts
-    raise TypeError(f"runs: expected a FilterRun, a Saver or a list of these, got {_checks.shown(runs)}")
+    raise TypeError(f"runs: expected a Run, a Saver or a list of these, got {_checks.shown(runs)}")
 
 
 def load(kf: Any, model: StateModel) -> Any:
@@ -208,7 +202,7 @@ def state(kf: Any) -> tuple[Array, Array]:
     return np.ravel(np.array(kf.x, dtype=float)), np.array(kf.P, dtype=float)
 
 
-def run_filter(kf: Any, scenario: Scenario) -> FilterRun:
+def run_filter(kf: Any, scenario: Scenario) -> Run:
     """Run a filter over a scenario.
 
     Parameters
@@ -220,7 +214,7 @@ def run_filter(kf: Any, scenario: Scenario) -> FilterRun:
 
     Returns
     -------
-    FilterRun
+    Run
         y and S are computed from the filter's x, P, H and R before each correction, so that it need not show them.
 
     Raises
@@ -233,22 +227,20 @@ def run_filter(kf: Any, scenario: Scenario) -> FilterRun:
     if np.size(kf.x) != n:
         raise ValueError(f"kf: expected a filter with {n} states for this scenario, got {np.size(kf.x)}")
     N = len(scenario.z)
-    x, P, x_prior, P_prior = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n)), np.empty((N, n, n))
-    y, S = np.empty((N, m)), np.empty((N, m, m))
+    x, P, y, S = (np.empty((N, *shape)) for shape in ((n,), (n, n), (m,), (m, m)))
     extended = is_extended(kf)
     for call, _ in enumerate(calls(kf, scenario.z, model, scenario.u)):
         k, corrected = divmod(call, 2)
         if corrected:
             x[k], P[k] = state(kf)
             continue
-        prior, P_prior[k] = state(kf)
-        x_prior[k] = prior
+        prior, covariance = state(kf)
         H, R = model.jacobian(prior), own(kf, "R", model.R)
         if not extended:
             H = own(kf, "H", H)
         y[k] = scenario.z[k] - (H @ prior if model.sensor is None else model.sensor(prior))
-        S[k] = H @ P_prior[k] @ H.T + R
-    return FilterRun(y, S, x, P, x_prior, P_prior, scenario.x)
+        S[k] = H @ covariance @ H.T + R
+    return Run(y, S, x, P, scenario.x, scenario)
 
 
 def own(kf: Any, name: str, default: Array) -> Array:
@@ -257,66 +249,7 @@ def own(kf: Any, name: str, default: Array) -> Array:
     return default if value is None or np.shape(value) != default.shape else np.asarray(value, dtype=float)
 
 
-@dataclass(frozen=True, eq=False)
-class TrackerRun:
-    """Hold N samples of a tracker. What is None it does not tell.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (N, n)
-        Parameters after each sample.
-    std : ndarray, shape (N, n), optional
-        Their standard deviations, sqrt(diag P).
-    P : ndarray, shape (n, n), optional
-        Their covariance after the last sample.
-    truth : ndarray, shape (N, n), optional
-        True parameters.
-    scenario : PlantScenario, optional
-        What it ran over.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit together.
-    """
-
-    theta: Array
-    std: Array | None = None
-    P: Array | None = None
-    truth: Array | None = None
-    scenario: PlantScenario | None = None
-
-    def __post_init__(self) -> None:
-        """Check every shape against that of theta."""
-        shape = np.shape(self.theta)
-        if len(shape) != 2:
-            raise ValueError(f"theta: expected shape (N, n), got {shape}")
-        _require_shapes(self, "theta", {"std": shape, "P": shape[-1:] * 2, "truth": shape})
-
-    @property
-    def error(self) -> Array:
-        """Estimate minus truth, shape (N, n)."""
-        if self.truth is None:
-            raise ValueError("truth: expected a run with the true parameters, this one has none")
-        return self.theta - self.truth
-
-    @property
-    def over(self) -> PlantScenario:
-        """The scenario, or an error if there is none."""
-        if self.scenario is None:
-            raise ValueError("scenario: expected a run of run_tracker(tracker, scenario), this one has none")
-        return self.scenario
-
-
-def as_tracker_runs(runs: Any) -> list[TrackerRun]:
-    """Return a list of runs from a run or several."""
-    parts = [runs] if isinstance(runs, TrackerRun) else list(runs) if isinstance(runs, Iterable) else []
-    if not parts or not all(isinstance(run, TrackerRun) for run in parts):
-        raise TypeError(f"runs: expected a TrackerRun or a list of these, got {_checks.shown(runs)}")
-    return parts
-
-
-def run_tracker(tracker: Any, scenario: PlantScenario, sample: Callable[[int], Any] | None = None) -> TrackerRun:
+def run_tracker(tracker: Any, scenario: PlantScenario, sample: Callable[[int], Any] | None = None) -> Run:
     """Run a tracker over a scenario, sample by sample.
 
     Parameters
@@ -330,7 +263,8 @@ def run_tracker(tracker: Any, scenario: PlantScenario, sample: Callable[[int], A
 
     Returns
     -------
-    TrackerRun
+    Run
+        x is theta; y and S are not recorded.
 
     Raises
     ------
@@ -338,23 +272,17 @@ def run_tracker(tracker: Any, scenario: PlantScenario, sample: Callable[[int], A
         If theta has another length than the structure's.
     """
     n, N = scenario.structure.n_theta, len(scenario.y)
-    theta, std = np.empty((N, n)), np.full((N, n), np.nan)
+    theta, P = np.empty((N, n)), np.empty((N, n, n))
+    has_P = hasattr(tracker, "P")
     for k in range(N):
         if sample is None:
             tracker.update(float(scenario.y[k]), scenario.u[k])
         else:
             sample(k)
-        theta[k] = parameters(tracker, n)
-        P = getattr(tracker, "P", None)
-        if P is not None:
-            std[k] = np.sqrt(np.maximum(np.diagonal(P), 0.0))
-    P = None if P is None else np.array(P, dtype=float)
-    return TrackerRun(theta, None if P is None else std, P, scenario.theta, scenario)
-
-
-def parameters(tracker: Any, n: int) -> Array:
-    """Return theta, shape (n,), or raise."""
-    theta = np.ravel(np.asarray(tracker.theta, dtype=float))
-    if theta.size != n:
-        raise ValueError(f"tracker: expected theta of {n} numbers for this structure, got {theta.size}")
-    return theta
+        now = np.ravel(np.asarray(tracker.theta, dtype=float))
+        if now.size != n:
+            raise ValueError(f"tracker: expected theta of {n} numbers for this structure, got {now.size}")
+        theta[k] = now
+        if has_P:
+            P[k] = tracker.P
+    return Run(x=theta, P=P if has_P else None, truth=scenario.theta, scenario=scenario)

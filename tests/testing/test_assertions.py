@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-import scipy.stats
 import wrong_filters
 from filterpy.kalman import KalmanFilter
 from support import paper_tracker
@@ -14,6 +13,7 @@ from support import paper_tracker
 from robust_filterpy import ParameterTracker, RobustKalmanFilter, TukeyBiweight
 from robust_filterpy.influence import Linear
 from robust_filterpy.testing import (
+    assert_consistent,
     assert_recovers_parameters,
     assert_tracks,
     draw,
@@ -21,12 +21,7 @@ from robust_filterpy.testing import (
     run_filter,
     run_tracker,
 )
-from robust_filterpy.testing.consistency import (
-    _correlation,
-    assert_efficient,
-    assert_interval_coverage,
-    ratio_of_errors,
-)
+from robust_filterpy.testing.consistency import _correlation, ratio_of_errors
 from robust_filterpy.testing.contracts import (
     assert_close,
     assert_refused_call_changes_nothing,
@@ -35,7 +30,7 @@ from robust_filterpy.testing.contracts import (
     visible,
 )
 from robust_filterpy.testing.models import random_stable
-from robust_filterpy.testing.runs import TrackerRun, load
+from robust_filterpy.testing.runs import Run, load
 
 
 def fails(call, *match):
@@ -72,9 +67,9 @@ def many(make, contamination, count=30):
 def test_efficiency_is_the_ratio_of_squared_errors():
     robust, best = many(RobustKalmanFilter, "mixture")
     plain, _ = many(KalmanFilter, "mixture")
-    assert_efficient(robust, at_least=0.6, relative_to=best)
-    assert_efficient(best, at_least=1.0, relative_to=best)
-    text = fails(lambda: assert_efficient(plain, at_least=0.6, relative_to=best), "over 30 runs, expected at least 0.6")
+    assert_tracks(robust, at_least=0.6, relative_to=best)
+    assert_tracks(best, at_least=1.0, relative_to=best)
+    text = fails(lambda: assert_tracks(plain, at_least=0.6, relative_to=best), "over 30 runs, expected at least 0.6")
     scale = [np.einsum("kii->ki", run.P) for run in best]
     errors = [
         np.mean([np.mean(run.error**2 / s) for run, s in zip(runs, scale, strict=True)]) for runs in (plain, best)
@@ -157,7 +152,7 @@ def tracked(make, plant, seeds=range(12), samples=120, **options):
 
 def altered(runs, change):
     """Runs whose parameters are those of a tracker with a fault."""
-    return [replace(run, theta=change(run.theta)) for run in runs]
+    return [replace(run, x=change(run.x)) for run in runs]
 
 
 def test_parameters_are_recovered_in_every_unit_of_noise():
@@ -178,37 +173,27 @@ def test_drifting_parameters_are_tracked_against_a_reference():
     fails(lambda: assert_tracks(still, at_least=0.5, skip=20), "efficiency")
 
 
-def test_coverage_bounds_are_binomial():
-    rng, scenario = np.random.default_rng(1), draw("fir", 1, rng=0)
-
-    def runs(scale, count=200):
-        return [
-            TrackerRun(rng.standard_normal((1, 4)), np.full((1, 4), scale), truth=np.zeros((1, 4)), scenario=scenario)
-            for _ in range(count)
-        ]
-
-    for _ in range(20):
-        assert_interval_coverage(runs(1.0), level=0.9)
-    fails(lambda: assert_interval_coverage(runs(0.5), level=0.9), "90% intervals of b1", "too short")
-    fails(lambda: assert_interval_coverage(runs(4.0), level=0.6), "too long")
-    assert_interval_coverage(runs(0.8), level=0.9, tolerance=0.1)
-    low = int(scipy.stats.binom.ppf(1e-6 / 8, 200, 0.9))
-    assert f"expected {low} to" in fails(lambda: assert_interval_coverage(runs(0.3), level=0.9))
+def test_the_errors_of_a_tracker_are_as_large_as_its_p():
+    right = tracked(partial(paper_tracker, influence=Linear()), "fir", range(30))
+    assert_consistent(right)
+    vain = [replace(run, P=25.0 * run.P) for run in right]
+    fails(lambda: assert_consistent(vain), "NEES mean", "expected 4 ", "less sure than it could be")
+    fails(lambda: assert_consistent([replace(run, P=run.P / 25.0) for run in right]), "surer than it may be")
 
 
 @pytest.mark.parametrize(("call", "error", "match"), [
     (lambda run: assert_tracks([run] * 3), ValueError, "at least 10 independent runs, got 3|runs: expected at least"),
     (lambda run: assert_tracks([run] * 12, at_least=2.0), ValueError, "at_least: expected an efficiency"),
-    (lambda run: assert_tracks(run.theta), TypeError, "runs: expected a TrackerRun"),
+    (lambda run: assert_tracks(run.x), TypeError, "runs: expected a Run"),
     (lambda run: assert_tracks([run] * 12, relative_to=[run]), ValueError, "relative_to"),
-    (lambda run: assert_interval_coverage(run, level=95), ValueError, "level: expected a probability"),
-    (lambda run: assert_interval_coverage(TrackerRun(run.theta, truth=run.truth)), ValueError, "std"),
-    (lambda run: assert_recovers_parameters(TrackerRun(run.theta, truth=run.truth)), ValueError, "scenario"),
-    (lambda run: TrackerRun(run.theta, truth=run.truth[:-1]), ValueError, r"truth: expected shape \(30, 4\)"),
-    (lambda run: TrackerRun(run.theta[0]), ValueError, r"theta: expected shape \(N, n\)"),
-    (lambda run: TrackerRun(run.theta).error, ValueError, "true parameters"),
-    (lambda run: run_tracker(ParameterTracker(run.over.structure), draw("arx", 5, nothing=1)), TypeError, "nothing"),
-    (lambda run: assert_efficient([], at_least=1, relative_to=[]), TypeError, "runs"),
+    (lambda run: assert_consistent(Run(x=run.x, truth=run.truth)), ValueError, "y: expected a run with y"),
+    (lambda run: assert_recovers_parameters(Run(x=run.x, truth=run.truth)), ValueError, "scenario"),
+    (lambda run: Run(x=run.x, truth=run.truth[:-1]), ValueError, r"truth: expected shape \(30, 4\)"),
+    (lambda run: Run(x=run.x[0]), ValueError, r"x: expected shape \(N, n\)"),
+    (lambda run: Run(x=run.x).error, ValueError, "truth: expected a run with truth"),
+    (lambda run: run_tracker(ParameterTracker(run.scenario.structure), draw("arx", 5, nothing=1)), TypeError,
+     "nothing"),
+    (lambda run: assert_tracks([], at_least=1, relative_to=[]), TypeError, "runs"),
 ])  # fmt: skip
 def test_bad_input_is_named(call, error, match):
     scenario = draw("fir", 30, rng=0)

@@ -12,7 +12,7 @@ from support import by_night
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.testing import assert_consistent, assert_innovations_white, assert_unbiased, draw, run_filter
 from robust_filterpy.testing.consistency import assert_covariance_stays_one
-from robust_filterpy.testing.runs import FilterRun
+from robust_filterpy.testing.runs import Run
 
 
 def misfit(scenario, **factors):
@@ -60,7 +60,7 @@ def test_a_wrong_model_is_named_in_words_and_figures(factors, expected):
 
 def test_nis_mean_and_band_are_the_chi_square_ones():
     run = misfit(draw("constant velocity", 500, rng=1), R=0.25)
-    text = words(assert_consistent, FilterRun(run.y, run.S), false_alarm=1e-3)
+    text = words(assert_consistent, Run(run.y, run.S), false_alarm=1e-3)
     nis = np.mean([y @ np.linalg.solve(S, y) for y, S in zip(run.y, run.S, strict=True)])
     low, high = scipy.stats.chi2.ppf([0.0005, 0.9995], 1000) / 500
     assert f"NIS mean {nis:.3g}, expected 2 ({low:.3g} to {high:.3g}) over 500 steps" in text
@@ -74,9 +74,9 @@ def test_outliers_are_no_wrong_r():
 
 def test_errors_are_judged_by_p_even_where_innovations_are_right():
     run = draw("constant velocity", 100, rng=1).reference
-    assert "NEES mean" in words(assert_consistent, FilterRun(run.y, run.S, run.x, run.P / 25, truth=run.truth))
+    assert "NEES mean" in words(assert_consistent, Run(run.y, run.S, run.x, run.P / 25, truth=run.truth))
     vain = [draw("constant velocity", 100, rng=seed).reference for seed in range(5)]
-    vain = [FilterRun(run.y, run.S, run.x, run.P * 25, truth=run.truth) for run in vain]
+    vain = [Run(run.y, run.S, run.x, run.P * 25, truth=run.truth) for run in vain]
     assert "less sure than it could be" in words(assert_consistent, vain)
 
 
@@ -129,14 +129,14 @@ def test_whiteness_does_not_depend_on_the_scale_of_s_and_tells_slow_from_eager()
     assert "follows too slowly" in words(assert_innovations_white, slow)
     assert "follows too eagerly" in words(assert_innovations_white, eager)
     right = misfit(scenario)
-    assert_innovations_white(FilterRun(right.y, 100.0 * right.S))
+    assert_innovations_white(Run(right.y, 100.0 * right.S))
     assert_innovations_white(slow, tolerance=0.99)
 
 
 def test_correlation_at_a_later_lag_is_found():
     e = np.random.default_rng(0).standard_normal((400, 1))
     e[3:] += 0.6 * e[:-3]
-    run = FilterRun(e, np.ones((400, 1, 1)))
+    run = Run(e, np.ones((400, 1, 1)))
     assert "at lag 3" in words(assert_innovations_white, run)
     assert_innovations_white(run, lags=2)
 
@@ -154,15 +154,15 @@ def test_what_is_no_covariance_is_named_whatever_the_units(P, expected):
 
 
 @pytest.mark.parametrize(("call", "error", "match"), [
-    (lambda run: assert_consistent(np.zeros(3)), TypeError, "runs: expected a FilterRun, a Saver or a list"),
+    (lambda run: assert_consistent(np.zeros(3)), TypeError, "runs: expected a Run, a Saver or a list"),
     (lambda run: assert_consistent([]), TypeError, "runs"),
     (lambda run: assert_consistent(run, factor=0.5), ValueError, "factor: expected a number >= 1"),
     (lambda run: assert_consistent(run, false_alarm=0.0), ValueError, "false_alarm: expected a probability"),
-    (lambda run: assert_unbiased(FilterRun(run.y, run.S)), ValueError, "truth|P"),
+    (lambda run: assert_unbiased(Run(run.y, run.S)), ValueError, "truth|P"),
     (lambda run: assert_innovations_white(run, lags=0), ValueError, "lags"),
     (lambda run: assert_covariance_stays_one(np.zeros(3)), ValueError, "P: expected shape"),
-    (lambda run: assert_consistent(FilterRun(run.y * np.nan, run.S)), ValueError, "at least one measurement"),
-    (lambda run: assert_consistent(FilterRun(run.y, -run.S)), AssertionError, "S of step 0 is no covariance"),
+    (lambda run: assert_consistent(Run(run.y * np.nan, run.S)), ValueError, "at least one measurement"),
+    (lambda run: assert_consistent(Run(run.y, -run.S)), AssertionError, "S of step 0 is no covariance"),
 ])  # fmt: skip
 def test_bad_input_is_named(call, error, match):
     with pytest.raises(error, match=match):

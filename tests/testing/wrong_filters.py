@@ -455,13 +455,14 @@ fault("TransposedTransitionOfP", "P = F' P F + Q.", "prediction_moves_the_covari
 fault("ForgottenQ", "P = F P F'.", "prediction_adds_Q_once", spread=lambda self, P: self.F @ P @ self.F.T)
 fault("InputThroughF", "x = F (x + B u).", "control_input_moves_the_prediction",
       driven=lambda self, u: self.F @ Textbook.driven(self, u))
-fault("ROnDiagonal", "The correlations of R left out.", "correction_is_the_kalman_gain_times_the_innovation",
+fault("ROnDiagonal", "The correlations of R left out.", "recording_is_filtered_as_by_the_kalman_filter",
       noise=lambda self: np.diag(np.diag(self.R)))
-fault("BiasedSensor", "An offset left in from a calibration.", "measurement_at_its_prediction_moves_nothing",
+fault("BiasedSensor", "An offset left in from a calibration.", "small_innovations_are_believed",
+      "mirror_image_of_the_data_gives_the_mirror_image",
       innovation=lambda self, z: Textbook.innovation(self, z) + 0.2)
-fault("SignOfGain", "x+ = x - K y.", "estimate_moves_towards_the_measurement",
+fault("SignOfGain", "x+ = x - K y.", "small_innovations_are_believed",
       corrected=lambda self, x, K, y: x - K @ y)
-fault("GainWithoutS", "K = P H', not divided by S.", "estimate_moves_towards_the_measurement",
+fault("GainWithoutS", "K = P H', not divided by S.", "small_innovations_are_believed",
       gain=lambda self, P, S: P @ self.H.T)
 fault("PNotUpdated", "P+ = P.", "measurement_makes_the_state_more_certain", shrunk=lambda self, P, K, S: P)
 fault("PNeverSymmetrised",
