@@ -1,14 +1,12 @@
-"""Random filters and trackers, their samples and what Python makes of them; one program that runs the C of many."""
+"""Random filters and trackers, their samples and what Python makes of them; what their C makes of the same."""
 
 from __future__ import annotations
 
 import copy
 import ctypes
-import re
+import os
 import subprocess
 from dataclasses import dataclass, replace
-from pathlib import Path
-from string import Template
 
 import numpy as np
 from support import random_problem, spd
@@ -22,72 +20,11 @@ from robust_filterpy.influence import Hampel, Linear
 OK, BAD_ARGUMENT, SINGULAR, INDEFINITE, NOT_FINITE = range(5)
 WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion"]
 PLAIN = ["-std=c99", "-O0", "-ffp-contract=off", *WARNINGS]
-# They take four times as long to compile: they watch what is held to the definition, refusals and odd numbers.
-SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+# Memory is watched where the process has the means: at night, see `test_export`.
+CHECKS = "address,undefined" if "libasan" in os.environ.get("LD_PRELOAD", "") else "undefined"
+UNDEFINED = [f"-fsanitize={CHECKS}", "-fno-sanitize-recover=all"]
 
 INFLUENCES = (Huber(), Huber(1.0), Huber(np.inf), Hampel(1.5, 3.0, 6.0), TukeyBiweight(), StudentT(3.0), Linear())
-
-MAIN = Template("""
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-$includes
-static double get(void) { double v = 0.0; if (fread(&v, sizeof v, 1, stdin) != 1) { v = 0.0; } return v; }
-static void put(double v) { fwrite(&v, sizeof v, 1, stdout); }
-$functions
-int main(void) {
-$calls
-    return 0;
-}
-""")
-RUN = Template("""
-static void run_$name(void)
-{
-    ${name}_state state = ${name}_start;
-    ${name}_$shown;
-    ${name}_real u[$inputs + 1], z[$m];
-    for (int k = 0; k < $steps; k++) {
-        for (int i = 0; i < $inputs; i++) { u[i] = (${name}_real)get(); }
-        for (int i = 0; i < $m; i++) { z[i] = (${name}_real)get(); }
-        (void)u;
-        put($first);
-        put(${name}_update(&${name}_default, &state, $second, &shown));
-        for (int i = 0; i < $n; i++) { put(state.$x[i]); }
-        for (int i = 0; i < $n * $n; i++) { put(state.P[i]); }
-        $seen
-    }
-}
-""")
-OF_FILTER = {
-    "shown": "shown shown = {{0}}", "second": "z", "x": "x",
-    "seen": "for (int i = 0; i < $m; i++) { put(shown.e[i]); put(shown.weight[i]); }",
-}  # fmt: skip
-OF_TRACKER = {
-    "first": "0.0", "shown": "sample shown = {0}", "second": "z[0], u", "x": "theta",
-    "seen": "put(shown.prediction); put(shown.residual); put(shown.weight); put(shown.guard);",
-}  # fmt: skip
-FUZZED = Template("""
-static void run_$name(void)
-{
-    static const double odd[] = {NAN, INFINITY, -INFINITY, 0.0, -1.0, 1e300, -1e-300, 1e-320, 1.0, 0.3};
-    for (int k = 0; k < 3000; k++) {
-        ${name}_model model = ${name}_default;
-        ${name}_state state = ${name}_start, before;
-        double in[8], *numbers = (double *)&model;
-        for (int i = 0; i < 8; i++) { in[i] = odd[rand() % 10]; }
-        if (k % 3 == 1) { numbers[(size_t)rand() % (sizeof model / sizeof *numbers)] = odd[rand() % 10]; }
-        numbers = (double *)&state;
-        /* The last eight bytes of a tracker's state are no number. */
-        if (k % 3 == 2) { numbers[(size_t)rand() % (sizeof state / sizeof *numbers - 1)] = odd[rand() % 10]; }
-        for (int step = 0; step < 4; step++) {
-            before = state;
-            if ($call != ${name}_OK && memcmp(&before, &state, sizeof state) != 0) { put(1.0); }
-            for (int i = 0; i < $n && k % 3 == 0; i++) { if (!isfinite(numbers[i])) { put(2.0); } }
-        }
-    }
-}
-""")
 
 
 @dataclass
@@ -100,27 +37,6 @@ class Case:
     expected: np.ndarray
     n: int
     inputs: int
-
-    @property
-    def fuzzed(self):
-        """The same, of odd numbers anywhere."""
-        n, name = self.n + self.n**2, self.name
-        call = f"{name}_update(&model, &state, in[7], in, NULL)"
-        if isinstance(self.model, RobustKalmanFilter):
-            u = ", in" if self.inputs else ""
-            call = f"(step % 2 ? {name}_update(&model, &state, in, NULL) : {name}_predict(&model, &state{u}))"
-        body = FUZZED.substitute(name=name, n=n, call=call)
-        return body.replace(f"{name}_OK", f"{name.upper()}_OK")
-
-    @property
-    def body(self):
-        steps, width = self.samples.shape
-        values = {"name": self.name, "n": self.n, "inputs": self.inputs, "steps": steps, "m": width - self.inputs}
-        if not isinstance(self.model, RobustKalmanFilter):
-            return RUN.substitute(values, **OF_TRACKER)
-        predict = f"{self.name}_predict(&{self.name}_default, &state{', u' if self.inputs else ''})"
-        seen = Template(OF_FILTER["seen"]).substitute(values)
-        return RUN.substitute({**OF_FILTER, **values, "first": predict, "seen": seen})
 
 
 def status(call, *arguments):
@@ -148,7 +64,7 @@ def filtered(kf, samples, inputs, nudge):
             e, weights = np.ravel(kf.e), np.ravel(kf.weights)
         if np.isnan(row[inputs:]).all():
             e, weights = np.zeros(m), np.full(m, np.nan)
-        rows.append([*codes, *np.ravel(kf.x), *kf.P.ravel(), *np.column_stack((e, weights)).ravel()])
+        rows.append([*codes, *np.ravel(kf.x), *kf.P.ravel(), *e, *weights])
         nudge(kf)
     return np.array(rows)
 
@@ -299,108 +215,77 @@ def tracker_case(name, seed, steps=60, start=0):
     return case(name, tracker, np.column_stack((u, y)), inputs)
 
 
-def program(cases, folder, precision="double", part="body", watched=SANITIZED):
-    """What a program writes that does this with the C of each case."""
-    folder = Path(folder)
-    for case in cases:
-        export_c(case.model, folder / f"{case.name}.c", precision=precision)
-    values = {
-        "includes": "\n".join(f'#include "{case.name}.h"' for case in cases),
-        "functions": "".join(getattr(case, part) for case in cases),
-        "calls": "\n".join(f"    run_{case.name}();" for case in cases),
-    }
-    (folder / "main.c").write_text(MAIN.substitute(values))
-    sources = [f"{case.name}.c" for case in cases]
-    # The program of the test itself may convert as it likes.
-    for command in (
-        ["cc", *PLAIN, *watched, "-c", *sources],
-        ["cc", "-std=c99", *watched, "main.c", *(f"{case.name}.o" for case in cases), "-lm",
-         "-o", "program"],
-    ):  # fmt: skip
-        built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-        assert built.returncode == 0, built.stderr[:3000]
-    samples = np.concatenate([case.samples.ravel() for case in cases]).tobytes()
-    ran = subprocess.run([folder / "program"], input=samples, capture_output=True)
-    assert ran.returncode == 0, ran.stderr.decode()[:3000]
-    return np.frombuffer(ran.stdout)
-
-
-def compiled(cases, folder, precision="double", watched=SANITIZED):
-    """What the C of each case makes of its samples."""
-    numbers = program(cases, folder, precision, watched=watched)
-    sizes = np.cumsum([case.expected.size for case in cases])
-    assert numbers.size == sizes[-1]
-    return [part.reshape(case.expected.shape) for part, case in zip(np.split(numbers, sizes[:-1]), cases, strict=True)]
-
-
-def distances(found, case):
-    """Largest difference up to each sample of x, P, and what is shown, each relative; of a status, infinite."""
-    n, expected = case.n, case.expected
-    x, P, rest = slice(2, 2 + n), slice(2 + n, 2 + n + n * n), slice(2 + n + n * n, None)
-    scale = np.ones(expected.shape)
-    # x and P of one sample each by its own size: P may have shrunk since.
-    for part in (x, P):
-        scale[:, part] = np.abs(expected[:, part]).max(axis=1, initial=1e-300, keepdims=True)
-    if isinstance(case.model, RobustKalmanFilter):
-        e = scale[:, rest][:, ::2]
-        e[:] = np.maximum(np.abs(expected[:, rest][:, ::2]).max(axis=1, keepdims=True), 1.0)
-    else:
-        # Signals of a tracker by their size in the recording.
-        scale[:, rest] = np.maximum(np.nanmax(np.abs(expected[:, rest]), axis=0, initial=0.0), 1.0)
-    far = np.nanmax(np.abs(found - expected) / scale, axis=1)
-    other = (np.isnan(found) != np.isnan(expected)).any(axis=1) | (found[:, :2] != expected[:, :2]).any(axis=1)
-    return np.maximum.accumulate(np.where(other, np.inf, far))
-
-
-def bounded(case):
-    """Up to which sample a model that feeds on its own output, without a guard, has not exploded."""
-    if isinstance(case.model, RobustKalmanFilter):
-        return np.ones(len(case.expected), dtype=bool)
-    signal = np.abs(case.samples[:, -1])
-    prediction = np.maximum.accumulate(np.abs(case.expected[:, -4]))
-    return prediction < 1e6 * signal[np.isfinite(signal)].max()
-
-
-def distance(found, case):
-    """Largest difference of a recording."""
-    return float(distances(found, case)[-1])
-
-
-UNDEFINED = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
-
-
 class InC:
-    """A filter as C, compiled with functions of C's, and its state."""
+    """A filter or a tracker as C, compiled with functions of C's, and its state."""
 
-    def __init__(self, kf, folder, watched=(), functions=""):
-        export_c(kf, folder / "one.c")
-        (folder / "functions.c").write_text(functions)
+    def __init__(self, model, folder, watched=(), functions="", precision="double"):
+        export_c(model, folder / "one.c", precision=precision)
+        sizes = "const size_t sizes[] = {sizeof(one_model), sizeof(one_state)};"
+        (folder / "functions.c").write_text(f'#include <stddef.h>\n#include "one.h"\n{sizes}\n{functions}')
         for command in (
             ["cc", *PLAIN, *watched, "-fPIC", "-c", "one.c"],
             ["cc", "-ffp-contract=off", *watched, "-fPIC", "-shared", "functions.c", "one.o", "-lm", "-o", "one.so"],
         ):
             built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
             assert built.returncode == 0, built.stderr[:3000]
-        self.library, self.n, m = ctypes.CDLL(str(folder / "one.so")), kf.dim_x, kf.dim_z
-        self.model = ctypes.c_char.in_dll(self.library, "one_default")
-        header = (folder / "one.h").read_text()
-        fields = re.search(r"/\* What moves.*?\*/\ntypedef struct \{(.*?)\}", header, re.DOTALL).group(1)
-        sizes = (map(int, size.split("*")) for size in re.findall(r"\[([\d* ]+)\];", fields))
-        numbers = ctypes.c_double * sum(int(np.prod([*size])) for size in sizes)
-        self.state, self.shown = numbers(*numbers.in_dll(self.library, "one_start")), (ctypes.c_double * (3 * m))()
+        self.library, self.is_filter = ctypes.CDLL(str(folder / "one.so")), hasattr(model, "dim_x")
+        self.real = ctypes.c_double if precision == "double" else ctypes.c_float
+        kf = getattr(model, "filter", model)
+        self.n, self.m = np.size(kf.x), kf.dim_z
+        self.inputs = model.dim_u if self.is_filter else model.structure.n_inputs
+        sizes = [size // ctypes.sizeof(self.real) for size in (ctypes.c_size_t * 2).in_dll(self.library, "sizes")]
+        # What is no number in a tracker's state fills one as well.
+        self.model, self.state = (
+            (self.real * size)(*(self.real * size).in_dll(self.library, f"one_{name}"))
+            for size, name in zip(sizes, ("default", "start"), strict=True)
+        )
+        self.shown = (self.real * (3 * self.m if self.is_filter else 5))()
 
     def of(self, name):
         """The address of one of the functions' structures, None for none."""
         return None if name is None else ctypes.byref(ctypes.c_char.in_dll(self.library, name))
 
     def predict(self, *motion, u=()):
-        given = [(ctypes.c_double * len(u))(*u)] if len(u) else []
-        return self.library.one_predict(ctypes.byref(self.model), self.state, *map(self.of, motion), *given)
+        given = [(self.real * len(u))(*u)] if len(u) else []
+        return self.library.one_predict(self.model, self.state, *map(self.of, motion), *given)
 
-    def update(self, z, *sensor):
+    def update(self, z, *sensor, u=None):
+        """Take a measurement; a tracker with its inputs."""
         z = np.atleast_1d(z)
-        given = (ctypes.c_double * len(z))(*z)
-        return self.library.one_update(ctypes.byref(self.model), self.state, *map(self.of, sensor), given, self.shown)
+        given = (self.real * len(z))(*z)
+        if not self.is_filter:
+            inputs = (self.real * (len(u) + 1))(*u)
+            return self.library.one_update(self.model, self.state, self.real(z[0]), inputs, self.shown)
+        return self.library.one_update(self.model, self.state, *map(self.of, sensor), given, self.shown)
+
+    def step(self, z, u):
+        """Take a sample; return two codes, the state, and what is shown, as `answers` has it of Python."""
+        codes = (self.predict(u=u), self.update(z)) if self.is_filter else (OK, self.update(z, u=u))
+        shown = [*self.shown[self.m : 3 * self.m]]
+        if not self.is_filter:
+            shown = [*self.shown[:3], ctypes.c_int32.from_buffer(self.shown, 3 * ctypes.sizeof(self.real)).value]
+        return [*codes, *self.state[: self.n + self.n**2], *shown]
+
+    def fuzz(self, rounds=3000):
+        """Take odd numbers as samples, in the model, in the state: what is refused has changed nothing."""
+        rng, odd = np.random.default_rng(0), (np.nan, np.inf, -np.inf, 0.0, -1.0, 1e300, -1e-300, 1e-320, 1.0, 0.3)
+        model, state = bytes(self.model), bytes(self.state)
+        for k in range(rounds):
+            ctypes.memmove(self.model, model, len(model)), ctypes.memmove(self.state, state, len(state))
+            numbers = rng.choice(odd, 8)
+            if k % 3:
+                # The last eight bytes of a tracker's state are no number.
+                spoilt, most = (self.model, len(self.model)) if k % 3 == 1 else (self.state, len(self.state) - 1)
+                spoilt[int(rng.integers(most))] = rng.choice(odd)
+            for step in range(4):
+                before = bytes(self.state)
+                u = numbers[: self.inputs]
+                if not self.is_filter:
+                    code = self.update(numbers[-1:], u=u)
+                else:
+                    code = self.update(numbers[: self.m]) if step % 2 else self.predict(u=u)
+                assert code == OK or bytes(self.state) == before
+                assert k % 3 or np.isfinite(self.state[: self.n + self.n**2]).all()
 
     def assert_shows(self, kf, z, **close):
         """Hold x, P and what is shown of a reading, unless it is missing, together with a filter's under a noise."""
@@ -423,3 +308,46 @@ class InC:
     @property
     def rest(self):
         return np.array(self.state[self.n + self.n**2 :])
+
+
+def compiled(cases, folder, precision="double", watched=UNDEFINED):
+    """What the C of each case makes of its samples."""
+    found = []
+    for case in cases:
+        (folder / case.name).mkdir()
+        in_c = InC(case.model, folder / case.name, watched, precision=precision)
+        found.append(np.array([in_c.step(row[case.inputs :], row[: case.inputs]) for row in case.samples]))
+    return found
+
+
+def distances(found, case):
+    """Largest difference up to each sample of x, P, and what is shown, each relative; of a status, infinite."""
+    n, expected = case.n, case.expected
+    x, P, first = slice(2, 2 + n), slice(2 + n, 2 + n + n * n), 2 + n + n * n
+    scale = np.ones(expected.shape)
+    # x and P of one sample each by its own size: P may have shrunk since.
+    for part in (x, P):
+        scale[:, part] = np.abs(expected[:, part]).max(axis=1, initial=1e-300, keepdims=True)
+    if isinstance(case.model, RobustKalmanFilter):
+        e = slice(first, first + case.model.dim_z)
+        scale[:, e] = np.maximum(np.abs(expected[:, e]).max(axis=1, keepdims=True), 1.0)
+    else:
+        # Signals of a tracker by their size in the recording.
+        scale[:, first:] = np.maximum(np.nanmax(np.abs(expected[:, first:]), axis=0, initial=0.0), 1.0)
+    far = np.nanmax(np.abs(found - expected) / scale, axis=1)
+    other = (np.isnan(found) != np.isnan(expected)).any(axis=1) | (found[:, :2] != expected[:, :2]).any(axis=1)
+    return np.maximum.accumulate(np.where(other, np.inf, far))
+
+
+def bounded(case):
+    """Up to which sample a model that feeds on its own output, without a guard, has not exploded."""
+    if isinstance(case.model, RobustKalmanFilter):
+        return np.ones(len(case.expected), dtype=bool)
+    signal = np.abs(case.samples[:, -1])
+    prediction = np.maximum.accumulate(np.abs(case.expected[:, -4]))
+    return prediction < 1e6 * signal[np.isfinite(signal)].max()
+
+
+def distance(found, case):
+    """Largest difference of a recording."""
+    return float(distances(found, case)[-1])

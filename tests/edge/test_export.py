@@ -1,9 +1,11 @@
 """The C of a filter or a tracker makes of every sample what the definition makes of it, or refuses it as that does."""
 
 import ctypes
+import os
 import re
 import shutil
 import subprocess
+import sys
 
 import c_programs
 import filterpy.kalman
@@ -12,6 +14,7 @@ import pytest
 from c_programs import (
     BAD_ARGUMENT,
     OK,
+    UNDEFINED,
     WARNINGS,
     InC,
     bounded,
@@ -19,7 +22,6 @@ from c_programs import (
     distance,
     distances,
     filter_case,
-    program,
     sensitivity,
     tracker_case,
 )
@@ -214,7 +216,6 @@ def test_a_static_analyzer_finds_nothing(tmp_path):
 def test_threshold_changes_at_run_time(tmp_path):
     kf = plain()
     in_c = InC(kf, tmp_path)
-    in_c.model = (ctypes.c_double * 12)(*(ctypes.c_double * 12).in_dll(in_c.library, "one_default"))
     kf.influence, in_c.model[-1] = Huber(0.5), 0.5
     for z in (1.0, 50.0, 2.0):
         kf.predict()
@@ -226,8 +227,7 @@ def test_threshold_changes_at_run_time(tmp_path):
 @needs_cc
 def test_wrong_use_is_refused_and_changes_nothing(tmp_path):
     in_c = InC(plain(), tmp_path)
-    predict, update, state = in_c.library.one_predict, in_c.library.one_update, in_c.state
-    model = (ctypes.c_double * 12).in_dll(in_c.library, "one_default")
+    predict, update, state, model = in_c.library.one_predict, in_c.library.one_update, in_c.state, in_c.model
     z, start = (ctypes.c_double * 1)(1.0), list(state)
     assert predict(None, state) == predict(model, None) == BAD_ARGUMENT
     for arguments in ((None, state, z), (model, None, z), (model, state, None)):
@@ -244,8 +244,24 @@ def test_wrong_use_is_refused_and_changes_nothing(tmp_path):
 @pytest.mark.nightly
 @needs_cc
 def test_odd_numbers_anywhere_do_no_harm(tmp_path):
-    some = [*cases([40]), filter_case("more7", 7), tracker_case("more", 3)]
-    assert program(some, tmp_path, part="fuzzed").size == 0
+    for case in (*cases([40]), filter_case("more7", 7), tracker_case("more", 3)):
+        (tmp_path / case.name).mkdir()
+        InC(case.model, tmp_path / case.name, UNDEFINED).fuzz()
+
+
+@pytest.mark.nightly
+@needs_cc
+def test_nothing_is_read_or_written_that_is_not_there():
+    """The same with every access watched, which wants a process of its own."""
+    libraries = [subprocess.run(["cc", f"-print-file-name=lib{name}.so"], capture_output=True, text=True).stdout.strip()
+                 for name in ("asan", "ubsan")]  # fmt: skip
+    if not all(map(os.path.isfile, libraries)):
+        pytest.skip("no library that watches")
+    environment = {**os.environ, "LD_PRELOAD": " ".join(libraries), "ASAN_OPTIONS": "detect_leaks=0"}
+    chosen = "odd_numbers or wrong_use or unit_scaling or very_informative"
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "", "-k", chosen]
+    done = subprocess.run([*command, os.path.dirname(__file__)], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
 
 
 @needs_cc
@@ -254,11 +270,10 @@ def test_unit_scaling_refuses_what_makes_P_indefinite(tmp_path):
     kf.scaling, kf.P = "unit", 50.0 * np.eye(2)
     with pytest.raises(np.linalg.LinAlgError):
         kf.update(0.1)
-    case = c_programs.Case("unit", kf, np.zeros((1, 1)), np.zeros((1, 10)), 2, 0)
-    (found,) = compiled([case], tmp_path)
-    assert found[0, 0] == OK and found[0, 1] == c_programs.INDEFINITE
+    in_c = InC(kf, tmp_path, UNDEFINED)
+    assert in_c.predict() == OK and in_c.update(0.0) == c_programs.INDEFINITE
     kf.predict()
-    assert np.allclose(found[0, 4:8], kf.P.ravel())
+    assert np.allclose(in_c.P, kf.P)
 
 
 @pytest.mark.parametrize("make", [plain, lambda: ParameterTracker(ARX(1, 1), start=0)], ids=["filter", "tracker"])

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from recordings import binary
-from scipy import signal
 from scipy.signal import lfilter
 
 from robust_filterpy import Huber, RobustKalmanFilter
@@ -145,15 +144,6 @@ def test_the_report_in_the_repository_gives_every_claim_a_criterion_a_figure_and
         assert (PAPER / "figures" / name).stat().st_size > 3000
 
 
-def test_staying_at_the_start_is_the_error_of_the_first_estimate(paper):
-    identification = paper("identification")
-    run = identification.trial(np.random.default_rng(5), identification.SECTION4, (identification.LITERAL,))
-    many = identification.Run(*(np.array([field]) for field in run))
-    assert_allclose(identification.staying(many)[0], ((run.theta - run.start) ** 2).sum(axis=1))
-    assert_allclose(run.start, identification.SECTION4.theta)
-    assert identification.squared(many).shape == (1, 1, identification.STEPS)
-
-
 def test_information_is_made_of_the_derivative_of_the_output(paper):
     identification = paper("identification")
     rng = np.random.default_rng(2)
@@ -167,15 +157,6 @@ def test_information_is_made_of_the_derivative_of_the_output(paper):
     g = np.transpose([(output(step) - output(-step)) / 2e-6 for step in steps])
     information = identification._information(theta, u, output(0.0), 2, 0.25)
     assert_allclose(information, g[:, :, None] * g[:, None, :] / 0.25, rtol=1e-6, atol=1e-6)
-
-
-def test_response_error_is_that_of_scipy_s_frequency_response(paper):
-    identification = paper("identification")
-    theta, estimate = np.array([-1.5, 0.7, 1.0, 0.5]), np.array([-1.4, 0.6, 1.1, 0.4])
-    (_, G), (_, G_hat) = (signal.freqz([0, *t[2:]], [1, *t[:2]], identification.FREQUENCIES) for t in (theta, estimate))
-    rows = np.array([estimate, theta, np.full(4, np.nan)])
-    expected = [np.linalg.norm(G_hat - G) / np.linalg.norm(G), 0.0, np.nan]
-    assert_allclose(identification._response_error(rows, theta, 2), expected, rtol=1e-10)
 
 
 @pytest.mark.nightly
@@ -227,32 +208,6 @@ def test_constant_model_is_found_through_outliers(servo):
     assert models.fit(data, models.tracked(data, models.CONSTANT, 0.05**2)) > 97
 
 
-def test_free_run_of_a_constant_path_is_the_filter(servo):
-    models = servo("models")
-    data = signals(models)
-    assert models.free_run(np.tile(THETA, (data.u.size, 1)), data.u) == pytest.approx(data.truth)
-
-
-def test_gain_and_its_deviation_are_those_of_theta(servo):
-    models = servo("models")
-    P = 1e-6 * np.diag(np.arange(1.0, 9.0))
-    gain, std = models.gain_of(THETA, P)
-    assert gain == pytest.approx(0.85 / 0.52)
-    draws = np.random.default_rng(1).multivariate_normal(THETA, P, 20_000)
-    drawn = [models.gain_of(theta, P)[0] for theta in draws]
-    assert np.std(drawn) == pytest.approx(std, rel=5 / np.sqrt(2 * 20_000) + 0.01)
-
-
-def test_looking_at_the_covariance_on_the_way_changes_nothing(servo):
-    models = servo("models")
-    data = signals(models, outliers=0.1)
-    model = models.tracked(data, models.ROBUST, 0.05**2)
-    whole = models._tracker(data, model.drift, models.Huber()).run(data.y, data.u)
-    assert model.theta == pytest.approx(whole.theta, abs=1e-10)
-    assert np.sqrt(model.covariance[-1].diagonal()) == pytest.approx(whole.std[-1])
-    assert model.drift in models.DRIFTS
-
-
 def test_sliding_gain_is_that_of_choked_venting(servo):
     experiment, models = servo("experiment"), servo("models")
     given = experiment.conditions(300, 0.1, np.random.default_rng(10_000))
@@ -260,14 +215,6 @@ def test_sliding_gain_is_that_of_choked_venting(servo):
     # What leaves the vented chamber is C_d W sqrt(R T) 0.6847 of its air per second, and the piston follows it.
     air = recording.beta[200] / recording.alpha[200] * p.valve_area * np.sqrt(p.gas_constant * p.temperature) * 0.6847
     assert models.sliding_gain(recording, 200) == pytest.approx(air * (1 / p.area_a + 1 / p.area_b) / 2, rel=5e-3)
-
-
-def test_without_outliers_the_noise_of_every_loop_is_ordinary(servo):
-    experiment = servo("experiment")
-    given = experiment.conditions(2000, 0.2, np.random.default_rng(10_001))
-    assert given.ordinary.std(axis=0) == pytest.approx(experiment.STD, rel=0.1)
-    assert np.array_equal(given.ordinary[~given.is_outlier], given.noise[~given.is_outlier])
-    assert given.noise[given.is_outlier[:, 0], 0].std() == pytest.approx(experiment.OUTLIERS[0], rel=0.2)
 
 
 @pytest.mark.nightly

@@ -62,37 +62,6 @@ def test_robust_is_between_plain_kalman_and_the_filter_that_knows_the_labels(stu
     assert robust.mean() < 1.5 * best.mean()
 
 
-def test_scaling_beats_the_paper_s_unit_scaling(study, usual):
-    assert_larger(x1_per_run(study, usual, "T=1,  realized"), x1_per_run(study, usual, "T(k), realized"))
-
-
-def test_hardly_observed_states_rule_the_total(study, usual):
-    best = usual[:, study.FILTERS.index(study.LABELS)]
-    assert np.mean(best[..., 1:] ** 2) > 5 * np.mean(best[..., 0] ** 2)
-
-
-def test_unit_scaling_is_refused_and_counted(study):
-    for index in (3, 4):
-        rows = study.summarize(errors_of(study, study.SETTINGS[index], 3, 30), seed=0)
-        for name, (scaling, _) in study.ROBUST.items():
-            assert rows[name].refused == (3 if scaling == "unit" else 0)
-            assert np.isnan(rows[name].x1) == (scaling == "unit")
-        assert "3 of 3" in study.table(rows, 3)
-
-
-def test_innovation_scaling_does_not_depend_on_the_unit_and_unit_scaling_does(study):
-    errors = [errors_of(study, study.SETTINGS[i], 2, 50) for i in (0, 5)]
-    for i, name in enumerate(study.FILTERS):
-        same = np.allclose(errors[0][:, i], errors[1][:, i], rtol=1e-9, atol=1e-10)
-        assert same == (not name.startswith("T=1"))
-
-
-def test_study_is_the_same_for_the_same_seed(study, tmp_path, capsys):
-    arguments = ["--runs", "2", "--steps", "20", "--jobs", "1", "--out", str(tmp_path), "--seed"]
-    first, again, other = ((study.main([*arguments, seed]), capsys.readouterr().out)[1] for seed in "556")
-    assert first == again != other
-
-
 # -- the water flow
 
 

@@ -150,15 +150,6 @@ class StartsAnewNowAndThen(Textbook):
         super().update(z)
 
 
-@wrong("nothing_is_remembered_but_x_and_P", not_claimed=ROBUST)
-class DistrustsForGood(TextbookRobust):
-    """A far measurement makes R ten times as large, and R stays so."""
-
-    def bounded(self, y, size):
-        self.R = 10.0 * self.R if size > 5.0 else self.R
-        return super().bounded(y, size)
-
-
 @wrong("matrices_may_change_between_calls")
 class CachedById(Textbook):
     """H is read again when another array is set, not when it is written into."""
@@ -180,35 +171,6 @@ class HoldsTheLastInput(Textbook):
         super().predict(self.held)
 
 
-@wrong("prediction_moves_the_state_by_F")
-class PredictsOnceAMeasurement(Textbook):
-    """A second predict() before the next measurement does nothing, as a guard against calling it twice."""
-
-    moved_already = False
-
-    def predict(self, u=None):
-        if not self.moved_already:
-            super().predict(u)
-            self.moved_already = True
-
-    def update(self, z):
-        super().update(z)
-        self.moved_already = self.moved_already and z is None
-
-
-@wrong("measurement_counts_at_once")
-class RepeatedReadingIsNoReading(Textbook):
-    """A measurement equal to the one before is taken for the same one, delivered twice."""
-
-    last = None
-
-    def update(self, z):
-        same = z is not None and self.last is not None and np.array_equal(np.ravel(z), self.last)
-        self.last = None if z is None else np.array(z, dtype=float).ravel()
-        if not same:
-            super().update(z)
-
-
 # Arrays, copies, input
 
 
@@ -219,21 +181,6 @@ class AliasedState(Textbook):
     def corrected(self, x, K, y):
         x += K @ y
         return x
-
-
-@wrong("estimates_handed_out_stay_as_they_were")
-class RingOfStates(Textbook):
-    """x is a row of a buffer for the last fifty states, which is written over in turn."""
-
-    row = 0
-
-    def update(self, z):
-        super().update(z)
-        if not hasattr(self, "ring"):
-            self.ring = np.zeros((50, self.dim_x, 1))
-        self.row = (self.row + 1) % 50
-        self.ring[self.row] = self.x
-        self.x = self.ring[self.row]
 
 
 @wrong("arguments_are_not_written_to")
@@ -264,22 +211,6 @@ class SharedDefault(Textbook):
         y = super().innovation(z)
         self.seen += np.abs(np.ravel(y))
         return y
-
-
-@wrong("deepcopies_go_on_alike")
-class ShallowDeepcopy(Textbook):
-    """A deepcopy shares an array, into which updates write."""
-
-    def __init__(self, dim_x, dim_z, dim_u=0):
-        super().__init__(dim_x, dim_z, dim_u)
-        self.seen = np.zeros(1)
-
-    def read(self, z):
-        self.seen += 1
-        return super().read(z)
-
-    def __deepcopy__(self, memo):
-        return copy.copy(self)
 
 
 @wrong("pickles_go_on_alike", "deepcopies_go_on_alike")
@@ -316,20 +247,6 @@ class Broadcasts(Textbook):
         self.x, self.P = self.x + K @ self.y, self.shrunk(self.P, K, self.S)
 
 
-@wrong("nan_is_a_sensor_that_is_not_there", not_claimed=("robust", "validates"))
-class NaNIsARowOfZeros(Textbook):
-    """The missing sensor's row of H and its innovation are 0; its noise still has its part in that of the others."""
-
-    def update(self, z):
-        if z is None:
-            return
-        z, H = np.reshape(np.asarray(z, dtype=float), (-1, 1)), self.H
-        missing = np.isnan(z[:, 0])
-        self.H = np.where(missing[:, None], 0.0, H)
-        super().update(np.where(missing[:, None], 0.0, z))
-        self.H = H
-
-
 @wrong("bad_input_is_refused_and_changes_nothing", not_claimed=("robust", "nan"))
 class RefusesTooLate(Textbook):
     """What is wrong raises, after the innovation of it has been put away."""
@@ -363,29 +280,6 @@ class JacobianOfTheStateBefore(ExtendedKalmanFilter):
     def update(self, z, HJacobian, Hx, **more):
         before = getattr(self, "before", self.x)
         super().update(z, lambda x, *args: HJacobian(before, *args), Hx, **more)
-
-
-@wrong("what_is_cut_off_makes_nothing_certain", not_claimed=ROBUST)
-class KeepsALittle(TextbookRobust):
-    """A tenth of what was cut off stays in P, the rest is taken for known."""
-
-    def counts(self, size):
-        self.cut = not super().counts(size)
-        return True
-
-    def shrunk(self, P, K, S):
-        return 0.1 * self.cut * P + (1.0 - 0.1 * self.cut) * super().shrunk(P, K, S)
-
-
-@wrong("influence_of_one_measurement_is_bounded", "order_of_sensors_changes_nothing", not_claimed=ROBUST)
-class WatchesTheFirstSensor(TextbookRobust):
-    """Only the first sensor is known to have outliers, and only it is bounded."""
-
-    def length(self, y, S):
-        return abs(y[0, 0]) / math.sqrt(S[0, 0])
-
-    def bounded(self, y, size):
-        return np.vstack((super().bounded(y[:1], size), y[1:]))
 
 
 def fault(name, words, *caught_by, of=Textbook, not_claimed=None, **parts):
