@@ -217,17 +217,11 @@ def compare(seed):
     assert expected[1].shape == (n, n)
 
 
-@pytest.mark.parametrize("part", support.by_night(range(4), 0))
-def test_every_path_gives_one_answer(part):
-    print(f"seeds from {SEED + 100 * part}")
-    for seed in range(SEED + 100 * part, SEED + 100 * (part + 1)):
-        compare(seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", range(20))
-def test_every_path_gives_one_answer_many_times(part):
-    first = SEED + 10**6 + 1000 * part
+@pytest.mark.parametrize("first, count", [
+    (SEED, 40), pytest.param(SEED + 40, 360, marks=pytest.mark.nightly),
+    *(pytest.param(SEED + 10**6 + 1000 * part, 1000, marks=pytest.mark.slow) for part in range(20)),
+], ids=str)  # fmt: skip
+def test_every_path_gives_one_answer(first, count):
     print(f"seeds from {first}")
-    for seed in range(first, first + 1000):
+    for seed in range(first, first + count):
         compare(seed)

@@ -45,23 +45,6 @@ def test_noiseless_output_error_is_approached_from_zero(gradient, factor):
     assert error[-1] < factor * error[500] and error[-1] < 0.01, error[[100, 500, 1000, -1]]
 
 
-# Least squares
-
-
-@pytest.mark.parametrize("structure", [ARX(3, 2), ARX(1, (2, 1), nk=(1, 0)), LinearRegression(3)], ids=str)
-def test_without_drift_and_bounds_it_is_regularised_least_squares(structure):
-    rng = np.random.default_rng(3)
-    u, y = rng.normal(size=(120, structure.n_inputs)), rng.normal(size=120)
-    prior, P, R = rng.normal(size=structure.n_theta), 2.5, 0.3
-    tracker = support.paper_tracker(structure, theta=prior, P=P, R=R, influence=Linear())
-    tracker.run(y, u)
-    phi = structure.regressors(u, y)
-    information = phi.T @ phi / R + np.eye(structure.n_theta) / P
-    expected = np.linalg.solve(information, phi.T @ y / R + prior / P)
-    np.testing.assert_allclose(tracker.theta, expected, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(tracker.P, np.linalg.inv(information), rtol=1e-9, atol=1e-14)
-
-
 # The paper's equations
 
 

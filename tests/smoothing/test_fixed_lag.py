@@ -1,7 +1,6 @@
 """The live smoother: x is the filter's, and xSmooth the backward pass over what the filter made of each measurement."""
 
 import copy
-import pickle
 
 import filterpy.kalman
 import numpy as np
@@ -149,18 +148,6 @@ def test_missing_measurements_inputs_and_matrices_that_change():
         assert np.isnan(smoother.weights).all() == (z is None)
     found = smooth(kf, zs, influence=Linear(), Rs=Rs, us=us)
     np.testing.assert_allclose(np.array(smoother.xSmooth), found.x, rtol=1e-8, atol=1e-9)
-
-
-def test_it_continues_after_pickling():
-    _, zs = drive(5, 0.2, 40)
-    smoother = ready(N=4)
-    for z in zs[:20]:
-        smoother.smooth(z)
-    restored = pickle.loads(pickle.dumps(smoother))
-    for z in zs[20:]:
-        smoother.smooth(z)
-        restored.smooth(z)
-    np.testing.assert_array_equal(np.array(smoother.xSmooth), np.array(restored.xSmooth))
 
 
 @pytest.mark.parametrize("z, match", [(np.inf, "z: expected a finite"), ([1.0, 2.0], "z: expected 1"), ("a", "z:")])
