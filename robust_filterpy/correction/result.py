@@ -43,6 +43,8 @@ class Correction(NamedTuple):
     """Log-likelihood of the innovation under the density of psi; 0 if all is missing."""
     memory: Array | None = None
     """Of the sensors afterwards, shape (m, 17), under scaling "learnt"."""
+    outlier_probability: float = 0.0
+    """Under a mixture, that a component was an outlier."""
 
     @property
     @np.errstate(under="ignore", over="ignore")

@@ -51,8 +51,7 @@ def is_extended(model: Any) -> bool:
 
 def mixes(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> bool:
     """Return whether the kernel weighs what this filter's noise may have been."""
-    own = kf.policy.rule
-    return own is not None and not any(Head(*own[: len(Head._fields)])[-2:])
+    return kf.noise is not None and not any(Head(*kf.policy.rule[: len(Head._fields)])[-2:])
 
 
 def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: str) -> Described:

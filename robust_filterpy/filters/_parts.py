@@ -62,6 +62,11 @@ class Parts(NamedTuple):
         return last._replace(log_density=log_density(seen, last.S, *self.settings))  # type: ignore[no-any-return]
 
     @property
+    def outlier_probability(self) -> float:
+        """That of the last part."""
+        return getattr(self.parts[-1].correction, "outlier_probability", 0.0)
+
+    @property
     def log_density(self) -> float:
         """Log-likelihood of all of them."""
         return self.as_arrays().log_density

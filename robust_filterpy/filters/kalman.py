@@ -546,7 +546,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         last, self._kept = regardless(self._corrected, x, P, values, rows, np.ascontiguousarray(noise), None, before)
         self._learn(last.memory, k, first=part.start)
         self.x, self.P = last.x.reshape(x.shape), last.P
-        self._outlier_probability, self._y, self._K = getattr(last, "outlier_probability", 0.0), None, None
+        self._y = self._K = None
         self._as_posterior()
         return last, values
 

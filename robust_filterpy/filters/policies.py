@@ -92,7 +92,6 @@ class Bounded:
     patience: int | None = None
     noise: ClassVar[None] = None
     process: ClassVar[None] = None
-    rule: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         """Check what stands against what."""
@@ -110,6 +109,11 @@ class Bounded:
         return self
 
     # Asked for at every step.
+    @cached_property
+    def rule(self) -> tuple[Array | None, Choices | None]:
+        """The options as the kernel takes them, and whom it asks where psi is somebody else's."""
+        return series.options(self.choices)
+
     @cached_property
     def by_kernel(self) -> bool:
         """Whether the kernel's steps are these."""
@@ -499,7 +503,7 @@ class Mixed(NamedTuple):
         score[part] = T[np.ix_(part, part)].T.dot(weights[part] * e[part])
         return Correction(
             self.x, self.P, C, y, S, score, T.T.dot(T), e, weights, psi_deriv, order, "innovation",
-            self.log_density,
+            self.log_density, outlier_probability=self.outlier_probability,
         )  # fmt: skip
 
 

@@ -111,7 +111,7 @@ class Shell(StateMixin):
             raise TypeError(f"{type(self).__name__}: expected options among {names}, got {unknown[0]}")
         self._policy = policy_of(**options)
         self._require_possible(self._policy)
-        self._choices, self._last, self._outlier_probability = self._policy.choices, None, 0.0
+        self._choices, self._last = self._policy.choices, None
         self._window, self._updates, self._process_scales = np.zeros((0, 0), np.int8), 0, None
         self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
@@ -211,8 +211,7 @@ class Shell(StateMixin):
         """Predict by F."""
         if _extension is None or not self._by_kernel:
             return False
-        predict = _extension.predict if self._policy.noise is None else _extension.predict_mixture
-        return bool(predict(self, u, B, F, Q))
+        return bool(_extension.predict(self, u, B, F, Q))
 
     def _predict_extended(self, u: Any, moves: bool) -> bool:
         """Predict by F, or P alone where x has been moved by a function."""
@@ -224,14 +223,13 @@ class Shell(StateMixin):
         """Return the kernel's correction by a linear sensor, None where it is not this filter's."""
         if _extension is None or not self._by_kernel:
             return None
-        return _extension.correct if self._policy.noise is None else _extension.correct_mixture
+        return _extension.correct
 
     def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
         """Correct by a linear sensor."""
         if _extension is None or not self._by_kernel or (self._policy.patience is not None and M is not None):
             return False
-        step = _extension.correct if self._policy.noise is None else _extension.correct_mixture
-        return self._taken(step, z, R, H, M, R=R)
+        return self._taken(_extension.correct, z, R, H, M, R=R)
 
     def _stepped(
         self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any,
@@ -240,9 +238,7 @@ class Shell(StateMixin):
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
         if _extension is None:
             return False
-        bounded = self._policy.noise is None
-        step = _extension.correct_innovation if bounded else _extension.correct_mixture_innovation
-        return self._taken(step, z, predicted, y, C, S, R, R=R, difference=difference)
+        return self._taken(_extension.correct_innovation, z, predicted, y, C, S, R, R=R, difference=difference)
 
     def _taken(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
         """Take a correction by the kernel and look at it, as one: what interrupts or refuses it undoes both."""
@@ -326,7 +322,6 @@ class Shell(StateMixin):
         self._look(last)
         self.x = last.x[:, None] if column else last.x
         self.P, self._last, self._kept = last.P, last, carried
-        self._outlier_probability = getattr(last, "outlier_probability", 0.0)
         self.z = z[:, None] if column else z
         self._y = self._S = self._SI = self._K = None
         self._as_posterior()
@@ -338,7 +333,7 @@ class Shell(StateMixin):
         self.z = np.full((m, 1) if column or self._none_is_column else m, None)
         self.y = np.zeros((m, 1) if column else m)
         # S, SI and K stay: those that were asked for, and those that the last correction tells on request.
-        self._last, self._outlier_probability = self._emptied(), 0.0
+        self._last = self._emptied()
         self._as_posterior()
 
     def _as_posterior(self) -> None:
@@ -352,7 +347,8 @@ class Shell(StateMixin):
         if last is None:
             return None
         zero, none = np.zeros_like(last.y), np.full(last.y.shape, np.nan)
-        return last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
+        shown = last._replace(y=zero, score=zero, e=zero, weights=none, psi_deriv=none, log_density=0.0, memory=None)
+        return shown._replace(outlier_probability=0.0)
 
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""

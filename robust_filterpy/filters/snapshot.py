@@ -15,7 +15,7 @@ from robust_filterpy import kernel
 #: What a robust filter keeps outside __dict__, which filterpy's Saver copies at every epoch and turns into arrays.
 SLOTS: Final = (
     *"_K _S _SI _last _updates _window _y".split(),
-    *"_kept _memory _named_sensors _other_sensors _outlier_probability _policy _process_scales".split(),
+    *"_kept _memory _named_sensors _other_sensors _policy _process_scales".split(),
 )
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 

@@ -103,7 +103,6 @@ class StateMixin:
     _named_sensors: dict[str, Array]
     #: The last correction, what makes one by `as_arrays`, or the kernel's record.
     _last: Any
-    _outlier_probability: float
     #: Made of it when they are asked for.
     _y: Any
     _S: Any
@@ -196,7 +195,7 @@ class StateMixin:
     @property
     def outlier_probability(self) -> float:
         """Under ``noise=``, the probability that a component of the last measurement was an outlier."""
-        return self._outlier_probability
+        return getattr(self._last, "outlier_probability", 0.0)
 
     @property
     def learnt(self) -> Array | None:
@@ -393,7 +392,7 @@ class StateMixin:
         """Show what a filter shows that has corrected nothing."""
         n, m = self.dim_x, self.dim_z
         shape = (m, 1) if np.ndim(self.x) == 2 else (m,)
-        self._last, self.z, self.y, self._outlier_probability = None, np.full(shape, None), np.zeros(shape), 0.0
+        self._last, self.z, self.y = None, np.full(shape, None), np.zeros(shape)
         self.S, self.SI, self.K = np.zeros((m, m)), np.zeros((m, m)), np.zeros((n, m))
         self.x_prior, self.x_post = self.x.copy(), self.x.copy()
         self.P_prior, self.P_post = self.P.copy(), self.P.copy()

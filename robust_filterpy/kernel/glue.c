@@ -3,6 +3,7 @@
 
 PyObject *hold(held *h, PyObject *object) {
     if (object) h->objects[h->count++] = object;
+    else h->failed = 1;
     return object;
 }
 
@@ -79,7 +80,7 @@ const double *covariance_of(held *h, PyObject *object, npy_intp n) {
     double variance, *found;
     PyObject *made;
     if (whole || n < 1 || !number_of(object, &variance)) return whole;
-    made = hold(h, new_array(2, n, n));
+    made = array_of(h, NULL, 2, n, n, 0);
     if (!made) return NULL;
     found = numbers_of(made);
     for (npy_intp i = 0; i < n * n; i++) found[i] = i % (n + 1) ? 0 : variance;
@@ -134,9 +135,11 @@ int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, 
     return object == Py_None || (*found = writable(object, 3, shape)) != NULL;
 }
 
-PyObject *new_array(int ndim, npy_intp first, npy_intp second) {
-    npy_intp shape[2] = {first, second};
-    return PyArray_SimpleNew(ndim, shape, NPY_DOUBLE);
+PyObject *array_of(held *h, const double *numbers, int ndim, npy_intp first, npy_intp second, npy_intp third) {
+    npy_intp shape[3] = {first, second, third};
+    PyObject *const found = hold(h, PyArray_SimpleNew(ndim, shape, NPY_DOUBLE));
+    if (found && numbers) memcpy(numbers_of(found), numbers, (size_t)PyArray_NBYTES((PyArrayObject *)found));
+    return found;
 }
 
 int is_symmetric(const double *a, npy_intp n) {
@@ -195,8 +198,7 @@ int rule_of(PyObject *object, correction_rule *rule) {
     return !joint || (rule->scaling <= SCALING_INNOVATION && rule->information != INFORMATION_EXPECTED);
 }
 
-/* psi(e) and its slope, or rho(e), by the methods of a `Choices`; NaN once one has raised. */
-static double call_choices(void *context, double e, double *slope) {
+double call_choices(void *context, double e, double *slope) {
     PyObject *const found = PyErr_Occurred() ? NULL : PyObject_CallMethod(context, slope ? "psi_of" : "rho_of", "d", e);
     double bounded = NAN;
     if (slope) *slope = NAN;
@@ -211,31 +213,6 @@ int called_outcome(int outcome) {
     /* The definition asks again without numpy's errors. */
     PyErr_Clear();
     return 0;
-}
-
-int rule_of_filter(held *h, PyObject *filter, correction_rule *rule) {
-    PyObject *const choices = hold_attribute(h, filter, AT__choices);
-    PyObject *const derived = choices ? hold_attribute(h, choices, AT_derived) : NULL;
-    PyObject *found, *room;
-    if (!derived) return -1;
-    if (!PyDict_CheckExact(derived)) return 0;
-    found = PyDict_GetItemWithError(derived, attribute_names[AT_rule]);
-    if (!found) {
-        /* Once for each set of options. */
-        if (PyErr_Occurred()) return -1;
-        room = hold(h, PyImport_ImportModule("robust_filterpy.kernel.series"));
-        found = room ? hold(h, PyObject_CallMethod(room, "rule", "O", choices)) : NULL;
-        if (!found) return -1;
-    } else {
-        Py_INCREF(hold(h, found));
-    }
-    if (found == Py_None) {
-        found = PyDict_GetItemWithError(derived, attribute_names[AT_called]);
-        if (!found || !rule_of(found, rule)) return PyErr_Occurred() ? -1 : 0;
-        rule->psi = (psi_function){PSI_CALLED, 0, 0, 0, call_choices, choices};
-        return 1;
-    }
-    return rule_of(found, rule);
 }
 
 double *work_of(double *stack, size_t count) {

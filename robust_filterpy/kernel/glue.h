@@ -20,8 +20,8 @@
 /* Attributes by name; the same list makes the enumeration and the interned strings. */
 #define ATTRIBUTES(X) \
     X(x) X(P) X(F) X(Q) X(H) X(R) X(B) X(z) X(dim_x) X(dim_z) X(inv) X(x_prior) X(P_prior) X(x_post) X(P_post) \
-    X(_alpha_sq) X(_choices) X(derived) X(rule) X(called) X(_memory) X(_other_sensors) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis) \
-    X(_policy) X(_kept) X(record) X(_outlier_probability)
+    X(_alpha_sq) X(rule) X(_memory) X(_other_sensors) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis) \
+    X(_policy) X(_kept) X(record)
 enum attribute {
 #define ATTRIBUTE(name) AT_##name,
     ATTRIBUTES(ATTRIBUTE)
@@ -32,13 +32,13 @@ extern PyObject *attribute_names[ATTRIBUTE_COUNT];
 extern PyObject *numpy_inverse; /* numpy.linalg.inv, filterpy's default for inv */
 
 /* References held during a call: no array can go away while it is worked on. */
-#define HELD_MOST 100
+#define HELD_MOST 128
 typedef struct {
     PyObject *objects[HELD_MOST];
-    int count;
+    int count, failed; /* failed: one of them is not there, with an exception */
 } held;
 
-PyObject *hold(held *h, PyObject *object);                           /* takes the reference over; NULL stays NULL */
+PyObject *hold(held *h, PyObject *object);                           /* takes the reference over */
 PyObject *hold_attribute(held *h, PyObject *owner, enum attribute which);
 PyObject *answer(held *h, int outcome);                              /* 1 True, 0 False, -1 NULL; lets go of all */
 int set_attribute(PyObject *owner, enum attribute which, PyObject *value);
@@ -66,7 +66,8 @@ int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy
 npy_intp *integers(PyObject *object, npy_intp rows, npy_intp columns);
 /* Take room for results, shape (series, rows, width), or None; return whether it is that. */
 int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width);
-PyObject *new_array(int ndim, npy_intp first, npy_intp second);      /* not initialized */
+/* A new array, with these numbers or, where that is NULL, any, which is held; NULL with an exception. */
+PyObject *array_of(held *h, const double *numbers, int ndim, npy_intp first, npy_intp second, npy_intp third);
 double *numbers_of(PyObject *array);
 
 /* Whether a matrix is what the definition takes for one, without a second thought. */
@@ -82,8 +83,8 @@ typedef struct {
 } rule_numbers;
 #define RULE_NUMBERS ((npy_intp)(sizeof(rule_numbers) / sizeof(double)))
 int rule_of_numbers(const double *numbers, correction_rule *rule);
-/* The same of a filter; 0 if the kernel does not know its options, -1 with an exception. */
-int rule_of_filter(held *h, PyObject *filter, correction_rule *rule);
+/* psi(e) and its slope, or rho(e), by the methods of a `Choices`; NaN once one has raised. */
+double call_choices(void *choices, double e, double *slope);
 /* The outcome of a step whose psi may have been Python's: -1 where that has raised, 0 where the definition is to ask it. */
 int called_outcome(int outcome);
 

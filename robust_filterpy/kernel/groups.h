@@ -6,9 +6,8 @@
 
 extern PyMethodDef series_functions[];
 extern PyMethodDef smoother_functions[];
-extern PyMethodDef online_functions[];
+extern PyMethodDef step_functions[];
 extern PyMethodDef tracker_functions[];
 extern PyMethodDef learnt_functions[];
-extern PyMethodDef mixture_functions[];
 
 #endif

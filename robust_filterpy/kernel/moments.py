@@ -95,7 +95,7 @@ class Taken(NamedTuple):
     record: Array
     """As `robust_filterpy.kernel.moments.correction_of` reads it."""
     memory: Array | None
-    """Of the sensors afterwards, shape (m, 17), under scaling "learnt"."""
+    """Of the sensors afterwards, shape (m, 22), under scaling "learnt"."""
 
     @property
     def log_density(self) -> float:
@@ -116,21 +116,20 @@ def correct_linear(
     choices: Choices, memory: Array, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None
 ) -> Taken | None:
     """Correct a state by linear sensors, to the last bit as a filter's step by the kernel does."""
-    return _by_extension("correct_arrays", choices, (x, P, z, H, R, M), memory)
+    return _by_extension(choices, x, P, z, None, H, None, R, M, memory)
 
 
 def correct(
     choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array
 ) -> Taken | None:
     """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_typical`."""
-    return _by_extension("correct_moments", choices, (P, z, y, C, S, R), memory)
+    return _by_extension(choices, None, P, z, y, C, S, R, None, memory)
 
 
-def _by_extension(name: str, choices: Choices, arrays: tuple[Array | None, ...], memory: Array) -> Taken | None:
-    """Call a function of the extension, if there is one and it knows the options."""
+def _by_extension(choices: Choices, *arrays: Array | None) -> Taken | None:
+    """Correct by the extension, if there is one and it knows the options."""
     extension, what = kernel.extension(), rule(choices)
     if extension is None or what is None:
         return None
-    plain = (None if a is None else np.ascontiguousarray(a) for a in arrays)
-    result = getattr(extension, name)(what, *plain, memory)
+    result = extension.correct_arrays(what, *(None if a is None else np.ascontiguousarray(a) for a in arrays))
     return None if result is None else Taken(*result)

@@ -5,11 +5,21 @@
 #include "glue.h"
 #include "learnt.h"
 
+/* x, (n,) or (n, 1), and P, symmetric. */
 typedef struct {
     const double *x, *P;
     npy_intp n;
     int ndim; /* of x */
 } filter_state;
+
+/* What judges a filter's measurements: psi, or a mixture of what their noise may have been. */
+typedef struct {
+    int mixes;
+    correction_rule bounded;
+    learnt_rule mixture;
+    PyObject *make; /* under a mixture: what makes a record */
+} judge;
+int take_judge(held *h, PyObject *filter, judge *by); /* 1, 0 if the kernel does not know it, or -1 with an exception */
 
 int hold_all(held *h, PyObject *filter, const enum attribute *which, int count); /* 1, or -1 with an exception */
 int take_filter(PyObject *dim_x, PyObject *x, PyObject *P, filter_state *s);
@@ -30,7 +40,6 @@ typedef struct {
 
 /* What a measurement is taken up by, checked. */
 typedef struct {
-    correction_rule rule;    /* where it is bounded by psi */
     npy_intp m;
     const double *H, *R, *M; /* M may be NULL */
     PyObject *memory;        /* of these sensors, as the filter has it or read by rows; NULL where nothing is learned */
@@ -39,7 +48,11 @@ typedef struct {
 } sensors;
 /* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors, the last two where
    something is learned. 1, 0, or -1 with an exception. */
+PyObject *given_or(held *h, PyObject *given, PyObject *own); /* plain; own where given is None; NULL with an exception */
 int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s);
+
+int take_cross(sensors *s, npy_intp n, PyObject *M);                                 /* M, or None; whether it is that */
+int take_memory(const correction_rule *rule, sensors *s, PyObject *memory); /* what psi is judged by; whether it is that */
 
 /* What moves a state. */
 typedef struct {

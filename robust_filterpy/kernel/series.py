@@ -83,15 +83,19 @@ JOINT_MOST = 16
 
 def rule(choices: Choices) -> Array | None:
     """Return the options as numbers: kind and parameters of psi, scaling, information, E[psi'], normalizers."""
+    numbers, called = options(choices)
+    return numbers if called is None else None
+
+
+def options(choices: Choices) -> tuple[Array | None, Choices | None]:
+    """Return the options as numbers, None if the kernel does not know them, and whom to ask for psi if it has none."""
     if "rule" not in choices.derived:
-        by_number = choices.kernel_psi is not None
-        choices.derived["called"] = None if by_number else _encoded(choices)
-        choices.derived["rule"] = _encoded(choices) if by_number else None
+        choices.derived["rule"] = _encoded(choices), None if choices.kernel_psi is not None else choices
     return choices.derived["rule"]  # type: ignore[no-any-return]
 
 
 def _encoded(choices: Choices) -> Array | None:
-    """Return the options as numbers, None if the kernel does not know them."""
+    """Return the options as numbers, if the kernel knows them."""
     if choices.grouping not in GROUPINGS or choices.scaling not in SCALINGS:
         return None
     joint = choices.grouping == "joint"

@@ -67,7 +67,7 @@ def calls():
         for structure in (OutputError(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 2, 2)):
             support.paper_tracker(structure).run(y, u)
     assert track.kernel is kernel
-    assert set(watched.calls) == {"filter_series", "smooth", "learnt_steps", "correct_moments", "track"}
+    assert set(watched.calls) == {"filter_series", "smooth", "learnt_steps", "correct_arrays", "track"}
     return watched.calls
 
 
@@ -86,15 +86,15 @@ def test_a_group_of_arguments_that_could_change_under_the_call_is_refused(calls,
 @pytest.mark.parametrize("code", [np.nan, 1e300, -1.0, 9.0])
 @pytest.mark.parametrize("place", [0, 4, 5])
 def test_options_that_are_none_are_declined(calls, place, code):
-    rule, *rest = calls["correct_moments"][0]
-    assert EXTENSION.correct_moments(rule, *rest) is not None
+    rule, *rest = calls["correct_arrays"][0]
+    assert EXTENSION.correct_arrays(rule, *rest) is not None
     rule = rule.copy()
     rule[place] = code
-    assert EXTENSION.correct_moments(rule, *rest) is None
+    assert EXTENSION.correct_arrays(rule, *rest) is None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["filter_series", "smooth", "learnt_steps", "correct_moments", "track"])
+@pytest.mark.parametrize("name", ["filter_series", "smooth", "learnt_steps", "correct_arrays", "track"])
 def test_no_arguments_crash(calls, name):
     ends, refused = np.full(32, 77.0), 0
     for seed in range(10 * ROUNDS):
@@ -120,7 +120,7 @@ NAMES = (
     "x", "P", "F", "Q", "H", "R", "B", "_alpha_sq", "dim_x", "dim_z", "inv", "_memory", "_kept", "_policy", "_choices",
     "u", "z", "R passed", "H passed", "M",
 )  # fmt: skip
-ENTRIES = ("predict", "correct", "predict_mixture", "correct_mixture")
+ENTRIES = ("predict", "correct")
 
 
 def ordinary(options, n, m, seed):

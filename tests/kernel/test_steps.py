@@ -213,7 +213,7 @@ MADE_PLAIN = [(name, how) for name in "FQHR" for how in KINDS]
 
 @pytest.mark.parametrize("how", SPOILT)
 @pytest.mark.parametrize("name", ["x", "P", "F", "Q", "H", "R", "_memory", "_kept"])
-@pytest.mark.parametrize("noise", ["", "_mixture"])
+@pytest.mark.parametrize("noise", [False, True], ids=["psi", "mixture"])
 def test_what_is_out_of_the_ordinary_is_declined_and_nothing_changes(noise, name, how):
     options = {"noise": "learnt", "process": "scales"} if noise else {"scaling": "learnt"}
     kf = support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), **options)
@@ -223,7 +223,7 @@ def test_what_is_out_of_the_ordinary_is_declined_and_nothing_changes(noise, name
         setattr(kf, name, SPOILT[how](getattr(kf, name)))
     elif noise:
         kf._kept = kf._kept._replace(means=SPOILT[how](kf._kept.means))
-    predict, correct = (getattr(EXTENSION, call + noise) for call in ("predict", "correct"))
+    predict, correct = EXTENSION.predict, EXTENSION.correct
     for call in (lambda: predict(kf, *NONE), lambda: correct(kf, [1.0, 2.0], *NONE[1:])):
         outcome, same = before_and_after(kf, call)
         assert outcome is True or same

@@ -1,0 +1,558 @@
+/* One step of one filter as one call: attributes read, the step taken, attributes set. */
+#include "groups.h"
+#include "mend.h"
+#include "online.h"
+
+/* The models of a filter under a mixture, in arrays of their own that a step may change, and what they merge to. */
+typedef struct {
+    const learnt_rule *rule;
+    learnt_state s;
+    PyObject *kept;     /* as the filter has it: a tuple, or None where there is one model */
+    PyObject *x, *P;    /* priors that nobody writes to */
+    PyObject *after[5]; /* of a tuple of the same kind: means, covariances, p, x, P */
+} models;
+
+/* Read the models; whether all is ordinary, -1 with an exception. x or P that have been assigned from outside are for the
+   definition. */
+static int take_models(held *h, const learnt_rule *rule, PyObject *kept, const filter_state *now, models *f) {
+    const npy_intp n = now->n, rows = learnt_rows(rule), beliefs = learnt_beliefs(1, rule);
+    const double *means = now->x, *covariances = now->P, *p = NULL;
+    f->rule = rule, f->kept = kept;
+    if (n > 1000) return 0;
+    if (kept == Py_None) {
+        if (rows != 1) return 0;
+        f->x = array_of(h, now->x, 1, n, 0, 0), f->P = array_of(h, now->P, 2, n, n, 0);
+    } else {
+        PyObject *of[5];
+        const double *x, *P;
+        if (!take_objects(kept, 5, of)) return 0;
+        means = writable(of[0], 2, (npy_intp[]){rows, n}), covariances = writable(of[1], 3, (npy_intp[]){rows, n, n});
+        p = writable(of[2], 2, (npy_intp[]){beliefs, n}), f->x = of[3], f->P = of[4];
+        x = vector_of(f->x, n), P = matrix_of(f->P, n, n);
+        if (!means || !covariances || !p || !x || !P) return 0;
+        if (memcmp(x, now->x, (size_t)n * sizeof *x) || memcmp(P, now->P, (size_t)(n * n) * sizeof *P)) return 0;
+    }
+    f->after[0] = array_of(h, means, 2, rows, n, 0), f->after[1] = array_of(h, covariances, 3, rows, n, n);
+    f->after[2] = array_of(h, p, 2, beliefs, n, 0);
+    f->after[3] = array_of(h, NULL, 1, n, 0, 0), f->after[4] = array_of(h, NULL, 2, n, n, 0);
+    if (h->failed) return -1;
+    f->s = (learnt_state){numbers_of(f->after[0]), numbers_of(f->after[1]), numbers_of(f->after[2]), NULL};
+    /* Of one model there is one part. */
+    for (npy_intp i = 0; !p && i < beliefs * n; i++) f->s.p[i] = i < n;
+    return learnt_has_parts((int)n, rule, &f->s);
+}
+
+/* Merge the models, into x and P too: code of Python's may get the others. Whether that is finite. */
+static int merge(const int n, models *f, PyObject *x, PyObject *P, double *work) {
+    double *const mean = numbers_of(f->after[3]), *const covariance = numbers_of(f->after[4]);
+    if (!learnt_merge(n, f->rule, &f->s, mean, covariance, work)) return 0;
+    real_copy(n, mean, numbers_of(x)), real_copy(n * n, covariance, numbers_of(P));
+    return 1;
+}
+
+/* What the filter is to keep after the step: a tuple of the same kind, or None. */
+static PyObject *kept_of(held *h, const models *f) {
+    PyObject *const *const of = f->after;
+    if (f->kept == Py_None) return Py_None;
+    return hold(h, PyObject_CallFunction((PyObject *)Py_TYPE(f->kept), "OOOOO", of[0], of[1], of[2], of[3], of[4]));
+}
+
+/* given: B, F and Q for this call, or None; moves: whether x does too. */
+static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *const *given, int moves) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_F, AT_Q, AT__alpha_sq, AT_B};
+    PyObject *const *const own = h->objects;
+    filter_state now;
+    motion how;
+    judge by = {.mixes = 0};
+    models f = {NULL};
+    PyObject *x, *P, *kept = NULL;
+    double stack[STACK_WORK], *work, *control;
+    int fine;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
+    /* One model moves as x and P do. */
+    if (own[3] != Py_None && take_judge(h, filter, &by) < 0) return -1;
+    if (!take_filter(own[0], own[1], own[2], &now)) return 0;
+    const int n = (int)now.n;
+    fine = take_motion(h, given, own + 4, n, &how);
+    if (fine > 0 && by.mixes) fine = take_models(h, &by.mixture, own[3], &now, &f);
+    if (fine <= 0) return fine;
+    x = array_of(h, NULL, now.ndim, n, 1, 0), P = array_of(h, NULL, 2, n, n, 0);
+    if (h->failed) return -1;
+    work = work_of(stack, (f.rule ? learnt_predict_work(n, learnt_models(f.rule)) : predict_work(n)) + (size_t)n);
+    if (!work) return -1;
+    control = work;
+    fine = take_control(how.B, u, n, &control);
+    if (fine && f.rule) {
+        learnt_predict(n, f.rule, &f.s, how.F, how.Q, control, how.alpha_sq, work + n);
+        fine = merge(n, &f, x, P, work + n);
+    } else if (fine) {
+        fine = predict(n, now.x, now.P, how.F, how.Q, control, how.alpha_sq, numbers_of(x), numbers_of(P), work + n);
+    }
+    work_done(stack, work);
+    if (!fine) return 0;
+    if (!moves) real_copy(n, now.x, numbers_of(x));
+    if (f.rule && !(kept = kept_of(h, &f))) return -1;
+    if (!set_state(h, filter, x, P, AT_x_prior, AT_P_prior)) return -1;
+    return kept && set_attribute(filter, AT__kept, kept) < 0 ? -1 : 1;
+}
+
+STEP(predict_step, 5, take_prediction(&h, arguments[0], arguments[1], arguments + 2, 1),
+     "predict: expected a filter, u, B, F and Q")
+
+static PyObject *covariance_step(PyObject *self, PyObject *filter) {
+    PyObject *const none[3] = {Py_None, Py_None, Py_None};
+    held h = {.count = 0};
+    (void)self;
+    return answer(&h, take_prediction(&h, filter, Py_None, none, 0));
+}
+
+/* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Numbers, rows of m numbers, S and C'. */
+enum record_number { RECORD_N, RECORD_M, RECORD_SCALING, RECORD_LOG_DENSITY, RECORD_HEAD };
+enum record_row { ROW_Y, ROW_E, ROW_WEIGHTS, ROW_PSI_DERIV, ROW_D, ROW_SCORE, ROW_ORDER, ROW_JUDGED, RECORD_ROWS };
+
+static double *record_row(double *record, enum record_row which, npy_intp m) { return record + RECORD_HEAD + which * m; }
+
+/* All but the innovations, S and C. */
+static void begin_record(double *record, npy_intp n, npy_intp m, const correction_rule *rule, const correction *c) {
+    record[RECORD_N] = (double)n;
+    record[RECORD_M] = (double)m;
+    record[RECORD_SCALING] = (double)rule->scaling;
+    record[RECORD_LOG_DENSITY] = correction_log_likelihood(rule, c);
+    real_copy((int)(4 * m), c->e, record_row(record, ROW_E, m));     /* e, weights, slopes, d */
+    real_copy((int)(2 * m), c->v, record_row(record, ROW_SCORE, m)); /* v, order */
+    for (npy_intp i = c->observed; i < m; i++) record_row(record, ROW_ORDER, m)[i] = 0; /* no place for what is missing */
+    real_copy((int)m, c->first, record_row(record, ROW_JUDGED, m));  /* S_ii by which it was judged */
+}
+
+/* What a correction makes: x and P in the shape of before, a record, z with NaN where missing, and the memory of the
+   sensors, NULL where nothing is learned. */
+typedef struct {
+    PyObject *x, *P, *record, *z, *memory;
+} corrected;
+
+/* Make room for all that; z may be there. -1 with an exception. */
+static int begin_corrected(held *h, const filter_state *now, const sensors *s, PyObject *z, corrected *made) {
+    const npy_intp n = now->n, m = s->m;
+    made->x = array_of(h, NULL, now->ndim, n, 1, 0), made->P = array_of(h, now->P, 2, n, n, 0);
+    made->record = array_of(h, NULL, 1, RECORD_HEAD + (RECORD_ROWS + m + n) * m, 0, 0);
+    made->z = z ? z : array_of(h, NULL, now->ndim, m, 1, 0);
+    made->memory = s->learned ? array_of(h, s->learned, 2, m, SPREAD_NUMBERS, 0) : NULL;
+    return h->failed ? -1 : 1;
+}
+
+static spread_memory *spreads_of(const corrected *made) {
+    return made->memory ? (spread_memory *)numbers_of(made->memory) : NULL;
+}
+
+/* An innovation, NaN where missing, and what it has to do with the state: C (n, m) and S, or both follow from H. */
+typedef struct {
+    const double *y, *C, *S;
+} moments_given;
+
+/* Correct a state by the readings of linear sensors in made->z, or by an innovation, y not NULL, for which x counts as 0;
+   whether all was ordinary, -1 with an exception. */
+static int correct_bounded(const correction_rule *rule, const filter_state *now, const sensors *s,
+                           const moments_given *given, corrected *made) {
+    const int n = (int)now->n, m = (int)s->m;
+    const double *const z = numbers_of(made->z), *const y = given->y ? given->y : z;
+    correction c;
+    double stack[STACK_WORK], *const work = work_of(stack, update_work(n, m)), *const values = numbers_of(made->record);
+    double *const x = numbers_of(made->x), *const innovations = record_row(values, ROW_Y, m);
+    double *const shown = record_row(values, RECORD_ROWS, m);
+    int fine = 0;
+    if (!work) return -1;
+    correction_begin(n, m, 1, &c, work);
+    for (int k = 0; k < n; k++) x[k] = given->y ? 0 : now->x[k];
+    for (int i = 0; i < m; i++) {
+        innovations[i] = y[i] != y[i] ? 0 : given->y ? y[i] : y[i] - real_dot(n, s->H + i * n, x);
+        fine |= y[i] == y[i];
+        for (int k = 0; given->S && k < n; k++) c.C[i * n + k] = given->C[k * m + i];
+    }
+    if (given->S) real_copy(m * m, given->S, c.S);
+    fine = fine && is_covariance(s->R, m, shown) && update(n, m, rule, z, y, s->H, s->R, s->M, spreads_of(made), x,
+                                                           numbers_of(made->P), &c, shown, work);
+    if (fine) begin_record(values, n, m, rule, &c);
+    for (int k = 0; given->y && now->x && k < n; k++) x[k] = now->x[k] + x[k];
+    work_done(stack, work);
+    return called_outcome(fine && all_finite(x, n));
+}
+
+/* Give a filter what psi has made of a measurement; 1, or -1 with an exception. */
+static int set_corrected(held *h, PyObject *filter, const sensors *s, const corrected *made, const sensor_rows *rows) {
+    /* That a sensor's far reading repeats for the first time is said, which may refuse the call: for the definition. */
+    for (npy_intp i = 0; made->memory && i < s->m; i++)
+        if (((const spread_memory *)s->learned)[i].filled == 0 && spreads_of(made)[i].filled > 0) return 0;
+    if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
+    return set_measured(h, filter, made->z, made->record, rows, made->memory);
+}
+
+/* Whether H x is a number everywhere. */
+static int is_finite_product(const double *H, const double *x, npy_intp m, npy_intp n) {
+    for (npy_intp i = 0; i < m; i++) {
+        const double total = real_dot((int)n, H + i * n, x);
+        if (total - total != 0) return 0;
+    }
+    return 1;
+}
+
+/* A correction under a mixture as robust_filterpy.filters.policies.Mixed has it, and what the filter gets. */
+typedef struct {
+    PyObject *x_set, *P_set, *shown;
+    PyObject *x, *P, *memory, *weights, *outlying, *prior_x, *prior_P, *H, *R, *M, *z, *before, *curvature;
+    double log_density;
+} mixed;
+
+/* Make room for what is the same of every sensor; before: its memory as it is, of which `rows` rows are each of one. */
+static void begin_mixed(held *h, const learnt_rule *rule, const filter_state *now, const sensors *s, PyObject *z,
+                        const double *before, mixed *made) {
+    const npy_intp n = now->n, m = s->m;
+    made->x_set = array_of(h, NULL, now->ndim, n, 1, 0), made->P_set = array_of(h, NULL, 2, n, n, 0), made->shown = z;
+    made->memory = array_of(h, before, 2, memory_rows(rule, m), learnt_width(rule->K), 0);
+    made->weights = array_of(h, NULL, 1, m, 0, 0), made->outlying = array_of(h, NULL, 1, m, 0, 0);
+    made->R = array_of(h, s->R, 2, m, m, 0), made->M = s->M ? array_of(h, s->M, 2, n, m, 0) : Py_None;
+    made->before = s->memory, made->curvature = Py_None, made->log_density = 0;
+}
+
+/* Correct by z (m), the sensors having read `readings`; whether that was ordinary. work: correct_work. */
+static int weigh(int n, int m, const learnt_rule *rule, learnt_state *s, const double *z, const double *readings,
+                 const double *H, const double *R, const double *M, mixed *made, double *work) {
+    const double *const weights = numbers_of(made->weights);
+    s->memory = numbers_of(made->memory);
+    if (learnt_correct(n, m, rule, s, z, readings, H, R, M, numbers_of(made->weights), numbers_of(made->outlying),
+                       &made->log_density, work) <= 0)
+        return 0;
+    /* That a sensor is stuck is said in words, by the definition. */
+    for (int i = 0; i < m; i++)
+        if (weights[i] == 0) return 0;
+    return 1;
+}
+
+#define NO_LAG 0.1 /* standard deviations that a start leaves where there is no noise */
+
+/* Give a filter what a mixture has made of a measurement; kept: NULL where it keeps what it has. 1, or -1 with an
+   exception. */
+static int set_mixed(held *h, PyObject *filter, const judge *by, int n, int m, const mixed *made, PyObject *kept,
+                     const sensor_rows *rows) {
+    const double *const z = numbers_of(made->z), *const H = numbers_of(made->H), *const R = numbers_of(made->R);
+    const double *const bend = made->curvature == Py_None ? NULL : numbers_of(made->curvature);
+    const int width = by->mixture.joint ? 0 : learnt_width(by->mixture.K);
+    PyObject *const lags = array_of(h, NULL, 1, m, 0, 0), *record;
+    for (int i = 0; lags && i < m; i++) {
+        const double y = z[i] - real_dot(n, H + i * n, numbers_of(made->prior_x));
+        const double noise = R[i * m + i] * numbers_of(made->before)[i * width] + (bend ? bend[i * m + i] : 0);
+        const double variance = noise + real_square(n, H + i * n, numbers_of(made->prior_P));
+        numbers_of(lags)[i] = fabs(y) < NO_LAG * sqrt(variance) ? 0 : y;
+    }
+    record = lags ? hold(h, PyObject_CallFunction(by->make, "OOOdOOOOOOOOOOO", made->x, made->P, made->memory,
+                                                  made->log_density, made->weights, made->outlying, made->prior_x,
+                                                  made->prior_P, made->H, made->R, made->M, made->z, made->before, lags,
+                                                  made->curvature))
+                  : NULL;
+    if (!record || !set_state(h, filter, made->x_set, made->P_set, AT_x_post, AT_P_post)) return -1;
+    if (kept && set_attribute(filter, AT__kept, kept) < 0) return -1;
+    return set_measured(h, filter, made->shown, record, rows, by->mixture.learns ? made->memory : NULL);
+}
+
+/* Correct the models by linear sensors. */
+static int correct_mixture(held *h, PyObject *filter, const judge *by, PyObject *kept, const filter_state *now, sensors *s,
+                           PyObject *z) {
+    const learnt_rule *const rule = &by->mixture;
+    const int n = (int)now->n, m = (int)s->m, rows = (int)memory_rows(rule, m), width = learnt_width(rule->K);
+    const double *before;
+    double stack[STACK_WORK], *work;
+    models f;
+    mixed made;
+    int fine = m > 1000 || !is_finite_product(s->H, now->x, m, n) ? 0 : take_models(h, rule, kept, now, &f);
+    if (fine <= 0) return fine;
+    if (!rule->learns) {
+        if (!(s->memory = array_of(h, NULL, 2, rows, width, 0))) return -1;
+        for (int k = 0; k < rows * width; k++) numbers_of(s->memory)[k] = rule->begin[k % width];
+    }
+    before = matrix_of(s->memory, rows, width);
+    if (!before) return 0;
+    begin_mixed(h, rule, now, s, array_of(h, NULL, now->ndim, m, 1, 0), before, &made);
+    /* z is shown in the shape of x, and kept as a vector. */
+    made.z = array_of(h, NULL, 1, m, 0, 0), made.H = array_of(h, s->H, 2, m, n, 0);
+    made.prior_x = f.x, made.prior_P = f.P, made.x = f.after[3], made.P = f.after[4];
+    work = h->failed ? NULL : work_of(stack, correct_work(rule, n, m) + (size_t)(m * m));
+    if (!work) return -1;
+    fine = take_measurement(z, m, numbers_of(made.z)) && is_covariance(s->R, m, work) &&
+           weigh(n, m, rule, &f.s, numbers_of(made.z), numbers_of(made.z), s->H, s->R, s->M, &made, work) &&
+           merge(n, &f, made.x_set, made.P_set, work);
+    work_done(stack, work);
+    if (!fine) return 0;
+    real_copy(m, numbers_of(made.z), numbers_of(made.shown));
+    kept = kept_of(h, &f);
+    return kept ? set_mixed(h, filter, by, n, m, &made, kept, &s->rows) : -1;
+}
+
+/* given: R, H and M for this call, or None. */
+static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory,
+                                           AT__other_sensors, AT__kept};
+    static const moments_given none = {NULL, NULL, NULL};
+    judge by;
+    filter_state now;
+    sensors s;
+    corrected made;
+    PyObject *const *own;
+    int outcome = take_judge(h, filter, &by);
+    if (outcome <= 0) return outcome;
+    own = h->objects + h->count;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
+    if (!take_filter(own[0], own[1], own[2], &now)) return 0;
+    s.memory = own[7];
+    s.rows = by.mixes ? (sensor_rows){.width = by.mixture.learns && !by.mixture.joint ? learnt_width(by.mixture.K) : 0,
+                                      .begin = by.mixture.begin}
+                      : (sensor_rows){.width = by.bounded.scaling == SCALING_LEARNT ? SPREAD_NUMBERS : 0};
+    outcome = take_sensors(h, given, own + 3, now.n, &s);
+    if (outcome <= 0) return outcome;
+    if (!(z = as_plain(h, z))) return -1;
+    if (by.mixes) return correct_mixture(h, filter, &by, own[9], &now, &s, z);
+    if (!take_memory(&by.bounded, &s, s.memory)) return 0;
+    if (begin_corrected(h, &now, &s, NULL, &made) < 0) return -1;
+    if (!take_measurement(z, s.m, numbers_of(made.z))) return 0;
+    outcome = correct_bounded(&by.bounded, &now, &s, &none, &made);
+    return outcome > 0 ? set_corrected(h, filter, &s, &made, &s.rows) : outcome;
+}
+
+STEP(correct_step, 5, take_correction(&h, arguments[0], arguments[1], arguments + 2),
+     "correct: expected a filter, z, R, H and M")
+
+/* H (m, n) = C' P^-1, P (n, n) in units of its own and without directions in which it has no extent, and what of S such a line
+   does not explain, noise apart: curvature (m, m). work: 3 k k + k, k the larger of n and m. */
+static void regress(int n, int m, const double *P, const double *C, const double *S, const double *R, double *H,
+                    double *curvature, double *work) {
+    const int k = n > m ? n : m;
+    double *const A = work, *const V = A + k * k, *const W = V + k * k, *const unit = W + k * k, most = 0;
+    for (int i = 0; i < n; i++) unit[i] = P[i * n + i] > 0 ? sqrt(P[i * n + i]) : 1;
+    for (int i = 0; i < n * n; i++) A[i] = P[i] / (unit[i / n] * unit[i % n]);
+    mend_diagonalize(n, A, V);
+    for (int i = 0; i < n; i++) most = real_max(most, fabs(A[i * n + i]));
+    for (int i = 0; i < m * n; i++) H[i] = 0;
+    for (int o = 0; o < n; o++) {
+        if (!(fabs(A[o * n + o]) > 1e-15 * most)) continue;
+        for (int i = 0; i < m; i++) {
+            double along = 0;
+            for (int l = 0; l < n; l++) along += V[l * n + o] * (C[l * m + i] / unit[l]);
+            for (int l = 0; l < n; l++) H[i * n + l] += V[l * n + o] * along / A[o * n + o];
+        }
+    }
+    for (int i = 0; i < m * n; i++) H[i] /= unit[i % n];
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j <= i; j++) {
+            double seen = 0;
+            for (int l = 0; l < n; l++) seen += H[i * n + l] * C[l * m + j];
+            W[i * m + j] = W[j * m + i] = S[i * m + j] - R[i * m + j] - seen;
+        }
+    mend_diagonalize(m, W, V);
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) {
+            curvature[i * m + j] = 0;
+            for (int o = 0; o < m; o++) curvature[i * m + j] += V[i * m + o] * real_max(W[o * m + o], 0) * V[j * m + o];
+        }
+}
+
+/* Correct a state at 0 by a line, and by a state of its own for what the line does not explain. */
+static int correct_by_line(held *h, PyObject *filter, const judge *by, const filter_state *now, sensors *s,
+                           const moments_given *given, PyObject *z, PyObject *y) {
+    const learnt_rule *const rule = &by->mixture;
+    const int n = (int)now->n, m = (int)s->m, all = given->S ? n + m : n, rows = (int)memory_rows(rule, m);
+    const double *const before = matrix_of(s->memory, rows, learnt_width(rule->K));
+    const size_t k = (size_t)(n > m ? n : m), own = (size_t)(all * (all + 1 + m) + 3 * all);
+    double stack[STACK_WORK], *work;
+    mixed made;
+    int fine;
+    if (learnt_models(rule) != 1 || n > 1000 || m > 1000 || !before) return 0;
+    begin_mixed(h, rule, now, s, z, before, &made);
+    made.z = y, made.H = array_of(h, s->H, 2, m, n, 0);
+    made.prior_x = array_of(h, NULL, 1, n, 0, 0), made.prior_P = array_of(h, now->P, 2, n, n, 0);
+    made.x = array_of(h, NULL, 1, n, 0, 0), made.P = array_of(h, NULL, 2, n, n, 0);
+    made.curvature = array_of(h, NULL, 2, m, m, 0);
+    work = h->failed ? NULL : work_of(stack, own + correct_work(rule, all, m) + (size_t)(m * m) + 3 * k * k + k);
+    if (!work) return -1;
+    double *const x = work, *const P = x + all, *const p = P + all * all, *const whole = p + 3 * all;
+    double *const rest = whole + m * all, *const H = numbers_of(made.H), *const bend = numbers_of(made.curvature);
+    learnt_state state = {x, P, p, NULL};
+    for (int i = 0; i < m * m; i++) bend[i] = 0;
+    fine = is_covariance(s->R, m, rest);
+    if (fine && given->S) regress(n, m, now->P, given->C, given->S, s->R, H, bend, rest);
+    for (int i = 0; i < all; i++) x[i] = 0, p[i] = 1, p[all + i] = p[2 * all + i] = 0;
+    for (int i = 0; i < all * all; i++) {
+        const int row = i / all, column = i % all;
+        P[i] = row < n && column < n     ? now->P[row * n + column]
+               : row >= n && column >= n ? bend[(row - n) * m + column - n]
+                                         : 0;
+    }
+    for (int i = 0; i < m; i++) {
+        int sees = 0;
+        for (int j = 0; j < all; j++) whole[i * all + j] = j < n ? H[i * n + j] : j - n == i;
+        for (int j = 0; j < n; j++) sees |= H[i * n + j] != 0;
+        if (!sees) numbers_of(y)[i] = NAN;
+    }
+    fine = fine && weigh(all, m, rule, &state, numbers_of(y), numbers_of(z), whole, s->R, NULL, &made, rest);
+    for (int i = 0; i < n; i++) {
+        numbers_of(made.prior_x)[i] = 0, numbers_of(made.x)[i] = now->x[i] + x[i];
+        for (int j = 0; j < n; j++) numbers_of(made.P)[i * n + j] = 0.5 * (P[i * all + j] + P[j * all + i]);
+    }
+    work_done(stack, work);
+    if (!fine || !all_finite(numbers_of(made.x), n) || !all_finite(numbers_of(made.P), n * n)) return 0;
+    real_copy(n, numbers_of(made.x), numbers_of(made.x_set)), real_copy(n * n, numbers_of(made.P), numbers_of(made.P_set));
+    return set_mixed(h, filter, by, n, m, &made, NULL, NULL);
+}
+
+/* The Jacobian of sensors (m, n) and None, or C (n, m) and S; whether they are that. */
+static int take_moments(sensors *s, moments_given *given, PyObject *C, PyObject *S, npy_intp n) {
+    const int linear = S == Py_None;
+    s->H = s->M = given->S = NULL;
+    if (!is_array(C, 2)) return 0;
+    s->m = PyArray_DIM((PyArrayObject *)C, !linear);
+    if (s->m < 1 || s->m > 10000) return 0;
+    given->C = linear ? matrix_of(C, s->m, n) : matrix_of(C, n, s->m);
+    if (!given->C || !all_finite(given->C, n * s->m)) return 0;
+    if (linear) s->H = given->C;
+    else given->S = matrix_of(S, s->m, s->m);
+    return linear || (given->S && is_symmetric(given->S, s->m));
+}
+
+/* given: z, the prediction of z or None, the innovation or None, C, S, R. */
+static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_inv, AT_R, AT__memory, AT__kept};
+    judge by;
+    filter_state now;
+    sensors s;
+    moments_given innovation;
+    corrected made;
+    PyObject *const *own, *plain[6], *z, *y;
+    int outcome = take_judge(h, filter, &by);
+    if (outcome <= 0) return outcome;
+    own = h->objects + h->count;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
+    for (int i = 0; i < 6; i++)
+        if (!(plain[i] = given_or(h, given[i], i == 5 ? own[4] : Py_None))) return -1;
+    if (own[3] != numpy_inverse || !take_filter(own[0], own[1], own[2], &now)) return 0;
+    if (!take_moments(&s, &innovation, plain[3], plain[4], now.n)) return 0;
+    s.R = covariance_of(h, plain[5], s.m), s.memory = own[5];
+    if (!s.R) return PyErr_Occurred() ? -1 : 0;
+    if (!by.mixes && !take_memory(&by.bounded, &s, s.memory)) return 0;
+    z = array_of(h, NULL, now.ndim, s.m, 1, 0), y = array_of(h, NULL, 1, s.m, 0, 0);
+    if (h->failed) return -1;
+    if (!take_difference(plain, s.m, numbers_of(z), numbers_of(y))) return 0;
+    if (by.mixes) return own[6] == Py_None ? correct_by_line(h, filter, &by, &now, &s, &innovation, z, y) : 0;
+    if (begin_corrected(h, &now, &s, z, &made) < 0) return -1;
+    innovation.y = numbers_of(y);
+    outcome = correct_bounded(&by.bounded, &now, &s, &innovation, &made);
+    return outcome > 0 ? set_corrected(h, filter, &s, &made, NULL) : outcome;
+}
+
+STEP(innovation_step, 7, take_innovation(&h, arguments[0], arguments + 1),
+     "correct_innovation: expected a filter, z, its prediction, y, C, S and R")
+
+/* Correct a state by linear sensors: (rule, x, P, z, None, H, None, R, M or None, memory or None), or a state at 0 by an
+   innovation: (rule, None, P, z, y, C, S, R, None, memory or None), or the Jacobian H in the place of C and None in that of S.
+   Return (x, P, record, memory), or None where it is not for the kernel. */
+static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize_t count) {
+    held h = {.count = 0};
+    filter_state now = {.x = NULL, .ndim = 1};
+    correction_rule rule;
+    sensors s;
+    moments_given innovation = {NULL, NULL, NULL};
+    corrected made;
+    PyObject *found = NULL;
+    const double *z;
+    (void)self;
+    if (count != 10) {
+        PyErr_SetString(PyExc_TypeError, "correct_arrays: expected rule, x, P, z, y, C, S, R, M and memory");
+        return NULL;
+    }
+    const int linear = given[1] != Py_None;
+    if (!rule_of(given[0], &rule) || !is_array(given[2], 2)) Py_RETURN_NONE;
+    now.n = PyArray_DIM((PyArrayObject *)given[2], 0), now.P = matrix_of(given[2], now.n, now.n);
+    if (now.n < 1 || now.n > 10000 || !now.P || !is_symmetric(now.P, now.n)) Py_RETURN_NONE;
+    if (!take_moments(&s, &innovation, given[5], given[6], now.n) || !take_memory(&rule, &s, given[9])) Py_RETURN_NONE;
+    z = vector_of(given[3], s.m), s.R = matrix_of(given[7], s.m, s.m);
+    if (linear) now.x = vector_of(given[1], now.n);
+    else innovation.y = vector_of(given[4], s.m);
+    if (!z || !s.R || (linear ? !now.x || !s.H : !innovation.y) || !take_cross(&s, now.n, given[8])) Py_RETURN_NONE;
+    if (!linear && s.M) Py_RETURN_NONE;
+    if (begin_corrected(&h, &now, &s, NULL, &made) > 0) {
+        real_copy((int)s.m, z, numbers_of(made.z));
+        if (correct_bounded(&rule, &now, &s, &innovation, &made) > 0)
+            found = PyTuple_Pack(4, made.x, made.P, made.record, made.memory ? made.memory : Py_None);
+    }
+    Py_XDECREF(answer(&h, 0));
+    if (found || PyErr_Occurred()) return found;
+    Py_RETURN_NONE;
+}
+
+/* Whether the numbers of an array lie in one piece. */
+static int in_one_piece(PyArrayObject *array) {
+    const int one = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS;
+    return PyArray_TYPE(array) == NPY_DOUBLE && (PyArray_FLAGS(array) & one) != 0;
+}
+
+/* What arrays in one piece hold, one after another: a copy of each as an array of its own takes as long as a step. */
+static PyObject *contents_of(PyObject *arrays) {
+    const Py_ssize_t count = PyList_Size(arrays);
+    Py_ssize_t total = 0;
+    PyObject *contents;
+    char *to;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        PyObject *const array = PyList_GetItem(arrays, i);
+        if (PyArray_CheckExact(array)) total += PyArray_NBYTES((PyArrayObject *)array);
+    }
+    contents = PyBytes_FromStringAndSize(NULL, total);
+    to = contents ? PyBytes_AsString(contents) : NULL;
+    for (Py_ssize_t i = 0; to && i < count; i++) {
+        PyArrayObject *const array = (PyArrayObject *)PyList_GetItem(arrays, i);
+        if (!PyArray_CheckExact(array)) continue;
+        memcpy(to, PyArray_DATA(array), (size_t)PyArray_NBYTES(array));
+        to += PyArray_NBYTES(array);
+    }
+    return contents;
+}
+
+/* The writable arrays of a dictionary that nobody else has, and what they hold: see robust_filterpy.filters.snapshot. */
+static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
+    PyObject *arrays, *contents, *found, *key, *value;
+    Py_ssize_t place = 0;
+    (void)self;
+    if (!PyDict_CheckExact(attributes)) {
+        PyErr_SetString(PyExc_TypeError, "copied_arrays: expected a dictionary");
+        return NULL;
+    }
+    arrays = PyList_New(0);
+    while (arrays && PyDict_Next(attributes, &place, &key, &value)) {
+        PyObject *copy, *pair;
+        int added;
+        if (!PyArray_CheckExact(value) || !PyArray_ISWRITEABLE((PyArrayObject *)value)) continue;
+        if (in_one_piece((PyArrayObject *)value)) {
+            added = PyList_Append(arrays, value);
+        } else {
+            copy = PyArray_NewCopy((PyArrayObject *)value, NPY_KEEPORDER);
+            pair = copy ? PyTuple_Pack(2, value, copy) : NULL;
+            added = pair ? PyList_Append(arrays, pair) : -1;
+            Py_XDECREF(copy);
+            Py_XDECREF(pair);
+        }
+        if (added < 0) Py_CLEAR(arrays);
+    }
+    contents = arrays ? contents_of(arrays) : NULL;
+    found = contents ? PyTuple_Pack(2, arrays, contents) : NULL;
+    Py_XDECREF(arrays);
+    Py_XDECREF(contents);
+    return found;
+}
+
+PyMethodDef step_functions[] = {
+    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u, B, F, Q), None for its own."},
+    {"predict_covariance", covariance_step, METH_O, "Predict a filter's P, and leave x where it is."},
+    {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
+     "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
+    {"correct_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,
+     "Correct a filter's state by an innovation: (filter, z, its prediction or None, y or None, C, S, R or None); the "
+     "Jacobian for C, and then None for S."},
+    {"correct_arrays", (PyCFunction)(void (*)(void))correct_arrays, METH_FASTCALL,
+     "Correct a state by psi; see robust_filterpy.kernel.moments."},
+    {"copied_arrays", copied_arrays, METH_O, "Return the writable arrays of a dictionary, and what they hold."},
+    {NULL, NULL, 0, NULL}};
