@@ -301,13 +301,13 @@ def _model(tracker: ParameterTracker) -> dict[str, Any]:
     model["Q"] = symmetric("Q", process_noise(kf.Q, None, n))
     alpha_sq = float(tracker.state()["alpha_sq"])
     if alpha_sq != 1.0:
-        model |= {"alpha_sq": alpha_sq, "windup": float(tracker.now.windup[0])}
+        model |= {"alpha_sq": alpha_sq, "windup": float(tracker.now.part("windup")[0])}
     _, _, mean, memory, rounding = tracker.now.scale[0].tolist()
     if memory:
         model |= {"R_memory": memory, "R_mean": mean, "R_rounding": rounding}
     else:
         model["R"] = tracker.R
-    return model | ({"centre": float(tracker.now.centre[0])} if tracker.form.has_offset else {})
+    return model | ({"centre": float(tracker.now.part("centre")[0])} if tracker.form.has_offset else {})
 
 
 def _start(tracker: ParameterTracker) -> dict[str, Any]:

@@ -21,7 +21,6 @@ from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.notices import StuckSensorWarning, say_stuck_among
 from robust_filterpy.filters.states import moved_shapes
-from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
 from robust_filterpy.identification.recursive.tracker import ParameterTracker, keeps_spread
 from robust_filterpy.kernel import series as kernel
@@ -309,12 +308,11 @@ def _samples_together(tracker: ParameterTracker, settings: dict[str, Array], wor
         work.entries[name][rows] = column
 
 
-def _write(tracker: ParameterTracker, work: Work, places: Any, out: Columns) -> None:
+def _write(tracker: ParameterTracker, work: Work, places: Any, out: Array) -> None:
     """Write what samples gave into the columns."""
     own = tracker.form.own
-    std = np.sqrt(np.maximum(out.variance[..., own], 0.0))
-    numbers = np.stack((out.prediction, out.residual, out.weights, out.guard), axis=-1)
-    work.columns[places] = np.concatenate((out.theta[..., own], std, numbers), axis=-1)
+    std = np.sqrt(np.maximum(out[..., tracker.form.layout.n + own], 0.0))
+    work.columns[places] = np.concatenate((out[..., own], std, out[..., -4:]), axis=-1)
 
 
 def _through(tracker: ParameterTracker, work: Work, first: int, stop: int) -> None:

@@ -3,6 +3,8 @@
 
 #include "tracker.h"
 
+#define STAYS 5 /* numbers of an actuator that stay: centre, windup and three that the kernel has no use for */
+
 /* Signals of all actuators; strides in numbers, 0 where an axis is shared. */
 typedef struct {
     const double *data;
@@ -12,14 +14,14 @@ typedef struct {
 typedef struct {
     tracker_layout layout;
     series_matrices options, F, Q; /* (RULE_NUMBERS), (n, n), (n, n) of each actuator or of all; one step */
-    const double *alpha_sq, *windup, *centre;
+    const double *alpha_sq;
     const npy_intp *flags; /* (actuators, 5): filtered, guard, cleans, learns, judges */
     npy_intp actuators, samples;
     signal y, u, R;        /* R has no data where none is given */
-    double *state[11];     /* the arrays of tracker_state in its order */
-    npy_intp sizes[11];
-    double *theta, *variance, *prediction, *residual, *weights; /* what is written, (actuators, samples, ..) */
-    npy_intp *guard, *done;
+    double *moved;         /* (actuators, width): the arrays of tracker_state in its order, then centre and windup */
+    npy_intp sizes[11], width;
+    double *out;           /* (actuators, samples, 2 n + 4): theta, variances, prediction, residual, weight, guard */
+    npy_intp *done;
 } job;
 
 static int is_identity(const int n, const double *F) {
@@ -46,30 +48,32 @@ INLINE void one_actuator(const job *const j, const int n, const npy_intp i, doub
     const double *const F = j->F.data + i * j->F.by_series;
     tracker_rule rule = {.filtered = flags[0] != 0, .guard = (int)flags[1], .cleans = flags[2] != 0,
                          .learns = flags[3] != 0, .judges = flags[4] != 0, .F = is_identity(n, F) ? NULL : F,
-                         .Q = j->Q.data + i * j->Q.by_series, .alpha_sq = j->alpha_sq[i], .windup = j->windup[i]};
-    double *at[11];
-    for (int a = 0; a < 11; a++) at[a] = j->state[a] + i * j->sizes[a];
+                         .Q = j->Q.data + i * j->Q.by_series, .alpha_sq = j->alpha_sq[i]};
+    double *at[12] = {j->moved + i * j->width};
+    for (int a = 0; a < 11; a++) at[a + 1] = at[a] + j->sizes[a];
     const tracker_state state = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8],
                                  (tracker_scale *)at[9], (tracker_readings *)at[10]};
+    const double centre = at[11][0];
+    rule.windup = at[11][1];
     npy_intp k = 0;
     j->done[i] = 0;
     if (!rule_of_numbers(j->options.data + i * j->options.by_series, &rule.correction)) return;
     if (!is_settled(n, state.P) || !is_settled(n, rule.Q)) return;
     for (; k < j->samples; k++) {
-        const double y = j->y.data[i * j->y.by_actuator + k * j->y.by_sample] - j->centre[i];
+        const double y = j->y.data[i * j->y.by_actuator + k * j->y.by_sample] - centre;
         const double given = j->R.data ? j->R.data[i * j->R.by_actuator + k * j->R.by_sample] : (double)NAN;
-        const npy_intp row = i * j->samples + k;
+        double *const row = j->out + (i * j->samples + k) * (2 * n + 4), *const shown = row + 2 * n;
         tracker_sample sample;
         if (!tracker_step(&j->layout, n, &rule, &state, y, j->u.data + i * j->u.by_actuator + k * j->u.by_sample, given,
                           &sample, work))
             break;
-        j->prediction[row] = sample.prediction + j->centre[i];
-        j->residual[row] = sample.residual;
-        j->weights[row] = sample.weight;
-        j->guard[row] = sample.guard;
+        shown[0] = sample.prediction + centre;
+        shown[1] = sample.residual;
+        shown[2] = sample.weight;
+        shown[3] = sample.guard;
         for (int p = 0; p < n; p++) {
-            j->theta[row * n + p] = state.theta[p];
-            j->variance[row * n + p] = state.P[p * n + p];
+            row[p] = state.theta[p];
+            row[n + p] = state.P[p * n + p];
         }
     }
     j->done[i] = k;
@@ -138,18 +142,18 @@ static int take_layout(PyObject *object, const int n, const npy_intp width, trac
 }
 
 static PyObject *track(PyObject *self, PyObject *arguments) {
-    PyObject *groups[6], *given[7], *signals[3], *state[11], *out[6], *layout, *y, *u, *R;
+    PyObject *groups[6], *given[5], *signals[3], *layout, *y, *u, *R;
     job j = {0};
     double *work = NULL;
     int *room = NULL;
     (void)self;
-    if (!take_objects(arguments, 6, groups) || !take_objects(groups[1], 7, given) ||
-        !take_objects(groups[2], 3, signals) || !take_objects(groups[3], 11, state) || !take_objects(groups[4], 6, out))
+    if (!take_objects(arguments, 6, groups) || !take_objects(groups[1], 5, given) ||
+        !take_objects(groups[2], 3, signals))
         goto refused;
     layout = groups[0], y = signals[0], u = signals[1], R = signals[2];
-    if (!is_array(y, 2) || !is_array(state[0], 2) || !is_array(u, 3) || !is_array(layout, 1)) goto refused;
+    if (!is_array(y, 2) || !is_array(groups[4], 3) || !is_array(u, 3) || !is_array(layout, 1)) goto refused;
     j.actuators = PyArray_DIM((PyArrayObject *)y, 0), j.samples = PyArray_DIM((PyArrayObject *)y, 1);
-    const npy_intp n = PyArray_DIM((PyArrayObject *)state[0], 1), width = PyArray_DIM((PyArrayObject *)u, 2);
+    const npy_intp n = (PyArray_DIM((PyArrayObject *)groups[4], 2) - 4) / 2, width = PyArray_DIM((PyArrayObject *)u, 2);
     if (n < 1 || n > 10000) goto refused;
     room = PyMem_Malloc((size_t)(PyArray_DIM((PyArrayObject *)layout, 0) + 1) * sizeof(int));
     work = PyMem_Malloc(tracker_work((int)n) * sizeof(double));
@@ -161,30 +165,20 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
     {
         const tracker_layout *const l = &j.layout;
         const npy_intp past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
-        const npy_intp shapes[11][3] = {{0, n, 0}, {0, n, n}, {0, past, 0}, {0, past, 0}, {0, l->length, 0},
-                                        {0, l->nc, 0}, {0, l->nf, 0}, {0, rows, n}, {0, l->nc, n}, {0, 5, 0},
-                                        {0, (npy_intp)(sizeof(tracker_readings) / sizeof(double)), 0}};
-        for (int a = 0; a < 11; a++) {
-            const npy_intp shape[3] = {j.actuators, shapes[a][1], shapes[a][2]};
-            const int ndim = a == 1 || a == 7 || a == 8 ? 3 : 2;
-            j.sizes[a] = shape[1] * (ndim == 3 ? shape[2] : 1);
-            j.state[a] = writable(state[a], ndim, shape);
-            if (!j.state[a]) goto refused;
-        }
+        const npy_intp sizes[11] = {n, n * n, past, past, l->length, l->nc, l->nf, rows * n, l->nc * n,
+                                    (npy_intp)(sizeof(tracker_scale) / sizeof(double)),
+                                    (npy_intp)(sizeof(tracker_readings) / sizeof(double))};
+        j.width = STAYS;
+        for (int a = 0; a < 11; a++) j.width += j.sizes[a] = sizes[a];
+        j.moved = writable(groups[3], 2, (npy_intp[]){j.actuators, j.width});
     }
-    {
-        const npy_intp wide[3] = {j.actuators, j.samples, n};
-        j.alpha_sq = vector_of(given[3], j.actuators), j.windup = vector_of(given[4], j.actuators);
-        j.centre = vector_of(given[5], j.actuators), j.flags = integers(given[6], j.actuators, 5);
-        j.theta = writable(out[0], 3, wide), j.variance = writable(out[1], 3, wide);
-        j.prediction = writable(out[2], 2, wide), j.residual = writable(out[3], 2, wide);
-        j.weights = writable(out[4], 2, wide), j.guard = integers(out[5], j.actuators, j.samples);
-        j.done = integers(groups[5], j.actuators, -1);
-    }
+    j.alpha_sq = vector_of(given[3], j.actuators), j.flags = integers(given[4], j.actuators, 5);
+    j.out = writable(groups[4], 3, (npy_intp[]){j.actuators, j.samples, 2 * n + 4});
+    j.done = integers(groups[5], j.actuators, -1);
     if (!take_matrices(&j.options, given[0], j.actuators, 1, RULE_NUMBERS, 0) ||
         !take_matrices(&j.F, given[1], j.actuators, 1, n, n) || !take_matrices(&j.Q, given[2], j.actuators, 1, n, n) ||
-        !j.alpha_sq || !j.windup || !j.centre || !j.flags || !j.theta || !j.variance || !j.prediction || !j.residual ||
-        !j.weights || !j.guard || !j.done || !take_signal(y, &j, -1, &j.y) || !take_signal(u, &j, width, &j.u) ||
+        !j.alpha_sq || !j.moved || !j.flags || !j.out || !j.done ||
+        !take_signal(y, &j, -1, &j.y) || !take_signal(u, &j, width, &j.u) ||
         (R != Py_None && !take_signal(R, &j, -1, &j.R)))
         goto refused;
     Py_BEGIN_ALLOW_THREADS;

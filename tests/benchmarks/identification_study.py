@@ -388,7 +388,7 @@ def noise_scale(arguments):
                 # As if nothing had been seen of the noise before.
                 trackers[name].filter.R = np.array([[factor * SIGMA**2]])
                 now = trackers[name]._now
-                trackers[name]._now = now._replace(scale=now.scale * [1.0, 0.0, 1.0, 1.0])
+                trackers[name]._now = now.with_parts(scale=now.scale * [1.0, 0.0, 1.0, 1.0])
             for name, one in trackers.items():
                 one.run(y[400:], u[400:])
                 errors[name].append(np.linalg.norm(one.theta - truth))

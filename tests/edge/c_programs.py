@@ -208,10 +208,10 @@ def tracker_case(name, seed, steps=60, start=0):
     tracker.enabled = rng.random() < 0.95
     if tracker.form.has_offset and not start:
         # As a start would have found it.
-        tracker._now = tracker._now._replace(centre=np.array([0.2]))
+        tracker._now = tracker._now.with_parts(centre=0.2)
     if rng.random() < 0.3:
         # As if it had been forgetting for long.
-        tracker._now = tracker._now._replace(windup=np.array([0.3 * float(np.trace(tracker.filter.P))]))
+        tracker._now = tracker._now.with_parts(windup=0.3 * float(np.trace(tracker.filter.P)))
     return case(name, tracker, np.column_stack((u, y)), inputs)
 
 

@@ -285,6 +285,17 @@ def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
         bank.restore(spoilt)
 
 
+def test_samples_may_come_in_one_array_that_is_written_over():
+    rng, reused = np.random.default_rng(1), np.zeros((2, 2))
+    u = rng.choice([-1.0, 1.0], (120, 2))
+    y = lfilter([0.0, 1.0], [1.0, -0.8], u, axis=0) + 0.1 * rng.normal(size=u.shape)
+    one, other = (TrackerBank(2, ARX(1, 1), start=100) for _ in range(2))
+    for sample in zip(y, u, strict=True):
+        reused[:] = sample
+        one.update(*reused), other.update(*sample)
+    same(one.state(), other.state())
+
+
 def test_unstable_model_is_restored_where_no_guard_keeps_it_stable():
     bank = support.paper_bank(2, ARMAX(1, 1, 1), guard=["none", "halve"])
     theta = np.array([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]])

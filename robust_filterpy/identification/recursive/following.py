@@ -17,7 +17,6 @@ from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.snapshot import put_back, snapshot
 from robust_filterpy.filters.states import go_on_with
-from robust_filterpy.identification.models.results import Columns
 from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup, track
@@ -98,8 +97,9 @@ class Following:
         part = object.__new__(kind)
         filters = self._filters if len(self._filters) == 1 else [self._filters[i] for i in which]
         vars(part).update({
-            **vars(self), "n": len(which), "form": self.form.rows(which), "_now": self.now.rows(which),
-            "_enabled": self._enabled[which], "_filters": filters, "_used": None, "_asked": False,
+            **vars(self), "n": len(which), "form": self.form._replace(flags=self.form.flags[which]),
+            "_now": self.now.rows(which), "_enabled": self._enabled[which], "_filters": filters, "_used": None,
+            "_asked": False,
         })  # fmt: skip
         return part
 
@@ -149,7 +149,7 @@ class Following:
     def R(self, value: ArrayLike) -> None:
         scale = self._now.scale.copy()
         scale[:, 0], scale[:, 3] = setup.variances(value, self.n), 0.0
-        self._now = self._standing()._replace(scale=scale)
+        self._now = self._standing().with_parts(scale=scale)
         if self._asked:
             self._load()
 
@@ -157,13 +157,13 @@ class Following:
     def offset(self) -> Any:
         """Constant of the equation: what an OutputError, FIR or LinearRegression adds to the output; 0 without one."""
         a, f, constant = self._at_rest
-        return self._alone(self._now.centre * a + _over(constant, f))
+        return self._alone(self._now.part("centre") * a + _over(constant, f))
 
     @property
     def level(self) -> Any:
         """What the output is at rest; the center that was taken off y if the model integrates."""
         a, f, constant = self._at_rest
-        return self._alone(self._now.centre + _over(constant, a * f))
+        return self._alone(self._now.part("centre") + _over(constant, a * f))
 
     @property
     def _at_rest(self) -> tuple[Array, Array, Array]:
@@ -225,34 +225,36 @@ class Following:
         plain = all(setup.is_plain(kf, self.form.layout.n) for kf in filters)
         rules = track.rules_of(tuple(kf.choices for kf in filters)) if plain else None
         F, Q = (np.array([getattr(kf, name) for kf in filters], dtype=float)[:, None] for name in "FQ")
-        alpha_sq = np.array([float(vars(kf)["_alpha_sq"]) for kf in filters])
+        alpha_sq, flags = np.array([float(vars(kf)["_alpha_sq"]) for kf in filters]), self.form.flags.copy()
+        flags[:, 3] = self._enabled
         using = track.Settings(
-            rules, F, Q, alpha_sq.repeat(n // len(filters)), self._enabled, lambda i: filters[i % len(filters)], place
+            rules, F, Q, alpha_sq.repeat(n // len(filters)), flags, lambda i: filters[i % len(filters)], place
         )
         self._used = key, using
         return using
 
-    def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Columns:
+    def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Array:
         """Take checked samples (n, N), and say what is to be said; the caller undoes what is refused."""
-        using, take = self._using(first), track.step if y.shape[1] == 1 else track.advance
-        # By the definition, the filter shows its correction.
-        using = using._replace(rules=None) if self._asked and y.shape[1] == 1 else using
-        self._now, out, news = take(self.form, using, self._standing(), y, u, R)
+        using = self._using(first)
+        if self._asked and y.shape[1] == 1:
+            # By the definition, the filter shows its correction.
+            using = using._replace(rules=None)
+        self._now, out, news = track.advance(self.form, using, self._standing(), y, u, R)
         if self._asked:
             self._load()
         self._say(news)
         return out
 
-    def _updated(self, y: Any, u: Any, R: Any) -> tuple[np.ndarray, ...]:
-        """Take one sample of each actuator and return prediction, residual, weight and guard, (n, 1)."""
-        outputs, inputs = setup.outputs(y, self.n, False)[:, None], setup.inputs(self.structure, u, self.n)[:, None]
+    def _updated(self, y: Any, u: Any, R: Any) -> Array:
+        """Take one sample of each actuator and return prediction, residual, weight and guard, (n, 4)."""
+        outputs, inputs = setup.outputs(y, self.n)[:, None], setup.inputs(self.structure, u, self.n)[:, None]
         variances = None if R is None else setup.variances(R, self.n)[:, None]
         before = self._held()
         try:
             out = self._taken(None, outputs, inputs, variances)
             if self._time is not None:
                 self._time = self._time[0], self._time[1] + 1
-            return out[2:]
+            return out[:, 0, -4:]
         except BaseException:
             self._put_back(before)
             raise
@@ -267,17 +269,18 @@ class Following:
         length, size = len(y), max(1, _CHUNK // (self.n * self.form.layout.n))
         variances = None if R is None else setup.variances(R, self.n, length)
         rows, time = np.arange(every - 1, length, every), self._time_after(axis, length)
-        columns = Columns.empty(rows.size, self.n, self.form.layout.n)
+        kept = np.empty((rows.size, self.n, self.form.width))
         before = self._held()
         try:
             with stages(self._name, progress):
-                for k in range(0, length, size):
-                    part = slice(k, k + size)
+                # If somebody has the filter, the last one by itself, which the filter shows.
+                ends = sorted({*range(size, length, size), length - self._asked, length} - {0})
+                for k, stop in zip([0, *ends], ends, strict=False):
+                    part = slice(k, stop)
                     noise = None if variances is None else variances[part].T
                     out = self._taken(k, y[part].T, u[part].swapaxes(0, 1), noise)
                     due = np.flatnonzero((rows >= k) & (rows < part.stop))
-                    for column, values in zip(columns, out, strict=True):
-                        column[due] = values[:, rows[due] - k].swapaxes(0, 1)
+                    kept[due] = out[:, rows[due] - k].swapaxes(0, 1)
             self.dt, self._time = axis.dt if self.dt is None else self.dt, time
             filled = [f"{name}{fill.said}" for name, fill in zip(names or [""], fills, strict=True) if fill.values]
             if filled:
@@ -286,9 +289,9 @@ class Following:
         except BaseException:
             self._put_back(before)
             raise
-        theta, variance, *others = columns
-        own = self.form.own
-        return [theta[..., own], np.sqrt(np.maximum(variance[..., own], 0.0)), *others], rows
+        own, (*others, guard) = self.form.own, np.ascontiguousarray(np.moveaxis(kept[..., -4:], -1, 0))
+        std = np.sqrt(np.maximum(kept[..., self.form.layout.n + own], 0.0))
+        return [kept[..., own], std, *others, guard.astype(np.int64)], rows
 
     def _time_after(self, axis: TimeAxis, samples: int) -> tuple[Any, int] | None:
         """Return the time after a recording; warn if samples are missing before it, and raise if it goes back."""
@@ -436,10 +439,10 @@ class Following:
 def joined(trackers: Sequence[Any]) -> dict[str, Any]:
     """Return form, state and filters of trackers, each of one actuator, as attributes of as many."""
     forms = [tracker.form for tracker in trackers]
-    words = {name: np.concatenate([getattr(form, name) for form in forms]) for name in ("gradient", "guard", "flags")}
+    flags = np.concatenate([form.flags for form in forms])
     filters, now = [tracker._filters[0] for tracker in trackers], State.joined([tracker.now for tracker in trackers])
     enabled = np.ones(len(forms), dtype=bool)
-    return {"form": forms[0]._replace(**words), "_now": now, "_filters": filters, "_enabled": enabled}
+    return {"form": forms[0]._replace(flags=flags), "_now": now, "_filters": filters, "_enabled": enabled}
 
 
 def _over(constant: Array, gain: Array) -> Array:

@@ -25,6 +25,7 @@ from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.regressor import (
     CLEANED_FROM,
     GUARDS,
+    Guard,
     Layout,
     Memory,
     are_stable,
@@ -37,6 +38,13 @@ from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.watch import Followed, Windows
 
+#: What the gain is computed from.
+Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
+GRADIENTS: Final[tuple[Gradient, ...]] = ("pseudolinear", "filtered")
+#: Which outputs an ARX or ARMAX has in its regressor.
+Regressor: TypeAlias = Literal["measured", "cleaned"]
+REGRESSORS: Final[tuple[Regressor, ...]] = ("measured", "cleaned")
+
 #: With forgetting and no excitation P grows without end; at so many times its first trace it stops.
 WINDUP = 1e8
 #: What was learned of the readings, and for how many samples the sensor has been stuck.
@@ -44,6 +52,8 @@ READINGS = repeats.WIDTH + 1
 #: What decides about another start: whether and of how many samples, samples seen, what is usual, what is rounding, and
 #: the scores of the gain.
 WATCHED = 8 + 2 * gain.BLOCKS
+# What a record has one number of.
+_ALONE: Final = ("centre", "windup", "begun", "restarts", "samples")
 # A recording that tells nothing yet may become so many times as long before its oldest samples go.
 _LONGEST: Final = 4
 
@@ -60,29 +70,33 @@ class Form(NamedTuple):
     cleans: bool
     #: Whether outputs are judged at all, so that a sensor may be found to be stuck.
     judges: bool
-    #: "filtered" or "pseudolinear", (n,).
-    gradient: np.ndarray
-    #: One of `GUARDS`, (n,).
-    guard: np.ndarray
-    #: What the kernel is to do, (n, 5): gradient filtered, guard, cleans, learns (written by the driver), judges.
+    #: What the kernel is to do, (n, 5): gradient filtered, place in `GUARDS`, cleans, learns (written by the driver),
+    #: judges.
     flags: np.ndarray
 
     @classmethod
     def of(
-        cls, structure: Structure, layout: Layout, has_offset: bool, cleans: bool, judges: bool, gradient: Any,
-        guard: Any,
+        cls, structure: Structure, layout: Layout, has_offset: bool, cleans: bool, judges: bool, gradient: Gradient,
+        guard: Guard,
     ) -> Form:  # fmt: skip
-        """Return the form of n actuators, gradient and guard being arrays (n,) of words."""
+        """Return the form of one actuator."""
         places = np.arange(layout.n)
         own = np.delete(places, structure.constant_place) if has_offset else places
-        flags = np.empty((len(guard), 5), dtype=np.intp)
-        flags[:, 0], flags[:, 1] = gradient == "filtered", [GUARDS.index(name) for name in guard]
-        flags[:, 2], flags[:, 3], flags[:, 4] = cleans, True, judges
-        return cls(structure, layout, own, has_offset, cleans, judges, gradient, guard, flags)
+        flags = np.array([[gradient == "filtered", GUARDS.index(guard), cleans, True, judges]], dtype=np.intp)
+        return cls(structure, layout, own, has_offset, cleans, judges, flags)
 
-    def rows(self, which: np.ndarray) -> Form:
-        """Return the form of some actuators."""
-        return self._replace(gradient=self.gradient[which], guard=self.guard[which], flags=self.flags[which])
+    @property
+    def record(self) -> np.dtype[Any]:
+        """What a sample moves of an actuator, and what stays with it, in the order of ``tracker.c``."""
+        d, past = self.layout.n, self.layout.shapes()
+        shapes = {"theta": (d,), "P": (d, d), **{name: past[name] for name in Memory._fields}, "scale": (5,)}
+        each = [(name, float, shape) for name, shape in (shapes | {"readings": (READINGS,)}).items()]
+        return np.dtype([*each, *((name, float, ()) for name in _ALONE)])
+
+    @property
+    def width(self) -> int:
+        """How many numbers a sample gives: theta, its variances, prediction, residual, weight and guard."""
+        return 2 * self.layout.n + 4
 
     @property
     def n_signals(self) -> int:
@@ -150,7 +164,7 @@ def _until_next(samples: int, size: int, n_theta: int) -> int:
 class Unjudged(NamedTuple):
     """Samples that came one by one and wait to be looked at together."""
 
-    #: y, u, prediction, residual, weight and guard of each, with the axes (n, 1).
+    #: y, u, and prediction, residual, weight and guard of each, with the axes (n, 1).
     samples: tuple[tuple[Any, ...], ...] = ()
     #: After how many the next look at anything is.
     due: int = 0
@@ -158,7 +172,8 @@ class Unjudged(NamedTuple):
     looked_at: int = 0
     #: The actuators that start anew if their residuals follow the inputs.
     watched: Any = None
-    enabled: bytes = b""
+    #: What the kernel was to do, with who learns.
+    flags: Any = None
     #: For how many samples each sensor had been stuck before.
     stuck: Any = None
 
@@ -166,70 +181,70 @@ class Unjudged(NamedTuple):
 class State(NamedTuple):
     """Parameters, covariances, past signals and what decides about another start, of n actuators."""
 
-    #: With the constant, where there is one, (n, d).
-    theta: Array
-    P: Array
-    past: Memory
-    #: R and the fields of `NoiseScale`, (n, 5).
-    scale: Array
-    #: What was learned of the readings, as in `correction.repeats`, and for how many samples the sensor has been stuck,
-    #: (n, 7).
-    readings: Array
-    #: What is taken off the outputs, so that the constant is small, (n,).
-    centre: Array
-    #: Trace of P beyond which it stops growing, (n,).
-    windup: Array
-    #: Whether there is a model, (n,).
-    begun: np.ndarray
-    #: Whether another model may be made when this one is no longer the plant's, (n,).
-    restarts: np.ndarray
-    #: How many samples a start may look at, (n,).
-    samples: np.ndarray
+    #: What a sample moves of each actuator, and what stays with it, (n, W), which `record` divides into parts: theta, P
+    #: (with the constant, where there is one) and the fields of `Memory`; scale, R and the fields of `NoiseScale`;
+    #: readings, what was learned of them, as in `correction.repeats`, and for how many samples the sensor has been
+    #: stuck; centre, what is taken off the outputs, so that the constant is small; windup, the trace of P beyond which
+    #: it stops growing; begun, whether there is a model; restarts, whether another may be made when this one is no
+    #: longer the plant's; samples, how many a start may look at.
+    moved: Array
+    record: np.dtype[Any]
     #: The actuators that look for a model.
     starts: Mapping[int, ColdStart]
     followed: Followed
     windows: Windows
     unjudged: Unjudged = Unjudged()
 
-    def copied(self) -> State:
-        """Return it with copies of what a sample moves, to be written into."""
-        past = Memory(*[a.copy() if a.size else a for a in self.past])
-        return State(self.theta.copy(), self.P.copy(), past, self.scale.copy(), self.readings.copy(), *self[5:])
+    def part(self, name: str) -> Array:
+        """Return a part of what moves, with an axis of actuators in front; nobody writes into it."""
+        return part_of(self.moved, self.record, name)
 
-    def rows(self, which: np.ndarray | slice) -> State:
-        """Return the state of some actuators: of a slice in the same arrays, of a list of them in arrays of its own."""
+    @property
+    def theta(self) -> Array:
+        """With the constant, where there is one, (n, d)."""
+        return self.part("theta")
 
-        def taken(part: Any) -> Any:
-            return type(part)(*map(taken, part)) if isinstance(part, tuple) else part[which]
+    @property
+    def P(self) -> Array:
+        """Its covariance, (n, d, d)."""
+        return self.part("P")
 
-        those = enumerate(np.arange(len(self.theta))[which].tolist())
-        starts = {j: self.starts[i] for j, i in those if i in self.starts}
-        arrays = {name: taken(getattr(self, name)) for name in (*State._fields[:_STARTS], "followed", "windows")}
-        return State(**arrays, starts=starts)
+    @property
+    def scale(self) -> Array:
+        """R and the fields of `NoiseScale`, (n, 5)."""
+        return self.part("scale")
+
+    @property
+    def begun(self) -> np.ndarray:
+        """Whether there is a model, (n,)."""
+        return self.part("begun") > 0.0
+
+    @property
+    def past(self) -> Memory:
+        """Past signals."""
+        return Memory(*map(self.part, Memory._fields))
+
+    def with_parts(self, which: Any = slice(None), **parts: Any) -> State:
+        """Return it with parts of what moves, of some actuators, as given."""
+        moved = self.moved.copy()
+        for name, values in parts.items():
+            part_of(moved, self.record, name)[which] = values
+        return self._replace(moved=moved)
+
+    def rows(self, which: np.ndarray) -> State:
+        """Return the state of some actuators."""
+        starts = {j: self.starts[i] for j, i in enumerate(which.tolist()) if i in self.starts}
+        followed = Followed(*(values[which] for values in self.followed))
+        windows = Windows(*(values[which] for values in self.windows))
+        return State(self.moved[which], self.record, starts, followed, windows)
 
     @classmethod
     def joined(cls, states: Sequence[State]) -> State:
         """Return the states of several actuators, of one each, as one."""
-
-        def whole(*parts: Any) -> Any:
-            return type(parts[0])(*map(whole, *parts)) if isinstance(parts[0], tuple) else np.concatenate(parts)
-
-        names = (*State._fields[:_STARTS], "followed", "windows")
         starts = {i: state.starts[0] for i, state in enumerate(states) if state.starts}
-        return State(**{name: whole(*(getattr(state, name) for state in states)) for name in names}, starts=starts)
-
-    def with_rows(self, which: np.ndarray, rows: State) -> State:
-        """Return this with some actuators as another state has them; starts, what is followed and windows stay."""
-
-        def replaced(whole: Any, part: Any) -> Any:
-            if isinstance(whole, tuple):
-                return type(whole)(*map(replaced, whole, part))
-            updated = whole.copy()
-            updated[which] = part
-            return updated
-
-        fields = State._fields[:_STARTS]
-        return self._replace(**{name: replaced(getattr(self, name), getattr(rows, name)) for name in fields})
+        followed = Followed(*map(np.concatenate, zip(*(state.followed for state in states), strict=True)))
+        windows = Windows(*map(np.concatenate, zip(*(state.windows for state in states), strict=True)))
+        return State(np.concatenate([one.moved for one in states]), states[0].record, starts, followed, windows)
 
     def arrays(self) -> dict[str, Array]:
         """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
@@ -241,21 +256,23 @@ class State(NamedTuple):
         recorded = np.full((n, int(sizes.max(initial=0)), width - 1), np.nan)
         for i, start in self.starts.items():
             recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
-        rule = np.column_stack((self.centre, self.windup, self.scale[:, 1:4], self.begun, waits))
-        followed = self.followed
-        watch = np.insert(np.column_stack((self.restarts, self.samples, followed.numbers)), 7, self.scale[:, 4], axis=1)
+        part, scale, followed = self.part, self.scale, self.followed
+        rule = np.column_stack((part("centre"), part("windup"), scale[:, 1:4], part("begun"), waits))
+        watch = np.column_stack((part("restarts"), part("samples"), followed.numbers))
+        watch = np.insert(watch, 7, scale[:, 4], axis=1)
         shown = min(int(followed.seen.max(initial=0)), followed.rows.shape[1])
         rows = followed.rows[:, followed.rows.shape[1] - shown :]
         return {
-            "theta": self.theta, "P": self.P, **self.past._asdict(), "recursion": rule, "start": recorded,
-            "kept": sizes, "watch": watch, "followed": rows, "readings": self.readings,
+            **{name: part(name) for name in ("theta", "P", *Memory._fields, "readings")}, "recursion": rule,
+            "start": recorded, "kept": sizes, "watch": watch, "followed": rows,
         }  # fmt: skip
 
     def restored(self, stored: Mapping[str, Array], R: Array) -> State:
         """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said."""
         n = len(self.theta)
         rule = stored["recursion"]
-        watch = stored.get("watch", np.column_stack((self.restarts, self.samples, np.zeros((n, 6)))))
+        own = np.column_stack((self.part("restarts"), self.part("samples")))
+        watch = stored.get("watch", np.column_stack((own, np.zeros((n, 6)))))
         recorded, sizes = stored["start"], stored.get("kept", np.full(n, stored["start"].shape[1]))
         samples = watch[:, 1].astype(int)
         starts = {}
@@ -265,16 +282,17 @@ class State(NamedTuple):
         rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
         rows = stored.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
         followed = Followed.restored(np.delete(watch, 7, axis=1)[:, 2:] if watch.shape[1] > 7 else watch[:, 2:], rows)
-        return State(
-            stored["theta"], stored["P"], Memory(*(stored[name] for name in Memory._fields)),
-            np.column_stack((R, rule[:, 2:5], rounding)), stored.get("readings", np.zeros((n, READINGS))),
-            rule[:, 0].copy(), rule[:, 1].copy(), rule[:, 5] > 0.0,
-            watch[:, 0] > 0.0, samples, starts, followed, self.windows.emptied(),
+        scale = np.column_stack((R, rule[:, 2:5], rounding))
+        return State(np.zeros(self.moved.shape), self.record, starts, followed, self.windows.emptied()).with_parts(
+            **{name: stored[name] for name in ("theta", "P", *Memory._fields)}, scale=scale,
+            readings=stored.get("readings", 0.0), centre=rule[:, 0], windup=rule[:, 1], begun=rule[:, 5],
+            restarts=watch[:, 0], samples=samples,
         )  # fmt: skip
 
 
-# All fields before these are arrays of the actuators, or tuples of such.
-_STARTS = State._fields.index("starts")
+def part_of(moved: Array, record: np.dtype[Any], name: str) -> Array:
+    """Return a part of what moves, to be written into."""
+    return np.asarray(moved.view(record)[name][:, 0])
 
 
 def padded(parts: Any) -> Array:
@@ -294,15 +312,13 @@ def apart(whole: Array, lengths: np.ndarray) -> np.ndarray:
 
 
 def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, begun: bool) -> State:
-    """Return the state of n actuators that have seen nothing; begun: whether they are to begin without a start."""
-    n, structure = len(theta), form.structure
-    past = Memory.at_rest(form.layout, n)
-    starts = {} if begun else {i: ColdStart.of(structure.n_theta, structure.n_inputs, samples) for i in range(n)}
-    windup = WINDUP * np.maximum(np.trace(P, axis1=1, axis2=2), 1e-300)
-    return State(
-        theta, P, past, scale, np.zeros((n, READINGS)), np.zeros(n),
-        windup, np.full(n, begun), np.full(n, not begun), np.full(n, samples), starts,
-        Followed.none(n, form.n_signals), Windows.none(n),
+    """Return the state of an actuator that has seen nothing; begun: whether it is to begin without a start."""
+    structure, record = form.structure, form.record
+    starts = {} if begun else {0: ColdStart.of(structure.n_theta, structure.n_inputs, samples)}
+    moved = np.zeros((1, record.itemsize // 8))
+    return State(moved, record, starts, Followed.none(1, form.n_signals), Windows.none(1)).with_parts(
+        theta=theta, P=P, scale=scale, windup=WINDUP * max(float(np.trace(P)), 1e-300), begun=begun,
+        restarts=not begun, samples=samples,
     )  # fmt: skip
 
 
@@ -322,7 +338,7 @@ def checked(
         if name in stored and not (stored[name] > 0.0 if name == "R" else stored[name] >= 1.0).all():
             raise _state.StateError(f"state: expected {name} {least}, got {_checks.shown(stored[name])}")
     _require_plausible(stored)
-    guarded = form.guard != "none"
+    guarded = form.flags[:, 1] > GUARDS.index("none")
     if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(stored["theta"])[guarded]):
         raise _state.StateError(
             "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
@@ -364,13 +380,6 @@ def _require_plausible(stored: Mapping[str, Array]) -> None:
 
 # One sample of one actuator.
 
-#: What the gain is computed from.
-Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
-GRADIENTS: Final[tuple[Gradient, ...]] = ("pseudolinear", "filtered")
-#: Which outputs an ARX or ARMAX has in its regressor.
-Regressor: TypeAlias = Literal["measured", "cleaned"]
-REGRESSORS: Final[tuple[Regressor, ...]] = ("measured", "cleaned")
-
 # The sharpness of a sample is phi'phi tr(P)/R, about by how much it may shrink P in its direction.
 # The rounding of one correction is about 1e-16 P times the sharpness; from here on it is mended.
 SHARP: Final = 1e6
@@ -404,13 +413,13 @@ class NoiseScale(NamedTuple):
 class Recursion:
     """One of the actuators of a form on its way: a filter with theta as its state, what it remembers, how R moves."""
 
-    def __init__(self, form: Form, i: int, kf: Any, now: State, enabled: bool) -> None:
-        """Go on from a state, which is that of actuator i alone."""
-        self.filter, self.layout, self.cleans, self.enabled = kf, form.layout, form.cleans, enabled
-        self.judges, self.readings = form.judges, now.readings[0].copy()
-        self.guard, self.filtered = str(form.guard[i]), form.gradient[i] == "filtered" and form.layout.is_filtered
-        self.memory, self.windup = Memory(*(a[0] for a in now.past)), float(now.windup[0])
-        self.scale = NoiseScale(*now.scale[0, 1:].tolist())
+    def __init__(self, form: Form, flags: np.ndarray, kf: Any, parts: Any) -> None:
+        """Go on from what moves of an actuator, a record, as its flags say."""
+        self.filter, self.layout, self.cleans, self.enabled = kf, form.layout, form.cleans, bool(flags[3])
+        self.judges, self.readings = form.judges, parts["readings"].copy()
+        self.guard, self.filtered = GUARDS[flags[1]], bool(flags[0]) and form.layout.is_filtered
+        self.memory, self.windup = Memory(*(parts[name] for name in Memory._fields)), float(parts["windup"])
+        self.scale = NoiseScale(*parts["scale"][1:].tolist())
 
     def step(self, y: float, u: Array, R: float | None) -> Sample:
         """Take a sample, y from the center and u with the constant."""

@@ -272,7 +272,7 @@ def for_each(make: Callable[[dict[str, Any]], _Made], rows: list[dict[str, Any]]
 # Samples.
 
 
-def outputs(y: Any, n: int, recorded: bool) -> Array:
+def outputs(y: Any, n: int, recorded: bool = False) -> Array:
     """Return measured outputs, shape (n,) or (N, n), NaN where they are missing, or raise."""
     if isinstance(y, float) and n == 1 and -LARGEST <= y <= LARGEST and not recorded:
         return np.array([y])
@@ -282,7 +282,8 @@ def outputs(y: Any, n: int, recorded: bool) -> Array:
         shape = f"(N, {n}), N >= 1," if recorded else f"({n},) or a number" if n == 1 else f"({n},)"
         raise ValueError(f"y: expected shape {shape} for n={n}, got {described(values)}")
     if _have_squares(values):
-        return values
+        # A single sample waits to be looked at, and whoever gave it may write the next one into the same array.
+        return values if recorded else values.copy()
     infinite = np.isinf(values)
     if infinite.any():
         raise ValueError(f"y: expected finite numbers or NaN (missing), got infinity{_where(infinite)}")
@@ -317,7 +318,9 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
             f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; the order is y, u), "
             f"got {values[bad][0]}{_where(where)}; fill in what acted, u.ffill() for a valve that stayed where it was"
         )
-    return values if values.shape == (*time, n, width) else np.broadcast_to(values, (*time, n, width))
+    if values.shape != (*time, n, width):
+        values = np.broadcast_to(values, (*time, n, width))
+    return values if time else values.copy()
 
 
 def _have_squares(values: Array) -> bool:

@@ -23,8 +23,7 @@ from robust_filterpy.identification.estimation.disturbances import Settled, Tren
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
-from robust_filterpy.identification.models.regressor import LARGEST, Memory, are_stable
-from robust_filterpy.identification.models.results import Columns
+from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.recursive import setup
 from robust_filterpy.identification.recursive.recursion import (
@@ -59,8 +58,8 @@ class Settings(NamedTuple):
     Q: Array
     #: (n,)
     alpha_sq: Array
-    #: (n,)
-    enabled: np.ndarray
+    #: Those of the form, and which actuators learn, (n, 5).
+    flags: np.ndarray
     #: The filter of an actuator, for the definition.
     filter_of: Callable[[int], Any]
     #: How an error names a sample of an actuator.
@@ -80,61 +79,41 @@ def settled(form: Form, now: State) -> tuple[State, News]:
     waiting = now.unjudged
     if not waiting.samples:
         return now, []
-    parts = [np.concatenate(part, axis=1) for part in zip(*waiting.samples, strict=True)]
-    y, u, shown = parts[0], parts[1], Columns(*(parts[0], parts[0], *parts[2:]))
-    return _judged(form, now._replace(unjudged=Unjudged()), waiting, y, u, shown)
+    parts = (np.concatenate(part, axis=1) for part in zip(*waiting.samples, strict=True))
+    return _judged(form, now._replace(unjudged=Unjudged()), waiting, *parts)
 
 
-def step(
-    form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None
-) -> tuple[State, Columns, News]:
-    """Return what `advance` does of one sample, N = 1."""
-    # What is looked at from time to time waits until that is due.
-    news: News = []
-    waiting = now.unjudged
-    if waiting.samples and waiting.enabled != using.enabled.tobytes():
-        now, news = settled(form, now)
-        waiting = now.unjudged
-    if using.rules is None or (now.starts and not now.begun.all()):
-        now, out, more = advance(form, using, now, y, u, R)
-        return now, out, news + more
-    if not waiting.samples:
-        waiting = _begun(form, using, now)
-    u = u.copy()
-    wide, narrow = (*y.shape, form.layout.n), y.shape
-    out = Columns._make((*map(np.empty, (wide, wide, narrow, narrow, narrow)), np.empty(narrow, dtype=np.int64)))
-    moved = _through(form, using, now, (y, u, R), out, slice(0, 1))
-    samples = (*waiting.samples, (y, u, *out[2:]))
-    now = State(*moved[:-1], Unjudged(samples, *waiting[1:]))
-    # Of a sensor that is stuck the user hears at once.
-    if len(samples) >= waiting.due or (form.judges and any(now.readings[:, -1].tolist())):
-        now, more = settled(form, now)
-        news += more
-    return now, out, news
-
-
-def advance(
-    form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None
-) -> tuple[State, Columns, News]:
-    """Return what checked samples make of now, their columns with the axes (n, N), and what is to be said."""
-    # y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state.
-    length = y.shape[1]
-    now, said = settled(form, now)
-    out, k = Columns.empty(*y.shape, form.layout.n), 0
+def advance(form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None) -> tuple[State, Array, News]:
+    """Return what checked samples make of now, a row for each with the axes (n, N, ..), and what is to be said."""
+    # y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state. In a row stand theta,
+    # its variances, prediction, residual, weight and guard.
+    said: News = []
+    length, d, k, waiting = y.shape[1], form.layout.n, 0, now.unjudged
+    # What is looked at from time to time waits until that is due, of samples that come one by one.
+    waits = length == 1 and using.rules is not None and not (now.starts and not now.begun.all())
+    if waiting.samples and not (waits and waiting.flags is using.flags):
+        now, said = settled(form, now)
+    out = np.empty((*y.shape, form.width))
     while k < length:
-        waiting = _begun(form, using, now)
+        waiting = now.unjudged if now.unjudged.samples else _begun(form, using, now)
         part = slice(k, min(k + waiting.looked_at, length))
-        stage(f"sample {k} of {length}")
-        for i in np.flatnonzero(~now.begun).tolist():
-            # Without a model yet.
-            out.theta[i, part], out.variance[i, part] = now.theta[i], np.inf
-            out.prediction[i, part] = now.starts[i].levels(y[i, part])[:-1]
-            out.residual[i, part] = y[i, part] - out.prediction[i, part]
-        if now.begun.any():
-            now = _through(form, using, now, (y, u, R), out, part)
-        shown = Columns(*(column[:, part] for column in out))
-        now, news = _judged(form, now, waiting, y[:, part], u[:, part], shown)
-        said += news
+        if not waits:
+            stage(f"sample {k} of {length}")
+            for i in np.flatnonzero(~now.begun).tolist():
+                # Without a model yet.
+                level = now.starts[i].levels(y[i, part])[:-1]
+                out[i, part, :d], out[i, part, d : 2 * d] = now.theta[i], np.inf
+                out[i, part, -4:] = np.column_stack(
+                    (level, y[i, part] - level, np.full(level.size, np.nan), 0.0 * level)
+                )
+        moved = _through(form, using, now, (y, u, R), out, part)
+        samples = (*waiting.samples, (y[:, part], u[:, part], out[:, part, -4:]))
+        now = State(moved, *now[1:-1], Unjudged(samples, *waiting[1:]))
+        # Of a sensor that is stuck the user hears at once.
+        stuck = form.judges and now.part("readings")[:, -1].any()
+        if not waits or len(samples) >= waiting.due or stuck:
+            now, news = settled(form, now)
+            said += news
         k = part.stop
     return now, out, said
 
@@ -143,12 +122,12 @@ def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
     """Return the next outputs (n,), the inputs (n, n_inputs) being u."""
     u, past = form.with_constant(u), now.past
     phi = past.regressor(form.layout, past.with_input(form.layout, u))
-    wound_up = (using.alpha_sq != 1.0) & (np.einsum("ijj->i", now.P) > now.windup)
+    wound_up = (using.alpha_sq != 1.0) & (np.einsum("ijj->i", now.P) > now.part("windup"))
     with np.errstate(over="ignore", invalid="ignore"):
         moved = (using.F[:, 0] @ now.theta[:, :, None])[:, :, 0]
-        theta = np.where((using.enabled & ~wound_up)[:, None], moved, now.theta)
+        theta = np.where((using.flags[:, 3] & ~wound_up)[:, None], moved, now.theta)
         y = np.nan_to_num(np.einsum("ij,ij->i", phi, theta), posinf=LARGEST, neginf=-LARGEST)
-    y = np.clip(y, -LARGEST, LARGEST) + now.centre
+    y = np.clip(y, -LARGEST, LARGEST) + now.part("centre")
     for i in np.flatnonzero(~now.begun).tolist():
         y[i] = now.starts[i].levels(np.zeros(0))[-1]
     return y
@@ -159,45 +138,43 @@ def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
 
 def _begun(form: Form, using: Settings, now: State) -> Unjudged:
     """Return what is needed before the first of some samples to look at them together."""
-    mask = now.restarts & using.enabled & bool(form.structure.n_inputs)
+    mask = (now.part("restarts") > 0.0) & (using.flags[:, 3] > 0) & bool(form.structure.n_inputs)
     mask[list(now.starts)] = False
     watched = np.flatnonzero(mask)
     looked_at = min([now.followed.waits(watched), *(max(start.waits, 1) for start in now.starts.values())])
     due = min(looked_at, now.windows.waits)
-    return Unjudged((), due, looked_at, watched, using.enabled.tobytes(), now.readings[:, -1])
+    return Unjudged((), due, looked_at, watched, using.flags, now.part("readings")[:, -1])
 
 
-def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Columns) -> tuple[State, News]:
+def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Array) -> tuple[State, News]:
     """Return what samples that have been taken say of sensors, models and starts."""
     said: News = []
-    left_out = np.isnan(shown.residual) & ~np.isnan(y)
+    left_out = np.isnan(shown[:, :, 1]) & ~np.isnan(y)
     if left_out.any():
         windows, news = now.windows.once(
             "spoken_of_stuck", long_held(left_out, waiting.stuck), STUCK, StuckSensorWarning
         )
         now, said = now._replace(windows=windows), said + news
     # A model that is looked for still claims nothing.
-    weights = shown.weights.copy()
-    weights[list(now.starts)] = np.nan
-    windows, news = now.windows.seen(
-        weights, shown.guard, shown.residual, now.scale[:, 0], form.has_offset, now.scale[:, 4]
-    )
+    claimed = shown.copy()
+    claimed[list(now.starts), :, 2] = np.nan
+    windows, news = now.windows.seen(claimed[:, :, 1:], now.scale[:, 0], form.has_offset, now.scale[:, 4])
     now, more = _looked(form, now._replace(windows=windows), waiting, y, u, shown)
     return now, said + news + more
 
 
-def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Columns) -> tuple[State, News]:
+def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Array) -> tuple[State, News]:
     """Return what these samples make of the starts, and of those that turn out to be lost."""
     news: News = []
-    watched, enabled = waiting.watched, np.frombuffer(waiting.enabled, dtype=bool)
+    watched = waiting.watched
     for i, start in list(now.starts.items()):
         start = start.added(y[i], u[i])
         now = now._replace(starts={**now.starts, i: start})
-        if enabled[i] and start.waits <= 0:
+        if waiting.flags[i, 3] and start.waits <= 0:
             now, said = _with_model(form, now, i, start)
             news += said
     if watched.size:
-        new = np.concatenate((shown.residual[..., None], shown.prediction[..., None], u), axis=2)[watched]
+        new = np.concatenate((shown[:, :, [1, 0]], u), axis=2)[watched]
         followed, lost = now.followed.looked(
             watched, new, form.structure, now.theta[watched][:, form.own], form.has_offset, now.scale[watched, 4]
         )
@@ -208,7 +185,7 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
                 now = with_gain(form, now, i, one.gain, followed.rows[i, :, 2:].mean(axis=0))
                 news.append(one)
                 continue
-            start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.samples[i]))
+            start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.part("samples")[i]))
             now = now._replace(
                 starts={**now.starts, i: start}, followed=now.followed.forgotten(i), windows=now.windows.forgotten(i)
             )
@@ -266,7 +243,7 @@ def _near(form: Form, now: State, i: int, start: ColdStart) -> Model | None:
     if form.has_offset:
         rest = np.zeros(structure.n_inputs) if structure.takes_phi else operating_point(start.u)
         constant = now.theta[i, structure.constant_place] + rest @ np.array([theta[b].sum() for b in places.b])
-        begin[structure.n_theta] = now.centre[i] * a + constant / f
+        begin[structure.n_theta] = now.part("centre")[i] * a + constant / f
     try:
         model = _identified(form, now, i, start, begin)
     except ValueError:
@@ -282,12 +259,10 @@ def _left(model: Model, start: ColdStart) -> tuple[Array, Array]:
 
 def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
     """Learn from a model's own recording how often the sensor repeats itself, and how white its noise is."""
-    y, row, (nu, _) = measurements(start.y, start.u)[0] - now.centre[i], np.zeros(READINGS), _left(model, start)
+    y, row, (nu, _) = measurements(start.y, start.u)[0] - now.part("centre")[i], np.zeros(READINGS), _left(model, start)
     for k in np.flatnonzero(~np.isnan(y + nu)).tolist():
         note(row, float(y[k]), float(nu[k]))
-    readings = now.readings.copy()
-    readings[i] = row
-    return now._replace(readings=readings)
+    return now.with_parts(i, readings=row)
 
 
 def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tuple[State, News]:
@@ -317,10 +292,9 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
 
 def gone_on(form: Form, now: State, i: int, model: Model) -> State:
     """Return what becomes of actuator i by a model: it goes on at the end of the model's recording."""
-    structure, layout, which = form.structure, form.layout, np.array([i])
-    row = now.rows(which)
+    structure, layout = form.structure, form.layout
     n, places, place = structure.n_theta, structure.polynomials, structure.constant_place
-    x, P, memory, centre = model.theta, model.P, model.memory, float(row.centre[0])
+    x, P, memory, centre = model.theta, model.P, model.memory, float(now.part("centre")[i])
     if form.has_offset:
         # The constant is one more input of B/F, and drives the output from its center.
         centre = model.level
@@ -331,7 +305,7 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
         joint = np.block([[P, cross], [cross.T, square]])
         order = np.insert(np.arange(n), place, n)
         x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
-    P, scale = 0.5 * (P + P.T), row.scale[0].copy()
+    P, scale = 0.5 * (P + P.T), now.scale[i].copy()
     # Of past outputs in the regressor, too.
     scale[4] = math.sqrt(12.0 * model.noise.least * (1.0 + float(np.square(x[layout.a]).sum())))
     if scale[3]:
@@ -347,25 +321,21 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
             gradients=np.insert(memory.gradients, place, response, axis=1),
             prefiltered=np.insert(memory.prefiltered, place, prefiltered, axis=1),
         )
-    windup = WINDUP * max(float(np.trace(P)), 1e-300)
-    begun = row._replace(
-        theta=x[None], P=P[None], past=Memory(*(a[None] for a in memory)), scale=scale[None],
-        centre=np.array([centre]), windup=np.array([windup]), begun=np.array([True]), restarts=np.array([True]),
+    return now.with_parts(
+        i, theta=x, P=P, **memory._asdict(), scale=scale, centre=centre,
+        windup=WINDUP * max(float(np.trace(P)), 1e-300), begun=True, restarts=True,
     )  # fmt: skip
-    return now.with_rows(which, begun)
 
 
 def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
     """Return what becomes of actuator i by a gain that has changed: theta moves by it, and P says how surely."""
-    theta, P = now.theta.copy(), now.P.copy()
-    along, places = np.zeros(theta.shape[1]), form.structure.polynomials
+    theta = now.theta[i]
+    along, places = np.zeros(theta.size), form.structure.polynomials
     for j, b in enumerate(places.b):
-        along[form.own[b]] = theta[i, form.own[b]]
+        along[form.own[b]] = theta[form.own[b]]
         if form.has_offset:
-            along[form.structure.constant_place] -= theta[i, form.own[b]].sum() * u[j]
-    theta[i] += g * along
-    P[i] += g**2 * np.outer(along, along)
-    return now._replace(theta=theta, P=P)
+            along[form.structure.constant_place] -= theta[form.own[b]].sum() * u[j]
+    return now.with_parts(i, theta=theta + g * along, P=now.P[i] + g**2 * np.outer(along, along))
 
 
 # Through the samples.
@@ -373,70 +343,62 @@ def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
 _Signals = tuple[Array, Array, Array | None]
 
 
-def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Columns, part: slice) -> State:
-    """Take samples of the actuators that have begun: by the kernel, and those that it declines by the definition."""
-    # Lists, which of few actuators are faster.
-    everyone = all(now.begun.tolist())
+def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Array, part: slice) -> Array:
+    """Return what moves after samples of the actuators that have begun, of which the kernel may decline some."""
+    everyone = not now.starts or bool(now.begun.all())
     which: Any = slice(None) if everyone else np.flatnonzero(now.begun)
-    moved = now.copied() if everyone else now.rows(which)
-    counts = None if using.rules is None else _by_kernel(form, using, moved, which, signals, out, part)
-    done, length = [0] * len(moved.theta) if counts is None else counts.tolist(), part.stop - part.start
+    moved = now.moved.copy() if everyone else now.moved[which]
+    done, length = [0] * len(moved), part.stop - part.start
+    if using.rules is not None and done:
+        done = _by_kernel(form, using, moved, which, signals, out, part)
     for row in [row for row, count in enumerate(done) if count < length]:
-        one, here = moved.rows(slice(row, row + 1)), np.arange(len(now.begun))[which][row : row + 1]
-        k = part.start + done[row]
+        i, one, k = int(np.arange(len(now.moved))[which][row]), moved[row : row + 1], part.start + done[row]
         while k < part.stop:
             until = part.stop if using.rules is None else k + 1
-            _by_definition(form, using, one, int(here[0]), signals, out, slice(k, until))
+            _by_definition(form, using, one.view(now.record)[0, 0], i, signals, out, slice(k, until))
             k = until
             if k < part.stop:
-                k += int(_by_kernel(form, using, one, here, signals, out, slice(k, part.stop))[0])
-    return moved if everyone else now.with_rows(which, moved)
+                k += _by_kernel(form, using, one, np.array([i]), signals, out, slice(k, part.stop))[0]
+    if everyone:
+        return moved
+    whole = now.moved.copy()
+    whole[which] = moved
+    return whole
 
 
 def _by_kernel(
-    form: Form, using: Settings, now: State, own: np.ndarray | slice, signals: _Signals, out: Columns, part: slice
-) -> np.ndarray:
-    """Advance the state of some actuators in place, and return how many samples of each the kernel has taken."""
-    (y, u, R), done = signals, np.zeros(len(now.theta), dtype=np.intp)
-    (rules, F, Q, alpha_sq), flags, taken, written = using[:4], form.flags, signals, out
-    if not all(using.enabled.tolist()):
-        flags = flags.copy()
-        flags[:, 3] = using.enabled
+    form: Form, using: Settings, moved: Array, own: np.ndarray | slice, signals: _Signals, out: Array, part: slice
+) -> list[int]:
+    """Advance what moves of some actuators in place, and return how many samples of each the kernel has taken."""
+    (y, u, R), done = signals, np.zeros(len(moved), dtype=np.intp)
+    (rules, F, Q, alpha_sq, flags), taken, written = using[:5], signals, out
     if len(done) < len(y):
         rules, F, Q = [a if len(a) == 1 else a[own] for a in (rules, F, Q) if a is not None]
         alpha_sq, flags = alpha_sq[own], flags[own]
     # What a view costs, of one sample is much.
     if len(done) < len(y) or part.stop - part.start < y.shape[1]:
         taken = y[own, part], u[own, part], None if R is None else R[own, part]
-        written = Columns(*(np.ascontiguousarray(column[own, part]) for column in out))
-    kernel.extension().track(
-        form.layout.numbers, (rules, F, Q, alpha_sq, now.windup, now.centre, flags), taken,
-        (now.theta, now.P, *now.past, now.scale, now.readings), tuple(written), done,
-    )  # fmt: skip
-    for column, block in zip(out, () if written is out else written, strict=False):
-        column[own, part] = block
-    return done
+        written = np.ascontiguousarray(out[own, part])
+    kernel.extension().track(form.layout.numbers, (rules, F, Q, alpha_sq, flags), taken, moved, written, done)
+    if written is not out:
+        out[own, part] = written
+    return done.tolist()
 
 
-def _by_definition(
-    form: Form, using: Settings, now: State, i: int, signals: _Signals, out: Columns, part: slice
-) -> None:
-    """Take samples of actuator i, whose state alone this is, by the definition, and write into it."""
-    (y, u, R), kf, centre, k = signals, using.filter_of(i), float(now.centre[0]), part.start
-    setup.load(kf, now.theta[0], now.P[0], float(now.scale[0, 0]))
-    one = Recursion(form, i, kf, now, bool(using.enabled[i]))
+def _by_definition(form: Form, using: Settings, parts: Any, i: int, signals: _Signals, out: Array, part: slice) -> None:
+    """Take samples of actuator i by the definition, and write into the record of what moves of it."""
+    (y, u, R), kf, centre, k = signals, using.filter_of(i), float(parts["centre"]), part.start
+    setup.load(kf, parts["theta"], parts["P"], float(parts["scale"][0]))
+    one = Recursion(form, using.flags[i], kf, parts)
     inputs, outputs = form.with_constant(u[i, part]), (y[i, part] - centre).tolist()
     variances = repeat(None) if R is None else R[i, part].tolist()
     try:
         for k, output, v, r in zip(range(part.start, part.stop), outputs, inputs, variances, strict=False):
             sample = one.step(output, v, r)
-            out.prediction[i, k], out.residual[i, k] = sample.prediction + centre, sample.residual
-            out.weights[i, k], out.guard[i, k] = sample.weight, sample.guard
-            out.theta[i, k], out.variance[i, k] = np.ravel(kf.x), np.diagonal(kf.P)
+            out[i, k] = *np.ravel(kf.x), *np.diagonal(kf.P), sample.prediction + centre, *sample[1:]
     except (ValueError, TypeError, np.linalg.LinAlgError) as error:
         error.args = (f"{using.place(k, i)}{error}", *error.args[1:])
         raise
-    now.theta[0], now.P[0] = np.ravel(kf.x), kf.P
-    now.scale[0], now.readings[0] = (given_variance(kf), *one.scale), one.readings
-    for stack, value in zip(now.past, one.memory, strict=True):
-        stack[0] = value
+    after = {"theta": np.ravel(kf.x), "P": kf.P, "scale": (given_variance(kf), *one.scale), "readings": one.readings}
+    for name, value in {**after, **one.memory._asdict()}.items():
+        parts[name] = value

@@ -21,7 +21,6 @@ from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import (
-    Columns,
     Intervals,
     Recorded,
     Sample,
@@ -247,7 +246,7 @@ class ParameterTracker(Following, PolynomialSystem):
         layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
         judges = self._regressor == "cleaned"
         cleans = judges and structure.na + structure.nd > 0
-        self.form = Form.of(structure, layout, has_offset, cleans, judges, np.array([gradient]), np.array([guard]))
+        self.form = Form.of(structure, layout, has_offset, cleans, judges, gradient, guard)
         own = self.form.own
         choices = {"influence": influence, "scaling": scaling, "information": information}
         kf = setup.make_filter(layout.n, filter, choices)
@@ -257,8 +256,7 @@ class ParameterTracker(Following, PolynomialSystem):
         self.n, self._filters, self._enabled = 1, [kf], np.array([True])
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
         scale = np.array([[given_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
-        x, covariance = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
-        self._now = at_rest(self.form, x, covariance, scale, samples or START, not samples)
+        self._now = at_rest(self.form, np.ravel(kf.x), np.asarray(kf.P), scale, samples or START, not samples)
         self.dt, self._time, self._used = None, None, None
         self._asked = kf is filter
         if model is not None:
@@ -318,12 +316,12 @@ class ParameterTracker(Following, PolynomialSystem):
     @property
     def gradient(self) -> Gradient:
         """What the gain is computed from: "filtered" or "pseudolinear"."""
-        return str(self.form.gradient[0])  # type: ignore[return-value]
+        return GRADIENTS[self.form.flags[0, 0]]
 
     @property
     def guard(self) -> Guard:
         """What happens to an unstable step: "halve", "reject" or "none"."""
-        return str(self.form.guard[0])  # type: ignore[return-value]
+        return GUARDS[self.form.flags[0, 1]]
 
     @property
     def _noise_samples(self) -> float:
@@ -376,7 +374,7 @@ class ParameterTracker(Following, PolynomialSystem):
         if continued:
             layout, signal = self.form.layout, self.form.with_constant(signal)
             now = self._standing()
-            x, memory, level = now.theta[0], Memory(*(a[0] for a in now.past)), now.centre[0]
+            x, memory, level = now.theta[0], Memory(*(a[0] for a in now.past)), now.part("centre")[0]
         else:
             layout = Layout(self.structure)
             x, memory, level = self.theta, Memory.at_rest(layout), self.level
@@ -432,7 +430,8 @@ class ParameterTracker(Following, PolynomialSystem):
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        return Sample(*[column.item() for column in self._updated(y, u, R)])
+        prediction, residual, weight, guard = self._updated(y, u, R)[0].tolist()
+        return Sample(prediction, residual, weight, int(guard))
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, progress: bool | None = None
@@ -536,7 +535,7 @@ class ParameterTracker(Following, PolynomialSystem):
         """
         return tuned(self, y, u, over, leave_out)
 
-    def advance(self, y: Array, u: Array, R: Array | None) -> Columns:
+    def advance(self, y: Array, u: Array, R: Array | None) -> Array:
         """Take the checked samples of a recording; the caller undoes what is refused or interrupted.
 
         Parameters
@@ -550,27 +549,17 @@ class ParameterTracker(Following, PolynomialSystem):
 
         Returns
         -------
-        Columns
+        ndarray, shape (N, 2 n + 4)
+            Theta, with the constant where there is one, its variances, prediction, residual, weight and guard.
         """
-        out = self._taken(0, y[None], u[None], None if R is None else R[None])
-        return Columns(*(column[0] for column in out))
-
-    def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Columns:
-        """Take checked samples, the last one by itself if somebody has the filter, which shows it."""
-        if not self._asked or y.size == 1:
-            return super()._taken(first, y, u, R)
-        parts = [
-            super(ParameterTracker, self)._taken(k, y[:, part], u[:, part], None if R is None else R[:, part])
-            for k, part in ((first, slice(0, -1)), ((first or 0) + y.size - 1, slice(-1, None)))
-        ]
-        return Columns(*(np.concatenate(column, axis=1) for column in zip(*parts, strict=True)))
+        return self._taken(0, y[None], u[None], None if R is None else R[None])[0]
 
     @property
     def is_one_of_many(self) -> bool:
         """Whether the kernel takes its samples, with those of others, and its filter keeps nothing of its own."""
         return self._using().rules is not None and not kept_with(self._filter)
 
-    def together(self, states: Mapping[str, Any], y: Array, u: Array) -> tuple[Columns, dict[str, np.ndarray]]:
+    def together(self, states: Mapping[str, Any], y: Array, u: Array) -> tuple[Array, dict[str, np.ndarray]]:
         """Take the checked samples of several like this one, or raise; this one stays as it is.
 
         Parameters
@@ -585,8 +574,8 @@ class ParameterTracker(Following, PolynomialSystem):
 
         Returns
         -------
-        out : Columns
-            With the axes (n, N).
+        out : ndarray, shape (n, N, ..)
+            Rows as of `advance`.
         after : dict of str to ndarray
             The states after it.
         """
@@ -597,7 +586,9 @@ class ParameterTracker(Following, PolynomialSystem):
         settings = {name: value.shape for name, value in setup.settings(self._filter).items() if name != "R"}
         stored = checked(stored, many.form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
         now = many._now.restored(stored, stored["R"].ravel())
-        using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), enabled=stored["enabled"])
+        flags = many.form.flags.copy()
+        flags[:, 3] = stored["enabled"]
+        using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), flags=flags)
         now, out, news = track.advance(many.form, using, now, y, u, None)
         self._say(news)
         after = now.arrays() | {"enabled": stored["enabled"], "R": now.scale[:, :1, None]}
@@ -625,8 +616,7 @@ class ParameterTracker(Following, PolynomialSystem):
         """Return the state with theta, P and R as the filter has them."""
         kf, scale = self._filter, self._now.scale.copy()
         scale[0, 0] = given_variance(kf)
-        x, P = np.array(kf.x, dtype=float).reshape(1, -1), np.array(kf.P, dtype=float)[None]
-        return self._now._replace(theta=x, P=P, scale=scale)
+        return self._now.with_parts(theta=np.ravel(kf.x), P=kf.P, scale=scale)
 
     # Interruption.
 
@@ -968,7 +958,8 @@ class TrackerBank(Following):
         LinAlgError
             If a filter refuses its sample; no actuator has changed then.
         """
-        return BankSample(*[column[:, 0] for column in self._updated(y, u, R)])
+        prediction, residual, weights, guard = self._updated(y, u, R).T
+        return BankSample(prediction, residual, weights, guard.astype(np.int64))
 
     def run(
         self,
@@ -1047,6 +1038,7 @@ class TrackerBank(Following):
         kept = [kept_with(kf) for kf in self._filters]
         stacked = {name: np.stack([one[name] for one in kept]) for name in kept[0]}
         return {"Q": self.Q, "F": self.F, "alpha_sq": self._using().alpha_sq, "R": self.R, **stacked}
+
 
 def _every(keep: Any, length: int) -> int:
     """Return which samples to keep: each of how many."""

@@ -248,7 +248,7 @@ def long_held(left_out: np.ndarray, before: Array) -> np.ndarray:
 class Windows(NamedTuple):
     """The last samples, until there are enough to judge them, and what has been said, of n actuators."""
 
-    #: Weight, guard and residual of each sample, (n, L, 3).
+    #: Residual, weight and guard of each sample, (n, L, 3).
     recent: Array
     #: R when it was first judged, NaN before, (n,).
     R: Array
@@ -284,21 +284,19 @@ class Windows(NamedTuple):
         news = [Trouble(i, text, category) for i in np.flatnonzero(which & ~spoken).tolist()]
         return (self._replace(**{of: spoken | which}) if news else self), news
 
-    def seen(
-        self, weights: Array, guard: np.ndarray, residuals: Array, R: Array, has_offset: bool, rounding: Array
-    ) -> tuple[Windows, News]:
-        """Return them with samples (n, N), R (n,) after these, and what is wrong, in words, once for each actuator."""
+    def seen(self, new: Array, R: Array, has_offset: bool, rounding: Array) -> tuple[Windows, News]:
+        """Return them with samples (n, N, 3), R (n,) after these, and what is wrong, once for each actuator."""
         if self.spoken.all():
             return self, []
-        recent = np.concatenate((self.recent, np.stack((weights, guard, residuals), axis=2)), axis=1)
+        recent = np.concatenate((self.recent, new), axis=1)
         n, count = len(recent), recent.shape[1] // _WINDOW
         if not count:
             return self._replace(recent=recent), []
         windows, recent = recent[:, : count * _WINDOW].reshape(n, count, _WINDOW, 3), recent[:, count * _WINDOW :]
-        seen, R = ~np.isnan(windows[..., 0]), np.maximum(R, rounding**2 / 12.0)
+        seen, R = ~np.isnan(windows[..., 1]), np.maximum(R, rounding**2 / 12.0)
         judged = seen.sum(axis=2) >= _WINDOW // 2
         # Residuals of a plant that rests, or has no noise, are rounding.
-        quiet = seen & (np.abs(np.nan_to_num(windows[..., 2])) <= rounding[:, None, None])
+        quiet = seen & (np.abs(np.nan_to_num(windows[..., 0])) <= rounding[:, None, None])
         judged &= quiet.sum(axis=2) < _NEARLY_ALL * seen.sum(axis=2)
         first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
         news = _judged(windows, seen, judged & ~self.spoken[:, None], R, first, has_offset)
@@ -309,7 +307,7 @@ class Windows(NamedTuple):
 
 def _judged(windows: Array, seen: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
     """Say what is wrong with the first window (n, k, ..) of each actuator that has something, of those to be judged."""
-    weights, guard, residuals = np.moveaxis(windows, -1, 0)
+    residuals, weights, guard = np.moveaxis(windows, -1, 0)
     level, scatter = level_and_scale(residuals, seen)
     weight = np.where(seen, weights, 0.0).sum(axis=2) / np.maximum(seen.sum(axis=2), 1)
     unstable = (np.nan_to_num(guard) != 0).mean(axis=2)
