@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import textwrap
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +31,16 @@ def lines_of(parts: dict[str, Any]) -> list[str]:
         textwrap.fill(f"  {name:{width}}  {_part(value)}", _WIDE, subsequent_indent=indent, break_on_hyphens=False)
         for name, value in parts.items()
     ]
+
+
+def tabulated(heads: dict[str, int], rows: Iterable[Sequence[str]], *after: str) -> str:
+    """Return rows of cells below their heads, of these widths, left of 0 from the left; a last cell may stand out."""
+    widths = [f"<{-width}" if width < 0 else f">{width}" for width in heads.values()]
+    lines = [
+        "".join([*(f"{cell:{width}}" for cell, width in zip(cells, widths, strict=False)), *cells[len(widths) :]])
+        for cells in (tuple(heads), *rows)
+    ]
+    return "\n".join([*lines, *after])
 
 
 def _part(value: Any) -> str:

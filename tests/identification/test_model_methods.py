@@ -167,8 +167,6 @@ def test_rows_are_the_parameters_and_the_offset(model):
 def test_the_text_fits_a_screen_and_says_everything(model):
     text = str(model.summary())
     assert repr(model.summary()) == text
-    with pytest.warns(DeprecationWarning, match="findings"):
-        assert replace(model.summary(), findings="a step").found == "a step"
     lines = text.splitlines()
     assert max(map(len, lines)) <= 78
     # The rules are as wide as the columns between them.

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import norm
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import Pictured
+from robust_filterpy._brief import Pictured, tabulated
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
@@ -36,8 +36,8 @@ from robust_filterpy.identification.estimation.missing import THRESHOLDS
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import likelihood_of_mixture, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import measurements
-from robust_filterpy.identification.models.results import said
-from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording, table
+from robust_filterpy.identification.models.results import Report, said
+from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording
 from robust_filterpy.identification.models.structures import (
     AR,
     ARMA,
@@ -252,7 +252,7 @@ class ImpulseResponse(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Selection(Pictured):
+class Selection(Report, Pictured):
     """Structures of a recording, the best first.
 
     Attributes
@@ -269,7 +269,7 @@ class Selection(Pictured):
         What the search for the delay of each input began with; empty without input, or where it excites too little.
     """
 
-    picture = "models.plot_structure_selection"
+    picture, row = "models.plot_structure_selection", "structure"
 
     rows: tuple[Candidate, ...]
     best: Model
@@ -282,24 +282,10 @@ class Selection(Pictured):
         """That of the first input, None if there is none."""
         return self.impulse_responses[0] if self.impulse_responses else None
 
-    def to_frame(self) -> Any:
-        """Return the whole table as a pandas DataFrame, the best first.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each structure: criterion, above_best, fit, log_likelihood, shows_delay, held_out_fit, parameters.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        fields = ("criterion", "fit", "log_likelihood", "shows_delay", "held_out_fit")
-        columns: dict[str, Any] = {name: [getattr(row, name) for row in self.rows] for name in fields}
-        columns["above_best"] = [row.criterion - self.rows[0].criterion for row in self.rows]
-        columns["parameters"] = [row.structure.n_theta for row in self.rows]
-        return table(columns, [str(row.structure) for row in self.rows], "structure")
+    def _more(self) -> dict[str, list[Any]]:
+        """Return further columns of the DataFrame."""
+        above = [row.criterion - self.rows[0].criterion for row in self.rows]
+        return {"above_best": above, "parameters": [row.structure.n_theta for row in self.rows]}
 
     def to_text(self, rows: int = 10) -> str:
         """Return the first rows as a table.
@@ -313,18 +299,17 @@ class Selection(Pictured):
         -------
         str
         """
-        held_out = any(not math.isnan(row.held_out_fit) for row in self.rows)
-        lines = [f"{'structure':<38}{self.criterion:>12}{'above best':>12}{'fit, %':>9}{'log-likelihood':>16}"]
-        lines[0] += f"{'held out, %':>13}" if held_out else ""
+        heads = {"structure": -38, self.criterion: 12, "above best": 12, "fit, %": 9, "log-likelihood": 16}
+        if any(not math.isnan(row.held_out_fit) for row in self.rows):
+            heads["held out, %"] = 13
+        shown = []
         for row in self.rows[: _checks.count("rows", rows, 1)]:
-            above = row.criterion - self.rows[0].criterion
-            values = f"{row.criterion:>12.1f}{above:>12.1f}{row.fit:>9.2f}{row.log_likelihood:>16.1f}"
+            values = (row.criterion, row.criterion - self.rows[0].criterion, row.fit, row.log_likelihood)
+            cells = [f"{one:.{places}f}" for one, places in zip(values, (1, 1, 2, 1), strict=True)]
             late = "-" if math.isnan(row.held_out_fit) else f"{row.held_out_fit:.2f}"
-            values += f"{late:>13}" if held_out else ""
-            lines.append(f"{row.structure!s:<38}{values}{'' if row.shows_delay else '  first b is 0'}")
-        return "\n".join(lines)
-
-    __str__ = to_text
+            whole = [str(row.structure), *cells, late]
+            shown.append([*whole[: len(heads)], "" if row.shows_delay else "  first b is 0"])
+        return tabulated(heads, shown)
 
 
 _CRITERIA: Final = {"bic": math.log, "aic": lambda samples: 2.0}

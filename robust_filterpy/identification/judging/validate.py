@@ -32,7 +32,7 @@ from scipy.signal import fftconvolve, lfilter
 from scipy.stats import chi2, norm
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import Pictured
+from robust_filterpy._brief import Pictured, tabulated
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.missing import cleaned
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
@@ -40,7 +40,7 @@ from robust_filterpy.identification.models.model import Model, as_model
 from robust_filterpy.identification.models.noise import Noise, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import ANY_TIMES
 from robust_filterpy.identification.models.responses import probability
-from robust_filterpy.identification.models.results import signals_of
+from robust_filterpy.identification.models.results import Report, signals_of
 from robust_filterpy.identification.models.signals import recorded_output, recording, table
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.influence.regression import mad_scale
@@ -393,14 +393,16 @@ class Validation(Pictured):
         -------
         str
         """
-        tests = [("residuals among themselves", self.whiteness), ("residuals and input", self.independence)]
-        lines = [self.verdict, f"{'dynamics':<28}{self.dynamics}", f"{'noise':<28}{self.noise}"]
-        for name, test in tests:
-            if test is not None:
-                lines.append(f"{name:<28}chi2({test.degrees}) = {test.statistic:.1f}, p = {test.p_value:.3g}")
-        lines.append(f"{'fit, %':<28}{'ordinary':>10}{'all':>10}")
-        lines += [f"{fit.kind:<28}{fit.ordinary:>10.2f}{fit.all:>10.2f}" for fit in self.fits]
-        return "\n".join(lines)
+        said = {"dynamics": self.dynamics, "noise": self.noise}
+        tests = {"residuals among themselves": self.whiteness, "residuals and input": self.independence}
+        said |= {
+            name: f"chi2({test.degrees}) = {test.statistic:.1f}, p = {test.p_value:.3g}"
+            for name, test in tests.items()
+            if test is not None
+        }
+        fits = [(fit.kind, f"{fit.ordinary:.2f}", f"{fit.all:.2f}") for fit in self.fits]
+        words = [f"{name:<28}{text}" for name, text in said.items()]
+        return "\n".join([self.verdict, *words, tabulated({"fit, %": -28, "ordinary": 10, "all": 10}, fits)])
 
     def to_frame(self) -> Any:
         """Return the correlations and their bounds as a pandas DataFrame, a row for each lag.
@@ -637,7 +639,7 @@ class Compared(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Pictured):
+class Comparison(Report, Pictured):
     """Models on one recording, the best first.
 
     Attributes
@@ -656,7 +658,7 @@ class Comparison(Pictured):
         When the samples were taken, if the recording was a pandas object.
     """
 
-    picture = "models.plot_comparison"
+    picture, row = "models.plot_comparison", "model"
 
     rows: tuple[Compared, ...]
     measured: Array
@@ -665,21 +667,6 @@ class Comparison(Pictured):
     ordinary: int
     index: Any = None
 
-    def to_frame(self) -> Any:
-        """Return the table as a pandas DataFrame, a row for each model.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        columns = {field: [getattr(row, field) for row in self.rows] for field in Compared._fields[1:]}
-        return table(columns, [row.name for row in self.rows], "model")
-
     def to_text(self) -> str:
         """Return the table.
 
@@ -687,12 +674,9 @@ class Comparison(Pictured):
         -------
         str
         """
-        width = max(10, *(len(row.name) for row in self.rows)) + 2
-        lines = [f"{'model':<{width}}{'fit, %':>10}{'1 step':>10}{'all':>10}"]
-        lines += [f"{row.name:<{width}}{row.fit:>10.2f}{row.one_step:>10.2f}{row.all:>10.2f}" for row in self.rows]
-        return "\n".join([*lines, f"fits on {self.ordinary} ordinary samples, and on all {self.samples}"])
-
-    __str__ = to_text
+        heads = {"model": -max(10, *(len(row.name) for row in self.rows)) - 2, "fit, %": 10, "1 step": 10, "all": 10}
+        rows = [(row.name, *(f"{fit:.2f}" for fit in row[1:])) for row in self.rows]
+        return tabulated(heads, rows, f"fits on {self.ordinary} ordinary samples, and on all {self.samples}")
 
 
 def compare(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,24 +96,6 @@ class Sample(NamedTuple):
     def __str__(self) -> str:
         """Return a line for each part."""
         return brief(self)
-
-
-class Columns(NamedTuple):
-    """The columns of a `TrackingResult` while they are being filled; variance is diag P."""
-
-    theta: Array
-    variance: Array
-    prediction: Array
-    residual: Array
-    weights: Array
-    guard: np.ndarray
-
-    @classmethod
-    def empty(cls, *shape: int) -> Columns:
-        """Return columns with these axes; the last is that of the parameters."""
-        theta, variance = np.empty(shape), np.empty(shape)
-        prediction, residual, weights = np.full((3, *shape[:-1]), np.nan)
-        return cls(theta, variance, prediction, residual, weights, np.zeros(shape[:-1], dtype=np.int64))
 
 
 class Recorded(NamedTuple):
@@ -218,6 +199,40 @@ def intervals(theta: Array, std: Array, level: float) -> Intervals:
     return Intervals(theta - half, theta + half)
 
 
+class Report:
+    """A result with rows that prints as a table and becomes a DataFrame."""
+
+    rows: tuple[Any, ...]
+    to_text: Any
+    #: What the first entry of a row is.
+    row: ClassVar[str]
+
+    def to_frame(self) -> Any:
+        """Return the whole table as a pandas DataFrame, a row for each.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A column for each further entry of the rows.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        fields = type(self.rows[0])._fields[1:] if self.rows else ()
+        columns = {name: [getattr(row, name) for row in self.rows] for name in fields}
+        return table(columns | self._more(), [str(row[0]) for row in self.rows], self.row)
+
+    def _more(self) -> dict[str, list[Any]]:
+        """Return further columns of the DataFrame."""
+        return {}
+
+    def __str__(self) -> str:
+        """Return the table."""
+        return str(self.to_text())
+
+
 class Estimate(NamedTuple):
     """One parameter.
 
@@ -243,8 +258,8 @@ class Estimate(NamedTuple):
     upper: float
 
 
-@dataclass(frozen=True)
-class Summary:
+@dataclass(frozen=True, repr=False)
+class Summary(Report):
     """Parameters with their uncertainty, and what was found besides them.
 
     Attributes
@@ -263,18 +278,14 @@ class Summary:
         What the recording has besides the model and its noise; empty if nothing.
     """
 
+    row = "parameter"
+
     title: str
     facts: dict[str, str]
     rows: tuple[Estimate, ...]
     level: float
     warning: str
     findings: str = ""
-
-    @property
-    def found(self) -> str:
-        """The former name of `findings`."""
-        warnings.warn("Summary.found is called findings now", DeprecationWarning, stacklevel=2)
-        return self.findings
 
     def to_text(self) -> str:
         """Return the table.
@@ -296,24 +307,6 @@ class Summary:
             lines.append(f"{name:<12}{estimate:>14.5g}{sure}")
         words = {"Found": self.findings, "Doubtful": self.warning}
         return "\n".join([*lines, "=" * _WIDTH, *(f"{name}: {text}" for name, text in words.items() if text)])
-
-    def to_frame(self) -> Any:
-        """Return the parameters as a pandas DataFrame, a row for each.
-
-        Returns
-        -------
-        pandas.DataFrame
-            estimate, std, z, lower, upper.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        columns = {field: [getattr(row, field) for row in self.rows] for field in Estimate._fields[1:]}
-        return table(columns, [row.name for row in self.rows], "parameter")
-
-    __str__ = to_text
 
     __repr__ = to_text
 
