@@ -25,7 +25,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.policies import Policy
 from robust_filterpy.fusion._watch import DEPARTS, Looked, coasted, fresh, looked_at
 from robust_filterpy.fusion.motion import Motion
-from robust_filterpy.fusion.sensors import Layout
+from robust_filterpy.fusion.sensors import Layout, Seen
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.kernel.series import Rows
 
@@ -128,31 +128,14 @@ def predicted(policy: Policy, state: State, F: Array, Q: Array, drift: Array) ->
     return State(x, P, state.memory, hypotheses, *state[4:])
 
 
-def weighed(policy: Policy, state: State, z: Array, H: Array, R: Array, learns: Any) -> tuple[State, Array]:
-    """Return the state after the readings of one moment, and their weights; learns: of whom noise is learned."""
-    seen = ~np.isnan(z)
-    if not seen.any():
-        return state, np.full(len(z), np.nan)
-    estimate, hypotheses = policy.corrected(state, state.x, state.P, z, H, R, None, False)
-    memory = estimate.memory
-    if memory is None:
-        memory = state.memory
-    elif learns is not True or policy.noise is None:
-        keeps = np.broadcast_to(learns, len(z)) & (seen | (policy.noise is not None))
-        memory = np.where(keeps[:, None], memory, state.memory)
-    return State(estimate.x, estimate.P, memory, hypotheses, *state[4:]), estimate.weights
-
-
 def series(
-    policy: Policy, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array
-) -> tuple[Array, Array, Array, State]:
-    """Return x, P, weights of many steps, and the last state."""
-    N, n = len(zs), len(state.x)
-    xs, Ps, weights = np.empty((N, n)), np.empty((N, n, n)), np.empty(zs.shape)
+    policy: Policy, state: State, zs: Array, F: Array, Q: Array, drift: Array, H: Array, R: Array, into: Rows
+) -> State:
+    """Return the last state of many steps, what was asked for of each written into rows."""
     stands = policy.standing(state.carried, state.x, state.P, state.memory)
-    run(policy, stands, zs, (F, Q, H, R, drift), Rows(xs, Ps.reshape(N, n * n), weights=weights), of="Fusion")
+    run(policy, stands, zs, (F, Q, H, R, drift), into, of="Fusion")
     hypotheses = policy.carried_of(state.carried, stands)
-    return xs, Ps, weights, state._replace(x=stands.x, P=stands.P, memory=stands.learnt, carried=hypotheses)
+    return state._replace(x=stands.x, P=stands.P, memory=stands.learnt, carried=hypotheses)
 
 
 # What the first readings tell of a noise that nobody gave is worth so many samples.
@@ -208,40 +191,41 @@ def moved(setup: Setup, state: State, seconds: float) -> State:
 def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Array | None) -> Moment:
     """Return the moment some seconds later, when something was read or a control input changed."""
     layout, policy, state, watch = setup.layout, setup.policy, before.state, before.watch
-    step = setup.motion.over(seconds, state.x, state.u)
+    n, step, seen = layout.n, setup.motion.over(seconds, state.x, state.u), Seen(z, layout.H)
     if control is not None:
         state = state._replace(u=control)
-    looks = watch is not None or setup.reacquire is not None
-    if not (looks or layout.curved or layout.any_without_R):
-        # Nobody looks in between.
-        return Moment(series(policy, state, z[None], *(part[None] for part in (*step, layout.H, layout.R)))[3])
-    state = predicted(policy, state, *step)
-    watch = None if watch is None else coasted(watch, step.F, seconds)
-    if np.isnan(z).all():
-        return Moment(aged(state, seconds, z), watch)
-    seen = layout.seen_from(state.x, z)
-    y = seen.z - seen.H @ state.x
-    if layout.any_without_R:
+    values = z
+    if layout.curved:
+        x = predicted(policy, state, *step).x
+        seen = layout.seen_from(x, z)
         # What goes round in circles is compared as the difference to what was expected.
-        state = aged(state, seconds, np.where(layout.is_curved, y, seen.z))
-        y = np.where(np.isnan(state.sizes), np.nan, y)
-    if np.isnan(y).all():
-        return Moment(state, watch, seen.failed)
-    R, used, learns = covariance(layout, state.sizes), seen.z, True
+        values = np.where(layout.is_curved, seen.z - seen.H @ x, seen.z)
+    used, R = seen.z, layout.R
     if layout.any_without_R:
-        used = np.where(np.isnan(y), np.nan, used)
-    if watch is not None and watch.fault.any():
-        # Nothing is learned of a sensor on alarm, and nothing taken from one that lies.
-        learns = (watch.fault != DEPARTS)[layout.party]
-        used = np.where(watch.out[layout.party], np.nan, used)
-    after, weights = weighed(policy, state, used, seen.H, R, learns)
-    if not looks:
-        return Moment(after, watch, seen.failed)
+        state = aged(state, seconds, values)
+        used, R = np.where(np.isnan(state.sizes), np.nan, used), covariance(layout, state.sizes)
+    readings = used
     if watch is not None:
-        watch = looked_at(watch, Looked(z, y, seen.H, R.diagonal(), weights, policy, state), layout.party)
+        watch = coasted(watch, step.F, seconds)
+        if watch.fault.any():
+            # Nothing is taken from a sensor that lies.
+            used = np.where(watch.out[layout.party], np.nan, used)
+    xs, Ps = np.empty((2, 1, n)), np.empty((2, 1, n * n))
+    rows = Rows(xs[0], Ps[0], xs[1], Ps[1], np.empty((1, layout.size)))
+    after = series(policy, state, used[None], *(part[None] for part in (*step, seen.H, R)), rows)
+    if (watch is None and setup.reacquire is None) or not (readings == readings).any():
+        return Moment(after, watch, seen.failed)
+    y, P = readings - seen.H @ xs[1, 0], Ps[1].reshape(n, n)
+    if watch is not None:
+        if watch.fault.any():
+            # Nothing is learned of a sensor on alarm.
+            learns = (watch.fault != DEPARTS)[layout.party]
+            after = after._replace(memory=np.where(learns[:, None], after.memory, state.memory))
+        now = Looked(z, y, seen.H, P, R.diagonal(), rows.weights[0], policy, state)
+        watch = looked_at(watch, now, layout.party)
     if setup.reacquire is None:
         return Moment(after, watch, seen.failed)
-    spread = ((seen.H @ state.P) * seen.H).sum(axis=1)
+    spread = ((seen.H @ P) * seen.H).sum(axis=1)
     e = np.abs(np.where(np.isnan(used), 0.0, y)) / np.sqrt(spread + policy.factors(state.memory) * R.diagonal())
     return Moment(after, watch, seen.failed, None, int(layout.owner[np.argmax(e)]) if e.max() > FAR else -1)
 

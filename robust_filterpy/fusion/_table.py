@@ -87,7 +87,7 @@ def written(stamp: Any) -> str:
 _WORDS = {"numbers": "a number of seconds", "instants": "an instant"}
 
 
-class Rows(NamedTuple):
+class Readings(NamedTuple):
     """Readings in the order of their stamps."""
 
     keys: np.ndarray
@@ -101,7 +101,7 @@ class Rows(NamedTuple):
 
 def read(
     setup: Setup, clock: Clock, table: Any, time: str, sensor: str, value: Any, controls: tuple[Any, Any] | None
-) -> Rows:
+) -> Readings:
     """Return the readings of a table, or raise."""
     layout = setup.layout
     stamps, who, *columns = table_columns(table, time, sensor, value)
@@ -140,7 +140,7 @@ def read(
                 )
             duplicates += len(rows) - len(unique)
         zs[to, place] = values[rows, :m]
-    return Rows(every, zs, _held(us, where[len(keys) :], len(every), setup.motion.dim_u), duplicates)
+    return Readings(every, zs, _held(us, where[len(keys) :], len(every), setup.motion.dim_u), duplicates)
 
 
 def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]) -> list[np.ndarray]:

@@ -135,13 +135,15 @@ class Looked(NamedTuple):
     """Innovations, (M,)."""
     H: Array
     """(M, n)"""
+    P: Array
+    """Before it, (n, n)."""
     R: Array
     """Nominal variance of noise, (M,)."""
     weights: Array
     """How much each was believed, NaN where it was not used, (M,)."""
     policy: Any
     state: Any
-    """Before it (`_stepping.State`)."""
+    """Before it, at the stamp before (`_stepping.State`)."""
 
 
 def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
@@ -155,7 +157,7 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     """Return the health after the readings of one moment."""
     here = np.flatnonzero(now.y == now.y)
     H, y, statistics, recent, due = now.H[here], now.y[here], watch.statistics.copy(), watch.recent, watch.due.copy()
-    PH, rows, quiet, learnt = now.state.P @ H.T, statistics[here], watch.score < _QUIET, None
+    PH, rows, quiet, learnt = now.P @ H.T, statistics[here], watch.score < _QUIET, None
     S, slack, scales = H @ PH, watch.slack, watch.scales.tolist()
     if (rows[:, _COUNT] % _SELDOM == 0.0).any():
         memory, slack = now.state.memory, now.policy.slack(now.state.carried)

@@ -18,10 +18,11 @@ from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, covariance, series
-from robust_filterpy.fusion._table import Clock, Rows, written
+from robust_filterpy.fusion._table import Clock, Readings, written
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, described, of_all
+from robust_filterpy.kernel.series import Rows
 from robust_filterpy.smoothing.smoother import smooth
 
 # Stamps that are taken together: so many F and Q fit a cache, and need no room to speak of.
@@ -98,7 +99,7 @@ class Recording:
         return columns
 
 
-def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -> Recording:
+def fused(setup: Setup, begin: Moment, start: Any, rows: Readings, smoothed: bool) -> Recording:
     """Return the states of a recording."""
     layout, motion, K = setup.layout, setup.motion, len(rows.keys)
     if not K:
@@ -130,9 +131,8 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
         to = min(done + _TOGETHER, stop)
         F, Q, drift = _model(setup, moment, dts[done:to], rows.inputs[done:to])
         R = covariance(layout, moment.state.sizes)[None]
-        x[done:to], P[done:to], weights[done:to], state = series(
-            setup.policy, moment.state, rows.zs[done:to], F, Q, drift, layout.H[None], R
-        )
+        into = Rows(x[done:to], P[done:to].reshape(to - done, -1), weights=weights[done:to])
+        state = series(setup.policy, moment.state, rows.zs[done:to], F, Q, drift, layout.H[None], R, into)
         state = aged(state, float(dts[done:to].sum()), np.full(layout.size, np.nan))
         moment, done = moment._replace(state=state._replace(u=rows.inputs[to - 1])), to
     if failed:
@@ -151,7 +151,7 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Rows, smoothed: bool) -
 
 
 def _watched(
-    setup: Setup, began: tuple[Moment, Any], rows: Rows, into: tuple[Array, Array]
+    setup: Setup, began: tuple[Moment, Any], rows: Readings, into: tuple[Array, Array]
 ) -> tuple[Moment, list[tuple[str, int, str]], list[tuple[int, str, Verdict]]]:
     """Write the states of stamps that are taken one by one; return the last moment, who failed, and what was said."""
     layout, line = setup.layout, Timeline(setup, began[0], 0.0, LONGEST + 100)
@@ -173,7 +173,7 @@ def _watched(
     return moment, failed, sorted(said + _silences(layout, rows), key=lambda one: one[0])
 
 
-def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:
+def _silences(layout: Layout, rows: Readings) -> list[tuple[int, str, Verdict]]:
     """Return which sensors have been silent, from the first stamp on that tells it, and who has spoken again."""
     verdicts, keys = [], rows.keys
     for name, place in layout.places.items():
@@ -193,7 +193,7 @@ def _silences(layout: Layout, rows: Rows) -> list[tuple[int, str, Verdict]]:
     return verdicts
 
 
-def _without_lies(layout: Layout, rows: Rows, said: list[tuple[int, str, Verdict]]) -> Array:
+def _without_lies(layout: Layout, rows: Readings, said: list[tuple[int, str, Verdict]]) -> Array:
     """Return the readings without those of sensors that were left out, each from the onset on."""
     if not said:
         return rows.zs
@@ -231,7 +231,7 @@ def _model(setup: Setup, moment: Moment, dts: Array, inputs: Array) -> tuple[Arr
 
 
 def _smoothed(
-    setup: Setup, begin: Moment, last: Moment, dts: Array, rows: Rows, filtered: tuple[Array, Array]
+    setup: Setup, begin: Moment, last: Moment, dts: Array, rows: Readings, filtered: tuple[Array, Array]
 ) -> tuple[Array, Array, Array]:
     """Return states, covariances and weights by the smoother, with each sensor's noise as large as it was learned."""
     layout, motion = setup.layout, setup.motion
@@ -274,7 +274,7 @@ _WORSE, _NARROW = 8.0, 0.1
 _FEWEST = 20
 
 
-def delays_of(setup: Setup, begin: Moment, rows: Rows, longest: float) -> tuple[dict[str, float], dict[str, str]]:
+def delays_of(setup: Setup, begin: Moment, rows: Readings, longest: float) -> tuple[dict[str, float], dict[str, str]]:
     """Return how much later than the least late each sensor's stamps are, and why a delay cannot be found."""
     layout = setup.layout
     seconds = (rows.keys - rows.keys[0]) / (1e9 if rows.keys.dtype == np.int64 else 1.0)
@@ -302,7 +302,7 @@ def delays_of(setup: Setup, begin: Moment, rows: Rows, longest: float) -> tuple[
 
 
 def _track(
-    setup: Setup, begin: Moment, rows: Rows, seconds: Array, own: dict[str, np.ndarray], shifts: dict[str, float]
+    setup: Setup, begin: Moment, rows: Readings, seconds: Array, own: dict[str, np.ndarray], shifts: dict[str, float]
 ) -> tuple[Array, Array]:
     """Return times and states as some sensors tell them, each shifted."""
     places = setup.layout.places
@@ -314,7 +314,7 @@ def _track(
         first += len(at)
     inputs = rows.inputs[np.clip(np.searchsorted(seconds, keys, side="right") - 1, 0, None)]
     straight = setup.motion.is_linear and not setup.layout.curved
-    return keys, fused(setup._replace(watches=False), begin, None, Rows(keys, zs, inputs, 0), straight).x
+    return keys, fused(setup._replace(watches=False), begin, None, Readings(keys, zs, inputs, 0), straight).x
 
 
 def _shift(
