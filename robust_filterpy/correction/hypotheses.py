@@ -29,19 +29,21 @@ def moved(x: Array, P: Array, F: Array, Q: Array, drift: Array) -> None:
     P[:, :n, :n] += Q
 
 
-def corrected(x: Array, P: Array, z: Any, h: Array, r: Array, scales: Array, shares: Array) -> Array:
-    """Correct N models by one number each, in place; return its log-density (`correction.learnt`'s step)."""
-    y = z - (h * x).sum(axis=1)
+def corrected(x: Array, P: Array, z: Any, h: Array, variances: Array, logs: Array) -> Array:
+    """Correct N models by one number each, in place; return its log-density (`correction.learnt`'s step).
+
+    variances, logs: of the classes of noise, and logarithms of their shares, (C, N) or (C, 1).
+    """
+    y = z - np.einsum("ni,ni->n", h, x)
     C = np.einsum("nij,nj->ni", P, h)
-    S = (h * C).sum(axis=1)[:, None] + scales * r[:, None]
-    pulls = y[:, None] / S
-    logs = np.log(shares) - 0.5 * (pulls * y[:, None] + np.log(2.0 * math.pi * S))
-    peak = logs.max(axis=1)
-    given = np.exp(logs - peak[:, None])
-    total = given.sum(axis=1)
-    given /= total[:, None]
-    a = (given * pulls).sum(axis=1)
-    b = (given * (1.0 / S - pulls**2)).sum(axis=1) + a * a
+    S = np.einsum("ni,ni->n", h, C) + variances
+    pulls = y / S
+    logs = logs - 0.5 * (pulls * y + np.log(2.0 * math.pi * S))
+    peak = logs.max(axis=0)
+    given = np.exp(logs - peak)
+    total = given.sum(axis=0)
+    a = (given * pulls).sum(axis=0) / total
+    b = (given * (1.0 / S - pulls**2)).sum(axis=0) / total + a * a
     x += a[:, None] * C
-    P -= b[:, None, None] * C[:, :, None] * C[:, None, :]
+    P -= (b[:, None] * C)[:, :, None] * C[:, None, :]
     return np.asarray(peak + np.log(total))

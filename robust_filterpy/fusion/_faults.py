@@ -38,6 +38,9 @@ _NOISIER, _WORSE, _SPIKES = (2.0, 3.0, 5.0, 9.0), (10.0, 100.0, 1000.0), 0.3
 # By how much Q may be smaller all along, and how likely that is over how likely it is as given.
 _CALMER = ((1.0, 1.0), (0.1, 0.125), (0.01, 0.125))
 _STILL = 0.01
+# Stamps after which hypotheses go that are so far behind the healthy one, or so far below the best and not ahead of the
+# healthy one by more than this; logarithms of odds.
+_EVERY, _BEHIND, _HOPELESS, _AHEAD = 8, 10.0, 20.0, 2.0
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
 _FINE, _FIRST = 16, 5
 
@@ -145,46 +148,65 @@ def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
 
 def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Array]:
     """Return the log-density of all readings under each hypothesis, in the order of onsets, and b at the end."""
-    (n,), N = stretch.x.shape, len(bank.fault)
-    x, P, logs = np.zeros((N, n + 1)), np.zeros((N, n + 1, n + 1)), np.zeros(N)
-    x[0, :n], P[0, :n, :n] = stretch.x, stretch.P
+    (n,), K, N = stretch.x.shape, len(stretch.z), len(bank.fault)
+    logs, b = np.full(N, -np.inf), np.zeros(N)
     owner, onset = bank.component.astype(int), bank.onset.astype(int)
     root, began = np.sqrt(stretch.r)[np.maximum(owner, 0)], stretch.seconds[onset]
     drifts, stuck = bank.fault == DRIFTING, bank.fault == STUCK
     carries = drifts | stuck | (bank.fault == BIASED)
-    noisy, slack = np.isin(bank.fault, [STUCK, NOISIER]), np.where(bank.component < 0, bank.factor, 1.0)
     # A drift is as large as a bias would be when it has come to the end.
     length = stretch.seconds[-1] - began
     spread = _SIZE * root / np.where(drifts & (length > 0.0), length, 1.0)
-    starts = np.searchsorted(onset[1:], np.arange(len(stretch.z) + 1)) + 1
-    starts[0] = 1
-    for k in range(len(stretch.z)):
-        # Before its onset a hypothesis is the healthy one, which comes first.
-        low, high = int(starts[k]), int(starts[k + 1])
-        x[low:high], P[low:high], logs[low:high] = x[0], P[0], logs[0]
-        now = slice(0, high)
-        moved(x[now], P[now], stretch.F[k], slack[now, None, None] * stretch.Q[k], stretch.drift[k])
-        new = np.arange(low, high)[carries[low:high]]
-        P[new, n, n] = spread[new] ** 2
-        new = new[stuck[new]]
-        # It got stuck where it was: what the sensor should read there, give or take.
-        x[new, n] = (stretch.H[k, owner[new]] * x[new, :n]).sum(axis=1)
-        for c in np.flatnonzero(~np.isnan(stretch.z[k]) & ~left_out).tolist():
-            mine = owner[now] == c
-            h = np.zeros((high, n + 1))
-            h[:, :n] = np.where((mine & stuck[now])[:, None], 0.0, stretch.H[k, c])
-            h[:, n] = np.where(mine & carries[now], np.where(drifts[now], stretch.seconds[k] - began[now], 1.0), 0.0)
-            r = stretch.r[c] * np.where(mine & noisy[now], bank.factor[now], 1.0)
-            shares = _shares(stretch, c, bank.factor[now], mine & (bank.fault[now] == SPIKES))
-            density = corrected(x[now], P[now], stretch.z[k, c], h, r, stretch.scales, shares)
-            logs[now] += stretch.worth[c] * density
-    return logs, x[:, n] / np.where(carries, root, 1.0)
+    able = np.flatnonzero(~left_out).tolist()
+    noise = {c: _reader(stretch, c, bank) for c in able}
+    starts = np.searchsorted(onset[1:], np.arange(K + 1)) + 1
+    # Before its onset a hypothesis is the healthy one, which comes first.
+    who, x, P, sums = np.arange(1), np.append(stretch.x, 0.0)[None], np.zeros((1, n + 1, n + 1)), np.zeros(1)
+    P[0, :n, :n], starts[0] = stretch.P, 1
+    for k in range(K):
+        new = np.arange(starts[k], starts[k + 1])
+        stays = np.arange(len(who)) if k % _EVERY else np.flatnonzero(_hopeful(sums, bank, who))
+        if len(new) or len(stays) < len(who):
+            copies = np.append(stays, np.zeros(len(new), dtype=int))
+            who, x, P, sums = np.append(who[stays], new), x[copies], P[copies], sums[copies]
+            slack, readers = np.where(owner < 0, bank.factor, 1.0)[who, None, None], {}
+        moved(x, P, stretch.F[k], slack * stretch.Q[k], stretch.drift[k])
+        if len(new):
+            fresh = len(stays) + np.flatnonzero(carries[new])
+            P[fresh, n, n] = spread[who[fresh]] ** 2
+            fresh = fresh[stuck[who[fresh]]]
+            # It got stuck where it was: what the sensor should read there, give or take.
+            x[fresh, n] = (stretch.H[k, owner[who[fresh]]] * x[fresh, :n]).sum(axis=1)
+        for c in (c for c in able if stretch.z[k, c] == stretch.z[k, c]):
+            if c not in readers:
+                readers[c] = [part[..., who] for part in noise[c]]
+            still, off, since, variances, shares = readers[c]
+            h = np.empty(x.shape)
+            h[:, :n] = stretch.H[k, c]
+            h[still, :n] = 0.0
+            h[:, n] = off + since * stretch.seconds[k]
+            sums += stretch.worth[c] * corrected(x, P, stretch.z[k, c], h, variances, shares)
+    logs[who], b[who] = sums, x[:, n]
+    return logs, b / np.where(carries, root, 1.0)
 
 
-def _shares(stretch: Stretch, c: int, factor: Array, spiky: np.ndarray) -> Array:
-    """Return the shares of the classes of a component under each hypothesis, (N, C)."""
-    usual = stretch.shares[c]
-    if not spiky.any():
-        return np.broadcast_to(usual, (len(spiky), len(usual)))
-    more = max(_SPIKES, min(2.0 * (1.0 - usual[0]), 0.9))
-    return np.where(spiky[:, None], (1.0 - more) * usual + more * (stretch.scales == factor[:, None]), usual)
+def _hopeful(sums: Array, bank: _Bank, who: np.ndarray) -> np.ndarray:
+    """Return which hypotheses go on: one of the same kind that begins now, as the healthy one stands, does better."""
+    better, worth = sums - sums[0], sums + bank.prior[who]
+    lost = (better < -_BEHIND) | ((worth < worth.max() - _HOPELESS) & (better < _AHEAD))
+    return np.asarray(~lost | (bank.fault[who] == HEALTHY))
+
+
+def _reader(stretch: Stretch, c: int, bank: _Bank) -> tuple[np.ndarray, ...]:
+    """Return what a component reads under each hypothesis: who says that it is stuck, b's part in it and how that grows
+    with time, variances and logarithms of the shares of its classes of noise, (C, N).
+    """
+    mine, fault, factor = bank.component == c, bank.fault, bank.factor
+    since = np.where(mine & (fault == DRIFTING), 1.0, 0.0)
+    off = np.where(mine & ((fault == BIASED) | (fault == STUCK)), 1.0, -since * stretch.seconds[bank.onset.astype(int)])
+    r = stretch.r[c] * np.where(mine & ((fault == STUCK) | (fault == NOISIER)), factor, 1.0)
+    usual, scales = stretch.shares[c][:, None], stretch.scales[:, None]
+    more = max(_SPIKES, min(2.0 * (1.0 - usual[0, 0]), 0.9))
+    spikes = (1.0 - more) * usual + more * (scales == factor)
+    shares = np.where(mine & (fault == SPIKES), spikes, usual)
+    return mine & (fault == STUCK), off, since, scales * r, np.log(shares)

@@ -28,6 +28,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from robust_filterpy._checks import Array
 
@@ -157,35 +158,35 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     """Return the health after the readings of one moment."""
     here = np.flatnonzero(now.y == now.y)
     H, y, statistics, recent, due = now.H[here], now.y[here], watch.statistics.copy(), watch.recent, watch.due.copy()
-    PH, rows, quiet, learnt = now.P @ H.T, statistics[here], watch.score < _QUIET, None
-    S, slack, scales = H @ PH, watch.slack, watch.scales.tolist()
-    if (rows[:, _COUNT] % _SELDOM == 0.0).any():
+    PH, rows, R, slack = now.P @ H.T, statistics[here].tolist(), now.R[here].tolist(), watch.slack
+    S, scales, places, learnt = H @ PH, watch.scales.tolist(), here.tolist(), None
+    if any(row[_COUNT] % _SELDOM == 0.0 for row in rows):
         memory, slack = now.state.memory, now.policy.slack(now.state.carried)
         learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
-    said = zip(here.tolist(), rows.tolist(), now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
+    said = zip(places, rows, R, now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
     updated, counts = [], []
-    for c, row, z, innovation, spread in said:
-        s, R = owner[c], float(now.R[c])
+    for c, row, r, z, innovation, spread in said:
+        s = owner[c]
         due[s] -= 1.0
-        ill = watch.fault[s] > 0.0
-        if ill:
-            recent = recent.copy() if recent is watch.recent else recent
-            was = min(max(innovation / math.sqrt(spread + float(watch.before[c]) * R), -_CLIP), _CLIP)
+        quiet = watch.score[c] < _QUIET
+        if watch.fault[s] > 0.0:
+            quiet, recent = False, recent.copy() if recent is watch.recent else recent
+            was = min(max(innovation / math.sqrt(spread + float(watch.before[c]) * r), -_CLIP), _CLIP)
             recent[c, 3] += 1.0
             recent[c, :3] += ([was, was * was, abs(was) >= _CLIP] - recent[c, :3]) / min(recent[c, 3], _RECENT)
         counts.append(_worth(_colour(row)) if row[_COUNT] >= _FIRST else 0.0)
-        usual = learnt[c] if learnt and quiet[c] and not ill and row[_COUNT] % _SELDOM == 0.0 else []
-        updated.append(_after(row, z, innovation, spread, R, scales, usual, bool(quiet[c] and not ill)))
+        usual = learnt[c] if learnt and quiet and row[_COUNT] % _SELDOM == 0.0 else []
+        updated.append(_after(row, z, innovation, spread, r, scales, usual, quiet))
     statistics[here] = updated
     limit = watch.limit + (_ALARM - watch.limit) / _AVERAGED
     if slack > _SLACK:
         # A model that is known to be wrong is not looked at again before Q is thought right, one in doubt is soon.
         pace = _SOON if watch.model < _SURE else 0.0
         limit[-1] = watch.limit[-1] + pace * (_ALARM - watch.limit[-1])
-    watch = watch._replace(statistics=statistics, recent=recent, due=due, limit=limit, slack=slack)
     for i, w in enumerate(now.weights[here].tolist()):
-        S[i, i] += rows[i, SLOW] * now.R[here[i]] / (w if w > _LEAST else _LEAST)
-    return _scored(watch, here.tolist(), y, H, PH, np.linalg.inv(S), counts, now.R)
+        S[i, i] += rows[i][SLOW] * R[i] / (w if w > _LEAST else _LEAST)
+    lasting = _lasting(watch, statistics, places, y, H, PH, S, counts, now.R)
+    return watch._replace(statistics=statistics, recent=recent, due=due, limit=limit, slack=slack, **lasting)
 
 
 def _after(
@@ -220,38 +221,38 @@ def _after(
     return [slow, count, sign, keeps, repeats, often, z, max(*sums, run), *shares, *sums]
 
 
-def _scored(
-    watch: Watch, here: list[int], y: Array, H: Array, PH: Array, inverse: Array, counts: list[float], R: Array
-) -> Watch:
-    """Return the estimates of biases and drifts after the readings of one moment, each of which counts for less."""
-    M, d = len(watch.statistics), -(H @ watch.response)
-    own = d.reshape(len(y), *watch.age.shape)
+def _lasting(
+    watch: Watch, statistics: Array, here: list[int], y: Array, H: Array, PH: Array, S: Array, counts: list[float],
+    R: Array,
+) -> dict[str, Array]:  # fmt: skip
+    """Return what there is to say of biases and drifts after the readings of one moment, each of which counts less."""
+    shape, d, age = watch.age.shape, -(H @ watch.response), watch.age
+    own = d.reshape(len(y), *shape)
     for i, c in enumerate(here):
         if counts[i]:
-            own[i, c] += watch.age[c]
-    weighed = inverse
+            own[i, c] += age[c]
+    said = dposv(S, d)[1]
+    response, evidence = watch.response + PH @ said, watch.evidence.copy()
     if min(counts) < 1.0:
-        root = np.sqrt(counts)
-        weighed = root[:, None] * inverse * root
-    said = weighed @ d
-    response, evidence, age = watch.response + PH @ inverse @ d, watch.evidence.copy(), watch.age
+        root = np.sqrt(counts)[:, None]
+        said = root * dposv(S, root * d)[1]
     evidence[0] += y @ said
     evidence[1] += (d * said).sum(axis=0)
     for c in here:
-        count = int(watch.statistics[c, _COUNT])
+        count = int(statistics[c, _COUNT])
         j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1
         if 0 <= j < _ONSETS or count == _FIRST:
             # At the first reading that counts all begin.
             which, age = slice(None) if count == _FIRST else j, age.copy()
             age[c, 1, which] = 0.0
             for part in (response, evidence):
-                part.reshape(-1, *age.shape)[:, c, :, which] = 0.0
-    A, information = evidence.reshape(2, *age.shape)
-    precision = (age * age + 1e-300) / (_SIZE**2 * watch.statistics[:, SLOW] * R)[:, None, None]
+                part.reshape(-1, *shape)[:, c, :, which] = 0.0
+    A, information = evidence.reshape(2, *shape)
+    precision = (age * age + 1e-300) / (_SIZE**2 * statistics[:, SLOW] * R)[:, None, None]
     whole = information + precision
     lasting = 0.5 * (A * A / whole + np.log(precision / whole)) + _WIDTHS
-    score = np.maximum(lasting.reshape(M, -1).max(axis=1), watch.statistics[:, _NOISE]) + _PRIOR
-    return watch._replace(response=response, evidence=evidence, age=age, score=score)
+    score = np.maximum(lasting.reshape(len(statistics), -1).max(axis=1), statistics[:, _NOISE]) + _PRIOR
+    return {"response": response, "evidence": evidence, "age": age, "score": score}
 
 
 def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:

@@ -180,7 +180,7 @@ def _read(
     layout, (x, P, logs), n = setup.layout, rows, setup.layout.n
     r, (scales, shares) = _noise(setup, state), setup.policy.shares(state.memory)
     scales = np.append(scales, _WILD)
-    shares = np.column_stack([shares * (1.0 - _STRAY), np.full(layout.size, _STRAY)])
+    shares = np.log(np.column_stack([shares * (1.0 - _STRAY), np.full(layout.size, _STRAY)]))
     seen = [layout.seen_from(row[:n], z) for row in x]
     agrees = True
     for c in np.flatnonzero(~np.isnan(z) & ~np.isnan(state.sizes)).tolist():
@@ -195,7 +195,7 @@ def _read(
         if layout.owner[c] == sensor:
             spread = h[one] @ P[one] @ h[one] + r[c]
             agrees &= bool(abs(zs[one] - h[one] @ x[one]) < FAR * math.sqrt(spread))
-        logs += corrected(x, P, zs, h, np.full(len(x), r[c]), scales, np.broadcast_to(shares[c], (len(x), len(scales))))
+        logs += corrected(x, P, zs, h, scales[:, None] * r[c], shares[c, :, None])
     return agrees
 
 

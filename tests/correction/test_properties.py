@@ -220,7 +220,7 @@ def test_many_models_are_corrected_by_the_posterior_over_the_scales_of_a_sensors
     n, scales, shares = 3, np.array([1.0, 25.0]), np.array([0.9, 0.1])
     x, P = rng.normal(size=(n, 2)), np.array([support.spd(rng, 2) for _ in range(n)])
     h, r, z, kept = rng.normal(size=(n, 2)), np.array([0.5, 1.0, 2.0]), 3.0, (x.copy(), P.copy())
-    found = corrected(x, P, z, h, r, scales, shares)
+    found = corrected(x, P, z, h, scales[:, None] * r, np.log(shares)[:, None])
     for k, (mean, cov) in enumerate(zip(*kept, strict=True)):
         S = h[k] @ cov @ h[k] + scales * r[k]
         density = shares * scipy.stats.norm(h[k] @ mean, np.sqrt(S)).pdf(z)

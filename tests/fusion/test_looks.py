@@ -5,12 +5,25 @@ import pytest
 from scipy.stats import norm
 
 from robust_filterpy.fusion import Fusion, Sensor, _faults, _watch, constant_velocity
+from robust_filterpy.influence import Linear
 
 
 @pytest.mark.parametrize("off, fewest, most", [(0.0, 0, 1), (1.5, 1, 20)])
 def test_sound_sensors_with_outliers_bring_no_looks_and_a_bias_few(monkeypatch, off, fewest, most):
     looks, judged = [], _faults.judged
-    monkeypatch.setattr(_faults, "judged", lambda *given: looks.append(1) or judged(*given))
+
+    def counted(*given):
+        """Judge, and once more with all hypotheses until the end."""
+        with monkeypatch.context() as whole:
+            whole.setattr(_faults, "_EVERY", 10**6)
+            expected = {one[:2]: one for one in judged(*given)}
+        looks.append(judged(*given))
+        for one in looks[-1]:
+            assert one.probability == pytest.approx(expected[one[:2]].probability, abs=1e-3)
+        assert looks[-1][0] == pytest.approx(expected[looks[-1][0][:2]], rel=1e-3)
+        return looks[-1]
+
+    monkeypatch.setattr(_faults, "judged", counted)
     rng, sensors = np.random.default_rng(8), {name: Sensor([1.0, 0.0], R=0.09) for name in "abc"}
     fusion = Fusion(constant_velocity(1, 0.02), sensors, 2.0, P0=100.0 * np.eye(2), watch=True)
     for k in range(450):
@@ -39,3 +52,39 @@ def test_the_sums_of_a_reading_are_the_odds_of_grown_noise_and_of_more_outliers(
     assert young[-3:] == row[-3:]
     same = _watch._after([*row[:4], 4.0, 0.1, 3.0, *row[7:]], 3.0, 0.1, spread, R, scales, [], True)
     assert same[_watch._NOISE] == pytest.approx(-5.0 * np.log(0.1)) and same[4:6] == [5.0, 0.1]
+
+
+def log_density(zs, rows, motion, gone):
+    """Of readings, one a second, of which a part is taken away: a Kalman filter as anybody writes it."""
+    (F, Q, _), x, P, total = motion.matrices(1.0), np.zeros(2), 100.0 * np.eye(2), 0.0
+    for k, (z, h) in enumerate(zip(zs - gone, rows, strict=True)):
+        x, P = (F @ x, F @ P @ F.T + Q) if k else (x, P)
+        S = h @ P @ h + 1.0
+        y, K = z - h @ x, P @ h / S
+        x, P, total = x + K * y, P - np.outer(K, h @ P), total - 0.5 * (y * y / S + np.log(S))
+    return total
+
+
+def test_score_and_information_are_those_of_the_likelihood_of_a_fault_since_each_onset():
+    rng, motion = np.random.default_rng(2), constant_velocity(1, 0.1)
+    sensors = {"a": Sensor([1.0, 0.0], R=1.0), "b": Sensor([1.0, 0.3], R=1.0)}
+    fusion = Fusion(motion, sensors, 500.0, P0=100.0 * np.eye(2), watch=True, influence=Linear())
+    count = 86
+    zs, rows, own = rng.normal(size=2 * count), np.tile([[1.0, 0.0], [1.0, 0.3]], (count, 1)), np.arange(2 * count) % 2
+    for k, z in enumerate(zs):
+        fusion.observe("ab"[k % 2], float(k), z)
+    watch = fusion._until()[0].watch
+    assert (_watch.worths(watch) == 1.0).all()
+    score, information = watch.evidence.reshape(2, 2, 2, -1)
+    # All begin at the reading 60, and then anew after 8, 16, .. readings, halfway between those that begin less often.
+    begun = [max([60, *range(4 * 2**j, count + 1, 8 * 2**j)]) for j in range(6)]
+    for c in range(2):
+        for j, reading in enumerate(begun):
+            at = 2 * (reading - 1) + c
+            for kind in range(2):
+                since = (np.arange(2 * count) - at) * (own == c)
+                signal = np.where(since > 0, since if kind else 1.0, 0.0)
+                less, none, more = (log_density(zs, rows, motion, b * signal) for b in (-0.5, 0.0, 0.5))
+                assert score[c, kind, j] == pytest.approx(more - less, rel=1e-6, abs=1e-8)
+                assert information[c, kind, j] == pytest.approx(4.0 * (2.0 * none - more - less), rel=1e-5, abs=1e-6)
+            assert watch.age[c, 1, j] == 2 * count - 1 - at
