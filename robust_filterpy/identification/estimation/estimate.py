@@ -294,7 +294,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), problem.rest)
     own = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
     known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, own, strict=True))
-    estimate = replace(estimate, levels=levels + (estimate.level - levels[-1]), recordings=known_again)
+    estimate = replace(estimate, levels=levels + (estimate.level - levels[-1]), trends=known_again)
     return Estimated(estimate, p, sizes)
 
 

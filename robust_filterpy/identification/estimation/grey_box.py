@@ -149,9 +149,9 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, lim
         if name in structure.free_names and not low + near < values[name] < high - near:
             doubt.append(f"{name} is at its bound, {values[name]:.4g}")
     return GreyBoxModel(
-        structure, values, theta, P, starts, tuple(replace(one, R=one.R * total) for one in noise.parts),
-        weights.reshape(-1, len(noise.parts)), noise.log_likelihood(residual), unidentifiable, "; ".join(doubt),
-        colour=colour,
+        structure=structure, p=values, theta=theta, P=P, starts=starts, unidentifiable=unidentifiable, colour=colour,
+        noise=tuple(replace(one, R=one.R * total) for one in noise.parts), warning="; ".join(doubt),
+        weights=weights.reshape(-1, len(noise.parts)), log_likelihood=noise.log_likelihood(residual),
     )  # fmt: skip
 
 

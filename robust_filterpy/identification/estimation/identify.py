@@ -87,11 +87,9 @@ def identified_polynomials(
     # A row of the caller's regressor is no input that is held.
     best = _without_leverage(problem, own) if problem.structure.takes_phi else search.best(trend)
     model, levels = best.model, best.levels[:, 0]
-    if len(spans) > 1:
-        again = zip(spans, model.recordings, strict=True)
-        model = replace(model, recordings=tuple((fingerprint(own[part]), t + levels[part]) for part, (_, t) in again))
-    elif levels.any():
-        model = replace(model, trend=levels, fingerprint=fingerprint(own))
+    before = [trend for _, trend in model.trends] or [np.zeros(len(own))]
+    trends = ((fingerprint(own[part]), one + levels[part]) for part, one in zip(spans, before, strict=True))
+    model = replace(model, trends=tuple(one for one in trends if one[1].any()))
     return replace(model, findings=(*best.findings, *_left(search, problem.of_inputs(best.u), best, model)))
 
 

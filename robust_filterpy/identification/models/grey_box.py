@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.noise import Noise, Noises
+from robust_filterpy.identification.models.noise import Noises
 from robust_filterpy.identification.models.recording import ANY_TIMES, columns_of, recorded
-from robust_filterpy.identification.models.results import Finding, Identified
+from robust_filterpy.identification.models.results import Identified
 from robust_filterpy.identification.models.signals import Signals, TimeAxis, held_input, trend_of
 from robust_filterpy.influence.regression import robust_regression
 
@@ -344,7 +344,7 @@ class GreyBox:
         return GreyResiduals(f, outputs, recordings, values[at], bounds, starts, free_start, self.between == "lines")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class GreyBoxModel(Identified):
     """A physical model as `identify` found it.
 
@@ -378,19 +378,10 @@ class GreyBoxModel(Identified):
         How many times as large standard deviations are as those of white residuals, which P counts.
     """
 
-    structure: GreyBox
     p: dict[str, float]
     theta: Array
-    P: Array
     starts: Array
-    noise: tuple[Noise, ...]
-    weights: Array
-    log_likelihood: float
     unidentifiable: tuple[tuple[str, ...], ...]
-    warning: str
-    findings: tuple[Finding, ...] = ()
-    trends: tuple[tuple[int, Array], ...] = ()
-    colour: float = 1.0
 
     def __repr__(self) -> str:
         """Show the estimated parameters with their standard deviations."""

@@ -32,7 +32,7 @@ from robust_filterpy.identification.models.polynomial_model import Parts, Polyno
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
-from robust_filterpy.identification.models.results import Finding, Identified, coloured, said, signals_of
+from robust_filterpy.identification.models.results import Identified, coloured, said, signals_of
 from robust_filterpy.identification.models.signals import (
     TimeAxis,
     held_input,
@@ -42,7 +42,7 @@ from robust_filterpy.identification.models.signals import (
     recording,
     trend_of,
 )
-from robust_filterpy.identification.models.structures import OutputError, Structure
+from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale, robust_regression
 
@@ -179,7 +179,7 @@ class Ending(NamedTuple):
     difference: float
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Model(PolynomialSystem, Identified):
     """A(q) y = B(q)/F(q) u + offset + C(q)/D(q) v, as `identify` found it.
 
@@ -221,14 +221,11 @@ class Model(PolynomialSystem, Identified):
         What the recording has besides the model and its noise: fill values, level steps, .., with the evidence.
     operating_point : ndarray, shape (n_inputs,)
         Inputs at which the plant rests: 0, unless an input is far from 0 in all of the recording, and then its mean.
-    trend : ndarray, shape (N,) or (0,)
-        Steps and ramps of the level of the recording, 0 at its end; ``findings`` say when and how large.
-    fingerprint : int
-        Of y as it was recorded: methods that are given the same y take the trend off it, and put it back.
+    trends : tuple of (int, ndarray)
+        Fingerprint of each recording whose level moves, and its `trend`: methods that are given the same y take it off
+        it, and put it back.
     levels : ndarray, shape (n_recordings,) or (0,)
-        `level` of each recording, if there were several; offset, trend and memory are those of the last.
-    recordings : tuple of (int, ndarray)
-        Fingerprint and trend of each of several recordings.
+        `level` of each recording, if there were several; offset and memory are those of the last.
     profiled : bool
         Whether P is that of the likelihood: the loss is not quadratic within two standard deviations, or another end is
         nearly as likely.
@@ -244,29 +241,17 @@ class Model(PolynomialSystem, Identified):
     back as a Series on that index.
     """
 
-    structure: Structure
     theta: Array
     offset: float
-    P: Array
     offset_std: float
     offset_covariance: Array
-    noise: Noise
-    weights: Array
-    log_likelihood: float
-    endings: tuple[Ending, ...]
-    warning: str
-    memory: Memory = field(compare=False)
+    endings: tuple[Ending, ...] = ()
+    memory: Memory
     has_offset: bool = True
-    dt: float | None = None
     own_fit: float = float("nan")
-    findings: tuple[Finding, ...] = ()
     operating_point: Array = field(default_factory=lambda: np.zeros(0))
-    trend: Array = field(default_factory=lambda: np.zeros(0))
-    fingerprint: int = 0
     levels: Array = field(default_factory=lambda: np.zeros(0))
-    recordings: tuple[tuple[int, Array], ...] = ()
     profiled: bool = False
-    colour: float = 1.0
     evidence: float = float("nan")
 
     def __repr__(self) -> str:
@@ -292,6 +277,11 @@ class Model(PolynomialSystem, Identified):
     def level(self) -> float:
         """What the output is at rest with no input, offset/A(1); 0 if the model integrates, which has no rest."""
         return resting_level(self.parts)
+
+    @property
+    def trend(self) -> Array:
+        """Steps and ramps of the level of a single recording, 0 at its end; ``findings`` say when and how large."""
+        return self.trends[0][1] if self.trends and not self.levels.size else np.zeros(0)
 
     @property
     def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
@@ -375,7 +365,7 @@ class Model(PolynomialSystem, Identified):
         axis, y, u = signals_of(self, y, u, t)
         measured, (recorded, seen) = self._measured(y, u)[0], self.prepared(y, u)
         output = self._predicted(recorded, seen, steps) if steps else self._from_inputs(recorded, seen)
-        return axis, measured, output + self._own_trend(measured)
+        return axis, measured, output + trend_of(self.trends, measured)
 
     def _predicted(self, model: PolynomialModel, seen: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
@@ -408,7 +398,7 @@ class Model(PolynomialSystem, Identified):
             If y or u does not fit, or is too short for one regressor.
         """
         output, signal = self._measured(y, u)
-        output = output - self._own_trend(output)
+        output = output - trend_of(self.trends, output)
         seen = ~np.isnan(output)
         model = PolynomialModel(self.structure, np.where(seen, output, self.level), signal, True)
         if output.size <= model.first:
@@ -465,10 +455,6 @@ class Model(PolynomialSystem, Identified):
         """How many samples R stands on."""
         return max(float(np.nansum(self.weights)), 1.0)
 
-    def _own_trend(self, y: Array) -> Array:
-        """Return the trend of a checked output: that of the recording if it is the same one, else 0."""
-        return trend_of(((self.fingerprint, self.trend), *self.recordings), y)
-
     def _equation_error(self, model: PolynomialModel, seen: Any) -> Array:
         """Return A y - B/F u - d from the first sample that has a regressor on."""
         if model.nf:
@@ -519,8 +505,9 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
     period = None if given.dt is True else float(given.dt)
     axis.require_period(period)
     model = Model(
-        structure, theta, 0.0, np.zeros((n, n)), 0.0, np.zeros(n), Noise(Huber(), 1.0), np.full(measured.size, np.nan),
-        np.nan, (), "", Memory.at_rest(Layout(structure)), True, period,
+        structure=structure, theta=theta, offset=0.0, P=np.zeros((n, n)), offset_std=0.0, offset_covariance=np.zeros(n),
+        noise=Noise(Huber(), 1.0), weights=np.full(measured.size, np.nan), log_likelihood=np.nan, warning="",
+        memory=Memory.at_rest(Layout(structure)), dt=period,
     )  # fmt: skip
     left = measured - model.simulate(signal)
     left = left[~np.isnan(left)]

@@ -295,14 +295,10 @@ def _split_in_time(structure: Structure | Signals, y: Any, u: Any, t: Any) -> li
     index = getattr(y, "index", None)
     if pd is None or not isinstance(index, (pd.DatetimeIndex, pd.TimedeltaIndex)) or structure.takes_phi:
         return [(y, u, t)]
-    if (
-        len(index) < 2 * _LEAST
-        or index.hasnans
-        or (u is not None and not (hasattr(u, "index") and index.equals(u.index)))
-    ):
+    if index.hasnans or (u is not None and not (hasattr(u, "index") and index.equals(u.index))):
         return [(y, u, t)]
     steps = np.diff(index.asi8).astype(float)
-    usual = float(np.median(steps))
+    usual = float(np.median(steps)) if steps.size else 0.0
     cuts = np.flatnonzero(steps > (LONG_GAP + 0.5) * usual) + 1
     if usual <= 0.0 or not cuts.size or (np.diff([0, *cuts, len(index)]) < _LEAST).any():
         return [(y, u, t)]

@@ -323,6 +323,8 @@ class Estimated:
     theta: Any
     P: Any
     dt: float | None = None
+    # Of a model, (y, u, t, steps): time axis, measured outputs, and those so many steps ahead, or with 0 from inputs.
+    _run: Callable[..., tuple[TimeAxis, Any, Any]]
 
     @property
     def std(self) -> Array:
@@ -428,18 +430,45 @@ class Estimated:
         return getattr(self, "warning", "")
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Identified(Estimated):
-    """What `identify` found in a recording, whatever the kind of model: predictions, residuals, how well it fits."""
+    """What `identify` found in a recording, whatever the kind of model: predictions, residuals, how well it fits.
 
+    Attributes
+    ----------
+    structure : Structure, StateSpace or GreyBox
+        What was looked for.
+    P : ndarray, shape (n, n)
+        Covariance of the parameters.
+    noise : Noise or tuple of Noise
+        Of the output, or of each.
+    weights : ndarray, shape (N,) or (N, n_outputs)
+        How much each sample was believed; NaN where it is missing.
+    log_likelihood : float
+        Of what is measured.
+    warning : str
+        What makes the estimate doubtful; empty if nothing does.
+    dt : float or None
+        Sampling period in s, if the index of the recording has it.
+    findings : tuple of Finding
+        What the recording has besides the model.
+    trends : tuple of (int, ndarray)
+        Fingerprint of each recording whose levels break, and these: methods that are given the same y take them off
+        it, and put them back.
+    colour : float
+        How many times as large standard deviations are as those of white residuals, which P counts.
+    """
+
+    structure: Any
+    P: Array
     noise: Any
-    weights: Any
+    weights: Array
     log_likelihood: float
-    colour: float
-    findings: tuple[Finding, ...]
     warning: str
-    # (y, u, t, steps): the time axis, measured outputs, and those so many steps ahead, or with 0 from inputs alone.
-    _run: Callable[..., tuple[TimeAxis, Any, Any]]
-
+    dt: float | None = None
+    findings: tuple[Finding, ...] = ()
+    trends: tuple[tuple[int, Array], ...] = ()
+    colour: float = 1.0
     @property
     def R(self) -> Any:
         """Variance of the ordinary noise of each output, shape (n_outputs,)."""

@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.noise import Noise, Noises
+from robust_filterpy.identification.models.noise import Noises
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import period
 from robust_filterpy.identification.models.responses import System
-from robust_filterpy.identification.models.results import Finding, Identified, signals_of
+from robust_filterpy.identification.models.results import Identified, signals_of
 from robust_filterpy.identification.models.signals import (
     Signals,
     TimeAxis,
@@ -234,7 +234,7 @@ class StateSpace:
         return _AUTO if isinstance(self.n, str) else (self.n,)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class StateSpaceModel(System, Identified):
     """x(k+1) = A x + B u + K e, y = C x + D u + level + e, in a balanced basis, as `identify` found it.
 
@@ -276,7 +276,6 @@ class StateSpaceModel(System, Identified):
         How many times as large standard deviations are as those of white residuals, which P counts.
     """
 
-    structure: StateSpace
     A: Array
     B: Array
     C: Array
@@ -284,19 +283,10 @@ class StateSpaceModel(System, Identified):
     K: Array
     level: Array
     level_std: Array
-    P: Array
-    noise: tuple[Noise, ...]
-    weights: Array
-    log_likelihood: float
-    warning: str
     end: Array
     operating_point: Array
-    dt: float | None = None
-    findings: tuple[Finding, ...] = ()
     levels: Array = field(default_factory=lambda: np.zeros((0, 0)))
     orders: tuple[tuple[int, float], ...] = ()
-    trends: tuple[tuple[int, Array], ...] = ()
-    colour: float = 1.0
 
     def __repr__(self) -> str:
         """Show orders, poles and noise."""
