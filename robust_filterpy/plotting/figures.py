@@ -139,23 +139,29 @@ def rows(name: str, values: Any) -> Array:
     return array.reshape(len(array), -1)
 
 
+def column(source: Any, name: str, of_run: str) -> Array:
+    """Return what a source has for each sample, shape (N, n): a run, a Saver or the numbers themselves."""
+    if is_run(source):
+        return rows(of_run, getattr(source, of_run))
+    return recorded(source, name) if is_saver(source) else rows("source", source)
+
+
 def mean_and_deviation(source: Any, covariances: Any) -> tuple[Array, Array | None]:
     """Return states or parameters (N, n) and their standard deviations."""
+    mean = column(source, "x", "theta")
     if is_run(source):
-        std = np.asarray(source.std)
         # No band where nothing is estimated yet.
-        return np.asarray(source.theta), np.where(np.isfinite(std), std, np.nan)
+        return mean, np.where(np.isfinite(source.std), source.std, np.nan)
     if is_saver(source):
-        mean, covariance = recorded(source, "x"), recorded(source, "P")
-        return mean, deviations("P", covariance.reshape(len(mean), mean.shape[1], -1), mean.shape[1])
-    mean = rows("source", source)
-    return mean, None if covariances is None else deviations("covariances", covariances, mean.shape[1], len(mean))
+        covariances = recorded(source, "P").reshape(*mean.shape, -1)
+    return mean, deviations("covariances", covariances, mean)
 
 
-def deviations(name: str, covariances: Any, n: int, length: int | None = None) -> Array:
-    """Return sqrt of the diagonals, shape (N, n)."""
-    values = numbers(name, covariances)
-    length = len(values) if length is None else length
+def deviations(name: str, covariances: Any, of: Array) -> Array | None:
+    """Return sqrt of the diagonals of covariances of something, shape (N, n), if there are any."""
+    if covariances is None:
+        return None
+    values, (length, n) = numbers(name, covariances), of.shape
     if values.shape != (length, n, n):
         raise ValueError(f"{name}: expected shape {(length, n, n)} for {length} rows of {n}, got {values.shape}")
     return np.asarray(np.sqrt(np.maximum(np.einsum("kii->ki", values), 0.0)))
@@ -324,23 +330,18 @@ def plot_innovations(
     -----
     Of a tracker's run the samples with a weight below 1 are marked; it has not kept S, so there is no band.
     """
-    width = positive("sigmas", sigmas)
-    label = "clipped"
+    width, y, label = positive("sigmas", sigmas), column(source, "y", "residual"), "clipped"
     if is_run(source):
-        y, covariances, clipped = np.asarray(source.residual)[:, None], None, np.asarray(source.weights) < 1.0
-        label = "weight below 1"
+        covariances, clipped, label = None, np.asarray(source.weights) < 1.0, "weight below 1"
     elif is_saver(source):
-        y, there = recorded(source, "y"), source.__dict__
-        clipped = recorded(source, "clipped") if "clipped" in there else None
-        if "weights" in there:
+        clipped = recorded(source, "clipped") if "clipped" in vars(source) else None
+        covariances = recorded(source, "S").reshape(*y.shape, -1)
+        if "weights" in vars(source):
             y = np.where(np.isnan(recorded(source, "weights")), np.nan, y)
-        covariances = recorded(source, "S").reshape(len(y), y.shape[1], -1)
-    else:
-        y = rows("source", source)
     marked = np.zeros(y.shape, bool) if clipped is None else rows("clipped", clipped) > 0
     if marked.shape != y.shape:
         raise ValueError(f"clipped: expected shape {y.shape}, that of the innovations, got {marked.shape}")
-    deviation = None if covariances is None else deviations("covariances", covariances, y.shape[1], len(y))
+    deviation = deviations("covariances", covariances, y)
     (i,) = chosen("component", component, y.shape[1])
     time = times_of(t, len(y), source)
     ax = one_axes(ax)
@@ -379,12 +380,7 @@ def plot_weights(
     ValueError
         If lengths do not fit.
     """
-    if is_run(source):
-        weights = np.asarray(source.weights)[:, None]
-    elif is_saver(source):
-        weights = recorded(source, "weights")
-    else:
-        weights = rows("source", source)
+    weights = column(source, "weights", "weights")
     time = times_of(t, len(weights), source)
     names = all_names(names, weights.shape[1], "z")
     which = chosen("components", components, weights.shape[1])

@@ -65,8 +65,8 @@ class Grid(NamedTuple):
     ranges: dict[str, tuple[int, ...] | None]
 
     @classmethod
-    def of(cls, kind: Kind, given: dict[str, Any], has_input: bool) -> Grid:
-        """Return checked orders; no b's and one delay without input."""
+    def of(cls, kind: Kind, given: dict[str, Any], count: int) -> Grid:
+        """Return checked orders, of so many inputs a number of b's and a delay each; no b's and one delay of none."""
         if kind not in _KINDS:
             names = ", ".join(one.__name__ for one in _KINDS)
             raise ValueError(f"kind: expected one of {names}, got {_checks.shown(kind)}")
@@ -79,31 +79,23 @@ class Grid(NamedTuple):
         ranges: dict[str, tuple[int, ...] | None] = {}
         for name in (first, *(other for other in arguments if other != first)):
             values = usual.get(name) if given[name] is None else given[name]
-            absent = name in ("nb", "nk") and not has_input
+            absent = name in ("nb", "nk") and not count
             ranges[name] = (0,) if absent else None if values is None else _range(name, values, name == "nb")
-        if has_input and "nb" not in arguments:
+        if count and "nb" not in arguments:
             raise ValueError(f"u: expected None for {kind.__name__}, which has no input; take ARX or ARMAX")
-        if not has_input and "nb" in arguments and kind not in (ARX, ARMAX):
+        if not count and "nb" in arguments and kind not in (ARX, ARMAX):
             raise ValueError(f"u: expected an input for {kind.__name__}, got None; without one take ARX or ARMAX")
         if "nb" in ranges and ranges["nb"] is None and 0 in (ranges[first] or ()):
             raise ValueError(
                 f"nb: expected the numbers of b's to try where {first} holds 0, got None; say nb=range(1, 5)"
             )
+        acting = tuple(value for value in ranges[first] or () if value)
+        of_each = {name: [f"{name}[{i}]" for i in range(count)] for name in ("nb", "nk") if count > 1}
+        for name, values in list(ranges.items()):
+            # In their order.
+            del ranges[name]
+            ranges |= dict.fromkeys(of_each[name], values or acting) if name in of_each else {name: values}
         return cls(kind, ranges)
-
-    def of_inputs(self, count: int) -> Grid:
-        """Return the grid with a number of b's and a delay for each of several inputs."""
-        if count < 2:
-            return self
-        ranges: dict[str, tuple[int, ...] | None] = {}
-        for name, values in self.ranges.items():
-            if name not in ("nb", "nk"):
-                ranges[name] = values
-                continue
-            if values is None:
-                values = tuple(value for value in next(iter(self.ranges.values())) or () if value)
-            ranges |= {f"{name}[{i}]": values for i in range(count)}
-        return self._replace(ranges=ranges)
 
     def named(self, orders: Orders) -> dict[str, Any]:
         """Return orders by their names; those of several inputs as a tuple."""
@@ -117,30 +109,23 @@ class Grid(NamedTuple):
         """Return the structure of these orders."""
         return self.kind(**self.named(orders))
 
-    def beginning(self, given: list[set[int | None]]) -> Iterator[Orders]:
-        """Yield all orders with the delays given for each input, or with all delays."""
+    def beginning(self, given: list[set[int]]) -> Iterator[Orders]:
+        """Yield all orders with the first delays given for each input and with the last, or with all delays of one."""
         (_, first), *others = self.ranges.items()
         lags = self.lags
-        sets = [
-            sorted({min(lags, key=lambda lag: abs(lag - delay)) for delay in one if delay is not None}) for one in given
-        ]
-        single = "nk" in self.ranges or not any(name.startswith("nk") for name in self.ranges)
-        # All delays of one input where none was found; of several inputs the least.
-        tried = [(lag,) for lag in ((sets[0] if sets else []) or lags)] if single else self._together(sets)
+        delays = [sorted({min(lags, key=lambda lag: abs(lag - delay)) for delay in one}) for one in given]
+        # Where none was found all of one input; of several inputs the least.
+        delays = [one or ([lags[0]] if len(delays) > 1 else list(lags)) for one in delays]
+        ends = {tuple(one[0] for one in delays), tuple(one[-1] for one in delays)}
+        tried = [(lag,) for lag in delays[0]] if len(delays) == 1 else sorted(ends)
         for n in first or ():
-            for delays in tried:
-                yield (n, *(self._nearest(name, values, n, delays) for name, values in others))
+            for each in tried:
+                yield (n, *(self._nearest(name, values, n, each) for name, values in others))
 
     @property
     def lags(self) -> tuple[int, ...]:
         """The delays of the first input that may be tried."""
         return self.ranges.get("nk") or self.ranges.get("nk[0]") or (0,)
-
-    def _together(self, sets: list[list[int]]) -> list[tuple[int, ...]]:
-        """Return the first delays of all inputs, and the last ones."""
-        count = sum(name.startswith("nk[") for name in self.ranges)
-        delays = [one or [self.lags[0]] for one in (sets or [[]] * count)]
-        return sorted({tuple(one[0] for one in delays), tuple(one[-1] for one in delays)})
 
     def _nearest(self, name: str, values: tuple[int, ...] | None, n: int, delays: tuple[int, ...]) -> int:
         """Return the value of an order that is next to the one that is wanted to begin with."""
@@ -408,14 +393,13 @@ def select_structure(
     OutputError(na=2, nb=2, nk=4)
     """
     _checks.option("criterion", criterion, _CRITERIA)
-    grid = Grid.of(kind, {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk}, u is not None)
     axis, y, u = recording(None, y=y, u=u)
     output = measured_output(y)
     signal = np.zeros((output.size, 0)) if u is None else _inputs(u, output.size)
+    grid = Grid.of(kind, {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "nk": nk}, signal.shape[1])
     measured, lies = measurements(output, signal)
     if lies:
         warn(f"select_structure: {said(lies)}")
-    grid = grid.of_inputs(signal.shape[1])
     if held_out not in (None, 0):
         raise ValueError(
             f"held_out: expected None or 0, got {_checks.shown(held_out)}; to choose without the end of a recording "
@@ -424,7 +408,8 @@ def select_structure(
     confirmed, fitted = held_out is None and measured.size >= _LEAST_HELD, round((1.0 - _HELD) * measured.size)
     bar = progress_bar(None, progress, " structures", "select_structure")
     responses = () if u is None else _impulse_responses(measured, signal, grid)
-    beginning = list(grid.beginning([{one.delay, one.sure_delay} - {None} for one in responses]))
+    delays: Any = [{one.delay, one.sure_delay} - {None} for one in responses]
+    beginning = list(grid.beginning(delays or [set()] * max(signal.shape[1], 1)))
     largest = max((grid.structure(orders) for orders in beginning), key=lambda one: one.n_theta)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

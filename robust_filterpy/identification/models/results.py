@@ -108,6 +108,21 @@ class Recorded(NamedTuple):
     weights: Array
     guard: np.ndarray
 
+    def confidence_intervals(self, level: float = 0.95) -> Intervals:
+        """Return theta -+ z std for every sample, z the normal quantile of the level.
+
+        Parameters
+        ----------
+        level : float, default 0.95
+            Probability of the interval, in (0, 1).
+
+        Returns
+        -------
+        Intervals
+            lower, upper, each of the shape of theta.
+        """
+        return intervals(self.theta, self.std, level)
+
 
 class TrackingResult(Pictured, Recorded):
     """What a recording of N samples gave, row k after sample k; a tuple of its first six attributes.
@@ -174,21 +189,6 @@ class TrackingResult(Pictured, Recorded):
         columns |= {f"{name}_std": std for name, std in zip(names, np.moveaxis(self.std, -1, 0), strict=True)}
         rest = {"prediction": self.prediction, "residual": self.residual, "weight": self.weights, "guard": self.guard}
         return columns | rest
-
-    def confidence_intervals(self, level: float = 0.95) -> Intervals:
-        """Return theta -+ z std for every sample, z the normal quantile of the level.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of the interval, in (0, 1).
-
-        Returns
-        -------
-        Intervals
-            lower, upper, each of shape (N, n).
-        """
-        return intervals(self.theta, self.std, level)
 
 
 def intervals(theta: Array, std: Array, level: float) -> Intervals:

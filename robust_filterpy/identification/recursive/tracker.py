@@ -21,11 +21,9 @@ from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import (
-    Intervals,
     Recorded,
     Sample,
     TrackingResult,
-    intervals,
 )
 from robust_filterpy.identification.models.signals import filled_output, recorded_input, recording, table
 from robust_filterpy.identification.models.structures import Structure
@@ -765,21 +763,6 @@ class BankResult(Recorded):
             A row for each sample that was kept.
         """
         return TrackingResult(*(column[:, i] for column in self)).labelled(self.names, self.index)
-
-    def confidence_intervals(self, level: float = 0.95) -> Intervals:
-        """Return theta -+ z std for every sample that was kept, z the normal quantile of the level.
-
-        Parameters
-        ----------
-        level : float, default 0.95
-            Probability of the interval, in (0, 1).
-
-        Returns
-        -------
-        Intervals
-            lower, upper, each of shape (K, n, n_theta).
-        """
-        return intervals(self.theta, self.std, level)
 
 
 class TrackerBank(Following):
