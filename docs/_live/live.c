@@ -2,7 +2,6 @@
 
    The kernel's own headers with the numbers of numbers.h, which build.py writes. */
 #include "learnt.h"
-#include "series.h"
 #include "numbers.h"
 
 enum { n = 2, m = 1, STEPS = 1000, WORK = 20000 };

@@ -197,7 +197,7 @@ class Bounded:
 
     def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
         """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
-        return series.run(self.choices, state, zs, model, into, **how)
+        return series.run(series.rule(self.choices), state, zs, model, into, **how)
 
     def factors(self, memory: Array) -> Array:
         """Return the variance of a sensor's innovations over the nominal one, as learned."""
@@ -390,7 +390,7 @@ class Mixture:
 
     def advance(self, state: State, zs: Array, model: tuple[Any, ...], into: Rows, **how: Any) -> int:
         """Take the steps of a recording as far as the kernel can, and return the first that was not taken."""
-        return half_step.run(state, zs, model, self.classes, self.scales, into, **how)
+        return series.run(self.rule, state, zs, model, into, **how)
 
     def any_outlier(self, outlying: Array) -> Array:
         """Return the probability that any sensor, the last axis, was an outlier."""

@@ -8,6 +8,5 @@ extern PyMethodDef series_functions[];
 extern PyMethodDef smoother_functions[];
 extern PyMethodDef step_functions[];
 extern PyMethodDef tracker_functions[];
-extern PyMethodDef learnt_functions[];
 
 #endif

@@ -1,4 +1,4 @@
-"""Learnt noise by the kernel: a recording as far as it serves; half a step, by the definition where it declines."""
+"""Learnt noise by the kernel: its rule, and half a step, by the definition where it declines."""
 
 from __future__ import annotations
 
@@ -7,22 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import learning, learnt, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.side_by_side import Models, Scales
-from robust_filterpy.kernel.series import Rows, State, plain
+from robust_filterpy.kernel.series import CORRECTION, PREDICTION, Rows, State, run
 
-__all__ = ["Head", "Rows", "State", "begin", "correct", "predict", "rule", "run"]
-
-#: Which half of a step is taken.
-PREDICTION, CORRECTION, BOTH = 1, 2, 3
+__all__ = ["Head", "begin", "correct", "predict", "rule"]
 
 
 class Head(NamedTuple):
-    """How the numbers of a rule begin, in the order of `rule_head` in learnt.c."""
+    """How the numbers of a rule begin, in the order of `rule_head` in online.c."""
 
     models: float
     """Scales of Q; they follow, and the scales of R."""
@@ -40,7 +36,7 @@ class Head(NamedTuple):
 
 @lru_cache(maxsize=64)
 def rule(noise: NoiseClasses, process: Scales) -> Array:
-    """Return what learnt.c takes: sizes and options, scales of Q, scales of R, the memory at first, and who fails
+    """Return what the kernel takes: sizes and options, scales of Q, scales of R, the memory at first, and who fails
     with whom.
     """
     drawn = () if process.probabilities is None else process.probabilities
@@ -62,29 +58,6 @@ def begin(models: Models, memory: Array) -> State:
     return State(x.copy(), P.copy(), belief.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)))
 
 
-def run(
-    state: State, zs: Array, model: tuple[Any, ...], noise: NoiseClasses, process: Scales, rows: Rows,
-    *, first: int = 0, last: int | None = None, every: int = 1, alpha_sq: float = 1.0, update_first: bool = False,
-    which: int = BOTH, readings: Array | None = None, M: Array | None = None,
-) -> int:  # fmt: skip
-    """Take the steps of a recording as far as the kernel can, in place, and return the first that was not taken."""
-    extension = kernel.extension()
-    last = len(zs) if last is None else last
-    if extension is None:
-        return first
-    width = 0 if rows.covariances is None else rows.covariances.shape[1]
-    likelihood = np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood
-    said = plain(zs if readings is None else readings)[None]
-    # One series.
-    given = tuple(None if a is None else plain(a)[None] for a in (*model, None if M is None else M[None]))
-    into = tuple(None if a is None else a[None] for a in rows[:-1])
-    taken = extension.learnt_steps(
-        rule(noise, process), tuple(state), plain(zs)[None], said, given, (*into, likelihood),
-        (first, last, every, alpha_sq, bool(update_first), width, which),
-    )  # fmt: skip
-    return int(taken)
-
-
 def predict(
     models: Models, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
 ) -> tuple[Models, Array, Array]:
@@ -92,7 +65,7 @@ def predict(
     n = len(F)
     state = begin(models, _SENSOR)
     model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
-    if run(state, np.full((1, 1), np.nan), model, _NOISE, process, Rows(), alpha_sq=alpha_sq, which=PREDICTION):
+    if run(rule(_NOISE, process), state, np.full((1, 1), np.nan), model, Rows(), alpha_sq=alpha_sq, which=PREDICTION):
         return Models.unpacked(*state[:3]), state.x, state.P
     moved = side_by_side.predict(models, F, Q, process, Bu, alpha_sq)
     return moved, *side_by_side.merged(moved, process)
@@ -115,7 +88,7 @@ def correct(
     model = (_nothing(n), _nothing(n), H[None], R[None], None)
     into = Rows(weights=weights, outlying=outlying, log_likelihood=likelihood)
     said = None if readings is None else readings[None]
-    if run(state, z[None], model, noise, process, into, which=CORRECTION, readings=said, M=M):
+    if run(rule(noise, process), state, z[None], model, into, which=CORRECTION, readings=said, M=M):
         after = Models.unpacked(*state[:3])
         corrected = Corrected(after, state.learnt, float(likelihood[0]), weights[0], outlying[0])
         return corrected, state.x, state.P

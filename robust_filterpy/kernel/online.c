@@ -21,6 +21,38 @@ int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) 
     return 1;
 }
 
+/* The rule from the array that robust_filterpy.kernel.learnt makes of it; return whether it is that. */
+int take_rule(learnt_rule *rule, PyObject *object) {
+    /* `Head` there. */
+    typedef struct {
+        double models, classes, stay, jump, memory, r_memory, learns, draws, grouped;
+    } rule_head;
+    const npy_intp length = is_array(object, 1) ? PyArray_DIM((PyArrayObject *)object, 0) : 0, least = sizeof(rule_head) / sizeof(double);
+    const double *const numbers = length < least ? NULL : vector_of(object, length);
+    const rule_head *const head = (const rule_head *)numbers;
+    if (!numbers || !(head->models >= 1 && head->models < 1000 && head->classes >= 1 && head->classes < 1000)) return 0;
+    rule->q = (int)head->models, rule->K = (int)head->classes;
+    rule->stay = head->stay, rule->jump = head->jump, rule->memory = head->memory, rule->r_memory = head->r_memory;
+    rule->learns = head->learns != 0;
+    rule->process = numbers + least;
+    rule->scales = rule->process + rule->q;
+    rule->begin = rule->scales + rule->K;
+    rule->drawn = head->draws != 0 ? rule->begin + learnt_width(rule->K) : NULL;
+    rule->joint = head->grouped < 0;
+    rule->named = rule->joint || !(head->grouped < 1000) ? 0 : (int)head->grouped;
+    rule->leads = rule->begin + learnt_width(rule->K) + (rule->drawn ? rule->q : 0);
+    if (rule->leads + rule->named != numbers + length) return 0;
+    for (int i = 0; i < rule->named; i++)
+        if (!(rule->leads[i] >= 0 && rule->leads[i] <= i)) return 0;
+    return 1;
+}
+
+size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m) {
+    return learnt_correct_work(n, m, learnt_models(rule), rule->K);
+}
+
+npy_intp memory_rows(const learnt_rule *rule, npy_intp m) { return rule->joint ? 1 : m; }
+
 int take_judge(held *h, PyObject *filter, judge *by) {
     PyObject *const policy = hold_attribute(h, filter, AT__policy), *rule, *of[2];
     rule = policy ? hold_attribute(h, policy, AT_rule) : NULL;

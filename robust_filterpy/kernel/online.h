@@ -3,7 +3,6 @@
 #define ROBUST_FILTERPY_ONLINE_H
 
 #include "glue.h"
-#include "learnt.h"
 
 /* x, (n,) or (n, 1), and P, symmetric. */
 typedef struct {

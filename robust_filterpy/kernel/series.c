@@ -1,21 +1,20 @@
 /* Series and recordings: the loop of series.h, without the interpreter's lock. */
 #include "groups.h"
-#include "series.h"
+#include "online.h"
 
 /* Sizes of the state that the compiler knows; to know one sensor too gains nothing that can be measured. */
 #define SIZES(X) X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8)
 typedef void span_function(const series_job *, ptrdiff_t, ptrdiff_t, double *);
 
-#define SPAN(size) \
-    static void span_##size(const series_job *job, ptrdiff_t low, ptrdiff_t high, double *work) { \
-        series_span(size, job->m, job, low, high, work); \
+#define SPAN_OF(name, size) \
+    static void name(const series_job *job, ptrdiff_t low, ptrdiff_t high, double *work) { \
+        if (job->mixes) series_span(size, job->m, 1, job, low, high, work); \
+        else series_span(size, job->m, 0, job, low, high, work); \
     }
+#define SPAN(size) SPAN_OF(span_##size, size)
 SIZES(SPAN)
+SPAN_OF(span_any, job->n)
 #undef SPAN
-
-static void span_any(const series_job *job, ptrdiff_t low, ptrdiff_t high, double *work) {
-    series_span(job->n, job->m, job, low, high, work);
-}
 
 static span_function *const spans[] = {span_any,
 #define SPAN(size) span_##size,
@@ -23,44 +22,62 @@ static span_function *const spans[] = {span_any,
 #undef SPAN
 };
 
+/* Take x, P, memory and, under a mixture, x, P and p of the models, of so many series; whether they are that. */
+static int take_moving(series_job *job, PyObject *const of[6], npy_intp series) {
+    const learnt_rule *const rule = &job->mixture;
+    const npy_intp n = job->n, m = job->m, models = job->mixes ? learnt_rows(rule) : 0;
+    const npy_intp shapes[4][3] = {{job->mixes ? memory_rows(rule, m) : m, job->mixes ? learnt_width(rule->K) : SPREAD_NUMBERS, 1},
+                                   {models, n, 1}, {models, n, n}, {job->mixes ? learnt_beliefs(1, rule) : 0, n, 1}};
+    job->x = writable(of[0], 2, (npy_intp[]){series, n}), job->P = writable(of[1], 3, (npy_intp[]){series, n, n});
+    for (int a = 0; a < (job->mixes ? 4 : 1); a++) {
+        const npy_intp shape[4] = {series, shapes[a][0], shapes[a][1], shapes[a][2]};
+        if (!job->mixes && job->bounded.scaling != SCALING_LEARNT) continue;
+        if (!(job->moving[a] = writable(of[2 + a], a == 2 ? 4 : 3, shape))) return 0;
+        job->sizes[a] = (int)(shape[1] * shape[2] * shape[3]);
+    }
+    for (npy_intp s = 0; job->mixes && s < series; s++) {
+        const learnt_state state = {NULL, NULL, job->moving[3] + s * job->sizes[3], NULL};
+        if (!learnt_has_parts(job->n, rule, &state)) return 0;
+    }
+    return job->x && job->P;
+}
+
 static PyObject *filter_series(PyObject *self, PyObject *arguments) {
-    PyObject *rule, *z, *matrices, *x, *P, *memory, *rooms, *likelihood, *done, *model[5], *out[5];
-    Py_ssize_t steps, first, every, low, high, width;
+    PyObject *rule, *z, *readings, *matrices, *state, *rooms, *likelihood, *done, *model[6], *moving[6], *out[7];
+    Py_ssize_t first, last, low, high, every, width;
     series_job job = {0};
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "OOOOOOOOO(nnnndpn)n", &rule, &z, &matrices, &x, &P, &memory, &rooms, &likelihood,
-                          &done, &first, &steps, &low, &high, &job.alpha_sq, &job.update_first, &every, &width))
+    if (!PyArg_ParseTuple(arguments, "OOOOOOOO(nnnndpnin)", &rule, &z, &readings, &matrices, &state, &rooms, &likelihood,
+                          &done, &first, &last, &low, &high, &job.alpha_sq, &job.update_first, &every, &job.which, &width))
         return NULL;
-    if (!take_objects(matrices, 5, model) || !take_objects(rooms, 5, out) || !is_array(z, 3) || !is_array(x, 2))
+    if (!take_objects(matrices, 6, model) || !take_objects(state, 6, moving) || !take_objects(rooms, 7, out) ||
+        !is_array(z, 3) || !is_array(moving[0], 2))
         goto refused;
     {
         const npy_intp series = PyArray_DIM((PyArrayObject *)z, 0), all = PyArray_DIM((PyArrayObject *)z, 1);
-        const npy_intp m = PyArray_DIM((PyArrayObject *)z, 2), n = PyArray_DIM((PyArrayObject *)x, 1);
-        const npy_intp states[3] = {series, n, n}, memories[3] = {series, m, SPREAD_NUMBERS};
-        if (n < 1 || m < 1 || n > 10000 || m > 10000 || every < 1 || first < 0 || steps < first || steps > all ||
-            low < 0 || high < low || high > series || (width != 0 && width != n && width != n * n))
+        const npy_intp m = PyArray_DIM((PyArrayObject *)z, 2), n = PyArray_DIM((PyArrayObject *)moving[0], 1);
+        job.mixes = !rule_of(rule, &job.bounded);
+        const npy_intp most = job.mixes ? 1000 : 10000;
+        if ((job.mixes && !take_rule(&job.mixture, rule)) || n < 1 || m < 1 || n > most || m > most || every < 1 ||
+            first < 0 || last < first || last > all || low < 0 || high < low || high > series ||
+            (width != 0 && width != n && width != n * n))
             goto refused;
         const npy_intp rows = all / every;
-        if (!rule_of(rule, &job.rule) || !take_matrices(&job.z, z, series, all, m, 0) ||
+        job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.rows = rows;
+        job.width = (int)width;
+        if (!take_matrices(&job.z, z, series, all, m, 0) || !take_matrices(&job.readings, readings, series, all, m, 0) ||
             !take_matrices(&job.F, model[0], series, all, n, n) || !take_matrices(&job.Q, model[1], series, all, n, n) ||
             !take_matrices(&job.H, model[2], series, all, m, n) || !take_matrices(&job.R, model[3], series, all, m, m) ||
-            (model[4] != Py_None && !take_matrices(&job.control, model[4], series, all, n, 0)))
-            goto refused;
-        /* Of z no axis may be shared. */
-        job.z.by_series = all * m, job.z.by_step = m;
-        job.x = writable(x, 2, states), job.P = writable(P, 3, states);
-        job.memory = memory == Py_None ? NULL : (spread_memory *)writable(memory, 3, memories);
-        job.log_likelihood = writable(likelihood, 1, states);
-        if (!job.x || !job.P || !job.log_likelihood || (job.rule.scaling == SCALING_LEARNT && !job.memory) ||
+            (model[4] != Py_None && !take_matrices(&job.control, model[4], series, all, n, 0)) ||
+            (model[5] != Py_None && !take_matrices(&job.M, model[5], series, all, n, m)) ||
+            !take_moving(&job, moving, series) || !(job.log_likelihood = writable(likelihood, 1, &series)) ||
             !take_room(&job.means, out[0], series, rows, n) || !take_room(&job.covariances, out[1], series, rows, width) ||
             !take_room(&job.means_p, out[2], series, rows, n) ||
             !take_room(&job.covariances_p, out[3], series, rows, width) ||
-            !take_room(&job.weights, out[4], series, rows, m) || !(job.done = integers(done, series, -1)))
+            !take_room(&job.weights, out[4], series, rows, m) || !take_room(&job.outlying, out[5], series, rows, m) ||
+            !take_room(&job.scale, out[6], series, rows, n) || !(job.done = integers(done, series, -1)))
             goto refused;
-        if (job.rule.scaling != SCALING_LEARNT) job.memory = NULL;
-        job.n = (int)n, job.m = (int)m, job.steps = steps, job.first_step = first, job.every = every, job.rows = rows;
-        job.covariance_width = (int)width;
-        double *const work = PyMem_Malloc(series_work(job.n, job.m) * sizeof(double));
+        double *const work = PyMem_Malloc(series_work(job.n, job.m, &job) * sizeof(double));
         if (!work) return PyErr_NoMemory();
         Py_BEGIN_ALLOW_THREADS;
         spans[n < (npy_intp)(sizeof spans / sizeof *spans) ? n : 0](&job, low, high, work);

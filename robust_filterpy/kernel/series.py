@@ -11,7 +11,11 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import GROUPINGS, Choices
 from robust_filterpy.influence.functions import Linear
 
-__all__ = ["JOINT_MOST", "filter_series", "plain", "rule", "run", "serves"]
+__all__ = ["JOINT_MOST", "filter_series", "options", "plain", "rule", "run", "serves"]
+
+#: Which half of a step is taken.
+PREDICTION, CORRECTION, BOTH = 1, 2, 3
+
 
 class Model(NamedTuple):
     """Matrices with the axes (series, step) in front, of length 1 where one serves all."""
@@ -129,45 +133,54 @@ def filter_series(
     *,
     memory: Array | None = None,
     alpha_sq: float = 1.0,
-    update_first: bool = False,
     every: int = 1,
     start: int = 0,
-    stop: int | None = None,
     span: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Advance series in place and return the first step of each that was not taken."""
-    done = np.full(len(zs), start, dtype=np.intp)
-    low, high = (0, len(zs)) if span is None else span
+    """Advance series in place by psi and return the first step of each that was not taken."""
     rows = zs.shape[1] // every
     into = [a.reshape(len(zs), rows, -1) if a.shape[1] else None for a in output[:5]]
-    width = next((a.shape[2] for a in (into[1], into[3]) if a is not None), 0)
-    into = [None if a is not None and a.shape[2] == 0 else a for a in into]
-    kernel.extension().filter_series(
-        rule(choices), np.ascontiguousarray(zs), tuple(map(plain, model)), x, P, memory, tuple(into),
-        output.log_likelihood, done,
-        (start, zs.shape[1] if stop is None else stop, low, high, float(alpha_sq), bool(update_first), every), width,
+    return _taken(
+        rule(choices), zs, zs, (*model, None), (x, P, memory, None, None, None), (*into, None, None),
+        output.log_likelihood, (start, zs.shape[1]), span or (0, len(zs)), alpha_sq, False, every, BOTH,
     )  # fmt: skip
-    return done
 
 
 def run(
-    choices: Choices, state: State, zs: Array, model: tuple[Any, ...], rows: Rows,
-    *, first: int = 0, last: int | None = None, alpha_sq: float = 1.0, update_first: bool = False,
-    every: int = 1,
+    rule: Array | None, state: State, zs: Array, model: tuple[Any, ...], rows: Rows,
+    *, first: int = 0, last: int | None = None, every: int = 1, alpha_sq: float = 1.0, update_first: bool = False,
+    which: int = BOTH, readings: Array | None = None, M: Array | None = None,
 ) -> int:  # fmt: skip
-    """Take the steps of one recording as far as the kernel can, in place, and return the first that was not taken."""
-    if not serves(choices):
+    """Take the steps of one recording as far as the kernel can, in place, and return the first that was not taken.
+
+    rule: of psi, or of `robust_filterpy.kernel.learnt`; M has no axis of steps.
+    """
+    if rule is None or not kernel.available():
         return first
-    done, n = np.full(1, first, dtype=np.intp), len(state.x)
-    last = len(zs) if last is None else last
-    width = 0 if rows.covariances is None else rows.covariances.shape[1]
-    matrices = (*model[:4], np.zeros((1, n)) if model[4] is None else model[4])
-    kernel.extension().filter_series(
-        rule(choices), plain(zs)[None], tuple(plain(a)[None] for a in matrices), state.x[None], state.P[None],
-        state.learnt[None], tuple(None if a is None else a[None] for a in rows[:5]), np.zeros(1), done,
-        (first, last, 0, 1, alpha_sq, bool(update_first), every), width,
+    given = (None if a is None else plain(a)[None] for a in (*model, None if M is None else M[None]))
+    moving = (state.x, state.P, state.learnt, *state[:3])
+    done = _taken(
+        rule, zs[None], (zs if readings is None else readings)[None], tuple(given), tuple(a[None] for a in moving),
+        tuple(None if a is None else a[None] for a in rows[:-1]),
+        np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood,
+        (first, len(zs) if last is None else last), (0, 1), alpha_sq, update_first, every, which,
     )  # fmt: skip
     return int(done[0])
+
+
+def _taken(
+    rule: Array | None, zs: Array, readings: Array, model: Any, moving: Any, into: Any, log_likelihood: Array,
+    steps: tuple[int, int], span: tuple[int, int], alpha_sq: float, update_first: bool, every: int, which: int,
+) -> np.ndarray:  # fmt: skip
+    """Call the kernel, and return the first step of each series that was not taken."""
+    done = np.full(len(zs), steps[0], dtype=np.intp)
+    width = next((a.shape[2] for a in (into[1], into[3]) if a is not None), 0)
+    kernel.extension().filter_series(
+        rule, plain(zs), plain(readings), tuple(None if a is None else plain(a) for a in model), moving,
+        tuple(None if a is not None and a.shape[2] == 0 else a for a in into), log_likelihood, done,
+        (*steps, *span, float(alpha_sq), bool(update_first), every, which, width),
+    )  # fmt: skip
+    return done
 
 
 def plain(array: Array) -> Array:

@@ -51,11 +51,6 @@ SIZED smoother_room smoother_begin(const ptrdiff_t steps, const int n, const int
     return room;
 }
 
-/* The numbers of a series and a step. */
-SIZED const real *smoother_at(const series_matrices *const of, const ptrdiff_t s, const ptrdiff_t k) {
-    return of->data + s * of->by_series + k * of->by_step;
-}
-
 /* Take in the factor exp(-d e^2/2 - o e) of e = z - h x: correct x and P in place. Return how sharp it was, d h P h';
    for a sharp one, and whenever joseph says so, P takes Joseph's form. rows: 2 n. */
 SIZED real smoother_take(const int n, const real *RESTRICT h, const real z, const real d, const real o,
@@ -85,19 +80,19 @@ SIZED real smoother_forward(const int n, const int m, const smoother_job *const 
                             smoother_room *const room) {
     const int r = job->r;
     real sharp = 0, scale = 1;
-    real_copy(n, smoother_at(&job->x0, s, 0), room->x);
-    real_copy(n * n, smoother_at(&job->P0, s, 0), room->P);
+    real_copy(n, series_at(&job->x0, s, 0), room->x);
+    real_copy(n * n, series_at(&job->P0, s, 0), room->P);
     for (ptrdiff_t k = 0; k < job->steps; k++) {
-        const real *RESTRICT H = smoother_at(&job->H, s, k), *RESTRICT G = smoother_at(&job->G, s, k);
-        const real *RESTRICT d = smoother_at(&job->d, s, k), *RESTRICT o = smoother_at(&job->o, s, k);
-        const real *RESTRICT z = smoother_at(&job->z, s, k), q = *smoother_at(&job->q, s, k);
+        const real *RESTRICT H = series_at(&job->H, s, k), *RESTRICT G = series_at(&job->G, s, k);
+        const real *RESTRICT d = series_at(&job->d, s, k), *RESTRICT o = series_at(&job->o, s, k);
+        const real *RESTRICT z = series_at(&job->z, s, k), q = *series_at(&job->q, s, k);
         if (k == 0 || job->G.by_step || q != scale) {
             for (int i = 0; i < n; i++)
                 for (int j = 0; j <= i; j++)
                     room->Q[i * n + j] = room->Q[j * n + i] = q * real_dot(r, G + i * r, G + j * r);
             scale = q;
         }
-        predict(n, room->x, room->P, smoother_at(&job->F, s, k), room->Q, smoother_at(&job->c, s, k), 1, room->x_next,
+        predict(n, room->x, room->P, series_at(&job->F, s, k), room->Q, series_at(&job->c, s, k), 1, room->x_next,
                 room->P_next, room->buffer);
         real_swap(&room->x, &room->x_next), real_swap(&room->P, &room->P_next);
         for (int v = 0; v < m; v++)
@@ -206,9 +201,9 @@ CALLED void smoother_combine(const int n, real *x, real *P, real *y, real *Y, re
 /* Turn the information about the state after step k into that about the state before it. */
 CALLED void smoother_earlier(const int n, const int m, const smoother_job *job, const ptrdiff_t s, const ptrdiff_t k,
                              smoother_room *const room) {
-    const real *H = smoother_at(&job->H, s, k), *G = smoother_at(&job->G, s, k), *c = smoother_at(&job->c, s, k);
-    const real *z = smoother_at(&job->z, s, k), *d = smoother_at(&job->d, s, k), *o = smoother_at(&job->o, s, k);
-    const real q = *smoother_at(&job->q, s, k);
+    const real *H = series_at(&job->H, s, k), *G = series_at(&job->G, s, k), *c = series_at(&job->c, s, k);
+    const real *z = series_at(&job->z, s, k), *d = series_at(&job->d, s, k), *o = series_at(&job->o, s, k);
+    const real q = *series_at(&job->q, s, k);
     real *y = room->y, *Y = room->Y, *p = room->rows;
     for (int v = 0; v < m; v++)
         for (int i = 0; i < n; i++) {
@@ -250,7 +245,7 @@ SIZED void smoother_backward(const int n, const int m, const smoother_job *const
     for (int i = 0; i < n * n; i++) room->P[i] = room->Y[i] = 0;
     for (ptrdiff_t k = job->steps - 1; k >= 0; k--) {
         const ptrdiff_t at = s * job->steps + k;
-        const real *RESTRICT H = smoother_at(&job->H, s, k), *RESTRICT F = smoother_at(&job->F, s, k);
+        const real *RESTRICT H = series_at(&job->H, s, k), *RESTRICT F = series_at(&job->F, s, k);
         const real *RESTRICT PH = room->PH + k * m * n;
         real *const fitted = job->fitted + at * m;
         if (job->F.by_step || k == job->steps - 1)
@@ -268,12 +263,12 @@ SIZED void smoother_backward(const int n, const int m, const smoother_job *const
             for (int i = 0; i < n; i++) fitted[v] += PH[v * n + i] * room->x[i];
         }
         if (job->spread) smoother_spread(n, m, H, PH, room->P, room);
-        smoother_gather(n, m, H, smoother_at(&job->z, s, k), smoother_at(&job->d, s, k), smoother_at(&job->o, s, k),
+        smoother_gather(n, m, H, series_at(&job->z, s, k), series_at(&job->d, s, k), series_at(&job->o, s, k),
                         fitted, job->spread != NULL, room->x, room->P, room);
         if (job->x && careful) smoother_seen(n, m, H, job->x + at * n, job->P + at * n * n, fitted, room);
         if (job->spread) real_copy(m * m, room->V, job->spread + at * m * m);
         if (job->score)
-            smoother_process(n, job->r, smoother_at(&job->G, s, k), room->x, room->P, job->score + at * job->r,
+            smoother_process(n, job->r, series_at(&job->G, s, k), room->x, room->P, job->score + at * job->r,
                              job->information + at * job->r * job->r, room->rows);
         if (job->spread) {
             predict(n, room->x, room->P, room->Ft, room->none, NULL, 1, room->x_next, room->P_next, room->buffer);
@@ -296,7 +291,7 @@ SIZED void smoother_span(const int n, const int m, const smoother_job *const job
         smoother_backward(n, m, job, s, careful, &room);
         if (!job->x) continue;
         real *const x = job->x_first + s * n, *const P = job->P_first + s * n * n;
-        real_copy(n, smoother_at(&job->x0, s, 0), x), real_copy(n * n, smoother_at(&job->P0, s, 0), P);
+        real_copy(n, series_at(&job->x0, s, 0), x), real_copy(n * n, series_at(&job->P0, s, 0), P);
         if (careful) smoother_combine(n, x, P, room.y, room.Y, room.rows);
         else smoother_state(n, room.x, room.P, x, P, &room);
     }

@@ -67,11 +67,11 @@ def calls():
         for structure in (OutputError(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 2, 2)):
             support.paper_tracker(structure).run(y, u)
     assert track.kernel is kernel
-    assert set(watched.calls) == {"filter_series", "smooth", "learnt_steps", "correct_arrays", "track"}
+    assert set(watched.calls) == {"filter_series", "smooth", "correct_arrays", "track"}
     return watched.calls
 
 
-@pytest.mark.parametrize("name", ["filter_series", "smooth", "learnt_steps", "track"])
+@pytest.mark.parametrize("name", ["filter_series", "smooth", "track"])
 def test_a_group_of_arguments_that_could_change_under_the_call_is_refused(calls, name):
     """A list, or what makes its entries when asked: nobody would hold these while they are worked on."""
     arguments = calls[name][0]
@@ -94,7 +94,7 @@ def test_options_that_are_none_are_declined(calls, place, code):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["filter_series", "smooth", "learnt_steps", "correct_arrays", "track"])
+@pytest.mark.parametrize("name", ["filter_series", "smooth", "correct_arrays", "track"])
 def test_no_arguments_crash(calls, name):
     ends, refused = np.full(32, 77.0), 0
     for seed in range(10 * ROUNDS):

@@ -11,9 +11,10 @@ from robust_filterpy.correction import side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import correct
 from robust_filterpy.correction.side_by_side import Scales
-from robust_filterpy.kernel.learnt import Rows, begin, run
+from robust_filterpy.kernel.learnt import begin, rule
+from robust_filterpy.kernel.series import Rows, run
 
-pytestmark = pytest.mark.skipif(not hasattr(kernel.extension(), "learnt_steps"), reason="the kernel is not built")
+pytestmark = pytest.mark.skipif(not hasattr(kernel.extension(), "filter_series"), reason="the kernel is not built")
 OPTIONS = [
     (NoiseClasses(), Scales()),
     (NoiseClasses(), Scales(jump=0.0)),
@@ -64,7 +65,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
         found = correct(models, memory, z, H, R, noise, process, M)
         models, memory, total = found.models, found.memory, total + found.log_density
         model = F[None], Q[None], H[None], R[None], None
-        assert run(state, zs, model, noise, process, rows, first=k, last=k + 1, M=M)
+        assert run(rule(noise, process), state, zs, model, rows, first=k, last=k + 1, M=M)
         ours = side_by_side.Models.unpacked(*state[:3])
         pairs = [
             *zip(alive(models), alive(ours), strict=True), (memory, state.learnt), (total, rows.log_likelihood[0]),
@@ -145,7 +146,7 @@ def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
         state = begin(models, noise.start(2))
         before = [a.copy() for a in state]
         model = tuple(spoilt.get(name, getattr(problem, name))[None] for name in "FQHR")
-        assert run(state, spoilt.get("zs", zs), (*model, None), noise, process, Rows()) == 0
+        assert run(rule(noise, process), state, spoilt.get("zs", zs), (*model, None), Rows()) == 0
         for was, now in zip(before, state, strict=True):
             np.testing.assert_array_equal(was, now)
 
@@ -158,7 +159,7 @@ def test_arrays_that_do_not_fit_are_refused():
     for wrong in (state._replace(learnt=noise.start(1)), state._replace(means=state.means[:-1]),
                   state._replace(P=state.P[:, ::-1])):  # fmt: skip
         with pytest.raises(ValueError, match="matching shapes"):
-            run(wrong, zs, model, noise, process, Rows())
+            run(rule(noise, process), wrong, zs, model, Rows())
 
 
 @pytest.mark.pairwise(1)
