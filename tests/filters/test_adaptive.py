@@ -234,6 +234,8 @@ SPOILT = [
         ("belief", lambda a: 0.0 * a, "state: belief: expected probabilities >= 0 of the models that sum to 1"),
         ("belief", lambda a: np.vstack((a[:6], a[6:] + 7.0)), "state: belief: expected a chance of a jump"),
         ("belief", lambda a: np.vstack((a[:7], a[7:] + 1.0)), "state: belief: expected the first state of each"),
+        ("belief", lambda a: np.vstack((a[:8], a[8:9] - 1.0, a[9:])), "state: belief: expected evidence and readings"),
+        ("belief", lambda a: np.vstack((a[:10], 0.0 * a[10:])), "state: belief: .* and a factor > 0"),
     )),
     *((recovering, "counts", lambda a, counts=counts: np.array(counts), "state: expected whole counts")
       for counts in ([-1.0, 0.0], [0.5, 0.0])),

@@ -63,8 +63,9 @@ def test_a_cluster_of_false_fixes_is_undecided_until_the_fixes_jump_back(policy)
     amid = [one for one in found if BACK + 3.0 <= one[0] < BACK + 40.0]
     assert all(one[1].undecided and one[2] == {"gps": "undecided"} for one in amid)
     for t, now, _ in amid:
-        # P covers where it is, whichever of the two is served.
+        # P covers where it is, whichever of the two is served, and little more than both.
         e = now.x[[0, 2]] - places[t]
+        assert now.P[0, 0] + now.P[2, 2] < 0.5 * OFF @ OFF
         assert e @ np.linalg.solve(now.P[np.ix_([0, 2], [0, 2])], e) < 9.0
     for one in found:
         if one[0] < BACK or one[0] > BACK + 41.0:

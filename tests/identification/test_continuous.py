@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from recordings import binary, recording
+from recordings import binary, recording, unheard
 from scipy.signal import lfilter
 
 from robust_filterpy import OutputError, identify
@@ -55,6 +55,16 @@ def test_a_function_that_takes_no_columns_gives_the_same():
     guess = {"inflow": 0.5, "outflow": 0.4}
     models = [identify(y[:80], u[:80], GreyBox(f, guess, x0=[0.8]), t=t[:80]) for f in (tank, scalar)]
     assert np.allclose(models[0].theta, models[1].theta, rtol=1e-4)
+
+
+def test_of_a_recording_without_noise_nothing_but_rounding_is_left():
+    u = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 30), 2)
+    # A whole number of steps: what is integrated then is the input's sum.
+    y = np.concatenate(([0.0], np.cumsum(0.5 * u[:-1])))
+    with unheard():
+        model = identify(y, u, GreyBox(lambda x, u, p: [p[0] * u[0]], [1.0], x0=[0.0]), t=np.arange(60.0))
+    assert model.theta == pytest.approx([0.5], abs=1e-9)
+    assert model.noise[0].R < 1e-20
 
 
 def test_parameters_that_the_recording_cannot_tell_apart_are_named():

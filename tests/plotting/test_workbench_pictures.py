@@ -221,6 +221,16 @@ def test_a_frequency_response_draws_itself_with_its_bands(plain):
                 assert_allclose(edges, unit(getattr(found, f"{name}_{end}"))[1:-1])
 
 
+def test_a_step_response_is_drawn_in_steps_and_a_spectrum_as_a_line(plain):
+    step, spectrum = plain.step_response(8), plain.noise_spectrum(np.linspace(0.1, 3.0, 20))
+    for found, x, y, look in ((step, step.time, "response", "steps-post"),
+                              (spectrum, spectrum.omega, "density", "default")):  # fmt: skip
+        drawn, edges = line(ax := found.plot(), y), ax.collections[0].get_paths()[0].vertices[:, 1]
+        assert drawn.get_drawstyle() == look
+        assert_allclose(np.c_[drawn.get_xdata(), drawn.get_ydata()], np.c_[x, getattr(found, y)])
+        assert_allclose([edges.min(), edges.max()], [found.lower.min(), found.upper.max()])
+
+
 def test_the_period_of_the_recording_is_that_of_the_responses(plain):
     slow = replace(plain, dt=10.0)
     assert slow.frequency_response([0.1]).dt == slow.step_response(3).time[1] == slow.noise_spectrum([0.1]).dt == 10.0
