@@ -9,12 +9,11 @@ from statsmodels.robust import norms
 from support import of_matrices
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
-from robust_filterpy.influence import Hampel, Linear
+from robust_filterpy.influence import Hampel
 from robust_filterpy.noise import LeastFavorable
 
 pytestmark = pytest.mark.core
 
-PROPER = [Huber(), Huber(0.5), Linear(), StudentT(4.0)]
 SCALINGS = ["innovation", "bounded"]
 
 

@@ -84,24 +84,6 @@ def test_the_bounded_transformation_never_amplifies(data, problem):
 
 
 @fewer
-@given(st.data(), problems(), choices())
-def test_p_stays_positive_definite_after_any_sequence(data, problem, options):
-    kf = support.make(RobustKalmanFilter, problem, **options)
-    m, size = len(problem.R), 0.0
-    values = st.one_of(st.none(), measurements(m, st.one_of(MEASUREMENT, st.just(np.nan))))
-    for action in data.draw(st.lists(st.sampled_from(["predict", "update", "correlated"]), min_size=1, max_size=8)):
-        if action == "predict":
-            kf.predict()
-        elif action == "update":
-            kf.update(data.draw(values))
-        else:
-            kf.update_correlated(data.draw(values))
-        size = max(size, np.abs(kf.P).max())
-        support.assert_positive_definite(kf.P, size=size)
-        assert np.all(np.isfinite(kf.x))
-
-
-@fewer
 @given(st.data(), problems(), choices(scalings=st.just("unit")))
 def test_unit_scaling_keeps_p_positive_definite_or_says_that_it_cannot(data, problem, options):
     kf = support.make(RobustKalmanFilter, problem, **options)

@@ -1,6 +1,5 @@
 """AdaptiveKalmanFilter: it finds the noise that nobody gave; what it has learnt is safe."""
 
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -9,8 +8,6 @@ from support import NOISE_GIVEN, cart, make, of_matrices, random_problem, recove
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, side_by_side
 
-# How probable the classes are before anything has been seen.
-SHARES = np.array([0.85, 0.05, 0.05, 0.05])
 ORDINARY = {"process": Scales((1.0,), jump=1e-9)}
 
 

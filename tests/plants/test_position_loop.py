@@ -27,7 +27,6 @@ from robust_filterpy.plants.servo.position_loop import simulate_actuator
 
 P = PneumaticParameters()
 DT, STD = 0.01, np.array([5e-5, 500.0, 500.0])
-T = np.arange(0, 5, DT)
 
 
 def reference(n, seed=0):
