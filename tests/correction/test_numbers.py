@@ -6,7 +6,10 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
+import pytest
+
 import robust_filterpy.correction
+from robust_filterpy.correction import factor, learning, learnt, repeats, side_by_side, spread
 
 PAGE = Path(__file__).parents[2] / "docs/equations.md"
 #: What mathematics says and nobody chooses: quantiles, logarithms of 2 pi, the largest float, twice another number.
@@ -57,6 +60,30 @@ def test_the_page_has_every_number_with_its_value():
     assert (rules | arithmetic).keys() == found.keys(), (rules | arithmetic).keys() ^ found.keys()
     wrong = {name: value for name, value in found.items() if (rules | arithmetic)[name] != value}
     assert not wrong, wrong
+
+
+#: Numbers of C by their header, with the modules that have them, and what has another name there or is its square.
+HEADERS = {"SPREAD": [spread], "LEARNT": [learnt, learning, factor, side_by_side], "REPEATS": [repeats]}
+OTHERWISE = {
+    "SPREAD_RUN": spread.RUN_LENGTH, "SPREAD_FADING": 1.0 / spread.MEMORY, "SPREAD_GROWTH": spread.LARGEST_GROWTH,
+    "LEARNT_LESS": learning._LESS_SCALE, "LEARNT_COLOUR": learning._MOST_COLOUR, "LEARNT_ASKS": spread.FAR**2,
+    "LEARNT_FARTHEST": side_by_side._FARTHEST**2, "LEARNT_FAR": side_by_side._FAR**2,
+    "LEARNT_EVIDENCE": math.exp(learning.LOG_EVIDENCE), "LEARNT_TELLS": math.exp(learnt._LOG_TELLS),
+}  # fmt: skip
+
+
+def test_the_kernel_has_the_same_numbers():
+    count = 0
+    for header, modules in HEADERS.items():
+        text = Path(robust_filterpy.__file__).with_name("kernel").joinpath(f"{header.lower()}.h").read_text()
+        for name, value in re.findall(rf"^#define {header}_(\w+) ((?:REAL\([\d.e+-]+\)|\d+)(?: / \d+)?)", text, re.M):
+            number = math.prod(float(part) ** (1 - 2 * k) for k, part in enumerate(re.findall(r"\d[\d.e+-]*", value)))
+            here = [vars(module)[one] for module in modules for one in (name, f"_{name}") if one in vars(module)]
+            # A whole number may be a place.
+            expected = [OTHERWISE.get(f"{header}_{name}"), *sorted(here, key=lambda one: isinstance(one, int)), None]
+            assert number == pytest.approx(next(filter(None, expected), math.nan), rel=1e-12), f"{header}_{name}"
+            count += 1
+    assert count > 40
 
 
 def test_there_are_at_most_fifty():

@@ -17,6 +17,7 @@ from scipy.stats import norm
 
 from robust_filterpy import plotting
 from robust_filterpy.identification import ARX, FIR, GreyBox, OutputError, ParameterTracker, StateSpace, identify
+from robust_filterpy.identification.estimation.state_space import _driven
 
 matplotlib.use("Agg")
 
@@ -79,6 +80,15 @@ def test_the_noise_spectrum_of_states_is_that_of_what_inputs_leave(driven):
     np.testing.assert_allclose(plain.density[0], plain.density[1])
     with pytest.raises(ValueError, match="output: expected 0 to 1"):
         model.noise_spectrum(w, 2)
+
+
+def test_a_deviation_of_the_output_stands_in_the_innovations_as_the_predictor_passes_it_on(driven):
+    model, x, expected = driven[0], np.zeros(4), []
+    deviation = np.random.default_rng(0).normal(size=(40, 2))
+    for row in deviation - deviation.mean(axis=0):
+        expected.append(row - model.C @ x)
+        x = model.A @ x + model.K @ expected[-1]
+    np.testing.assert_allclose(_driven(model, deviation), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_each_kind_of_model_has_the_same_table_and_predicts(square):
