@@ -23,7 +23,7 @@ from robust_filterpy.identification.estimation.search import End, Ranked, ends, 
 from robust_filterpy.identification.estimation.starts import require_informative
 from robust_filterpy.identification.models.model import Ending, Model, filled_memory, resting_level
 from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
-from robust_filterpy.identification.models.polynomial_model import PolynomialModel, SeveralRecordings, ends_of
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel, spans_of
 from robust_filterpy.identification.models.responses import principal_axes
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.structures import Structure
@@ -182,7 +182,7 @@ class Problem(NamedTuple):
     @property
     def spans(self) -> tuple[slice, ...]:
         """The samples of each recording."""
-        return tuple(slice(b, e) for b, e in zip(self.begins, ends_of(self.begins, len(self.u)), strict=True))
+        return spans_of(self.begins, len(self.u))
 
     def of_inputs(self, u: Array) -> Problem:
         """Return the problem with other values of the inputs in some samples."""
@@ -192,9 +192,7 @@ class Problem(NamedTuple):
 
     def residuals_of(self, y: Array, u: Array) -> PolynomialModel:
         """Return what gives the residuals of these signals."""
-        if len(self.begins) == 1:
-            return PolynomialModel(self.structure, y, u, self.offset, self.moving)
-        return SeveralRecordings(self.structure, y, u, self.offset, self.moving, self.begins)
+        return PolynomialModel(self.structure, y, u, self.offset, self.moving, self.begins)
 
 
 class Levelled:
@@ -287,7 +285,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     estimate = replace(estimate, dt=problem.dt, endings=endings, warning=doubt)
     sizes, p = p[recorded.n :], p[: recorded.n]
     recorded = recorded if columns is None else recorded.with_output(recorded.y - columns @ sizes)
-    if not isinstance(recorded, SeveralRecordings):
+    if len(recorded.spans) == 1:
         return Estimated(_with_inputs_from_zero(estimate, recorded, p, problem.rest), p, sizes)
     several = range(len(problem.begins))
     levels = np.array([resting_level(one.parts(q)) for one, q in (recorded.of(i, p) for i in several)])
@@ -400,7 +398,7 @@ def _as_model(
         own_fit=_own_fit(inner.y[model.first :], residual, rows),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights, log_likelihood=noise.log_likelihood(residual[rows]), endings=(), warning="",
-        memory=filled_memory(*(inner.of(-1, q) if isinstance(inner, SeveralRecordings) else (inner, q))),
+        memory=filled_memory(*inner.of(-1, q)),
         profiled=bent, colour=colour, evidence=evidence(noise, residual, rows),
     )  # fmt: skip
 

@@ -33,7 +33,7 @@ from robust_filterpy.identification.estimation.starts import (
     whitened,
 )
 from robust_filterpy.identification.models.noise import ROUNDING, Noise
-from robust_filterpy.identification.models.polynomial_model import PolynomialModel, SeveralRecordings
+from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
@@ -302,7 +302,7 @@ def _showing(model: PolynomialModel, end: End) -> int:
 
 def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Start]:
     """Yield the starts that suit the structure."""
-    if isinstance(model, SeveralRecordings):
+    if len(model.spans) > 1:
         joined, gaps = model.joined(missing)
         for start in _starts(joined, gaps, noise):
             yield Start(start.name, model.shared(start.p))

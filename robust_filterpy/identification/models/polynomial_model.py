@@ -9,6 +9,9 @@ same polynomials (Ljung, System Identification, 2nd ed., 1999, section 10.3).
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -56,10 +59,10 @@ class Input(NamedTuple):
 
 
 class PolynomialModel:
-    """Residuals and their derivatives for one recording.
+    """Residuals and their derivatives for recordings that follow each other in ``y`` and ``u``, usually one.
 
-    The free parameters are [theta, offset if there is one, start]. Residual k belongs to sample ``first + k``: samples
-    before ``first`` have regressors from before the recording.
+    The free parameters are [theta, constant of each recording if there is one, start of each]. Residual k belongs to
+    sample ``first + k``: samples before ``first`` have regressors from before the recording.
 
     Parameters
     ----------
@@ -72,13 +75,19 @@ class PolynomialModel:
     offset : bool
         Whether there is a constant.
     moving : bool, default True
-        Whether something may have been in motion when the recording began; False: no start among the parameters.
+        Whether something may have been in motion when a recording began; False: no start among the parameters.
+    begins : tuple of int, default (0,)
+        First sample of each recording.
     """
 
-    def __init__(self, structure: Structure, y: Array, u: Array, offset: bool, moving: bool = True) -> None:
-        """Keep the recording, and each input that acts as a contiguous row."""
-        places = structure.polynomials
+    def __init__(
+        self, structure: Structure, y: Array, u: Array, offset: bool, moving: bool = True,
+        begins: tuple[int, ...] = (0,),
+    ) -> None:  # fmt: skip
+        """Keep the recordings, and each input that acts as a contiguous row."""
+        places, n, k = structure.polynomials, structure.n_theta, len(begins)
         self.structure, self.y, self.u, self.offset, self.moving = structure, y, u, offset, moving
+        self.spans = spans_of(begins, y.size)
         self.inputs = [
             Input(np.ascontiguousarray(column), nb, nk, place)
             for column, (nb, nk), place in zip(u.T, structure.inputs, places.b, strict=True)
@@ -86,21 +95,35 @@ class PolynomialModel:
         ]
         self.na, self.nf, self.nd = (part.stop - part.start for part in (places.a, places.f, places.d))
         self.first = max([self.na, *(i.nk + i.nb - 1 for i in self.inputs)])
-        self.n = structure.n_theta + offset + (self.nf if moving else 0)
+        self.n = n + k * (offset + self.nf * moving)
+        starts = np.arange(n + offset * k, self.n).reshape(k, -1)
+        # The free parameters of each recording.
+        self._places = [np.array([*range(n), *[n + i] * offset, *own], dtype=int) for i, own in enumerate(starts)]
 
     def with_output(self, y: Array) -> PolynomialModel:
         """Return the same model for another output."""
-        return PolynomialModel(self.structure, y, self.u, self.offset, self.moving)
+        other = copy.copy(self)
+        other.y = y
+        return other
 
     @property
     def pieces(self) -> tuple[tuple[slice, slice], ...]:
-        """Which residuals and which samples belong to each recording: all of them to one."""
-        return ((slice(0, self.y.size - self.first), slice(0, self.y.size)),)
+        """Which residuals and which samples belong to each recording."""
+        return tuple((slice(part.start, part.stop - self.first), part) for part in self.spans)
 
     @property
     def conditioned(self) -> Any:
-        """Which residuals need nothing from before the recording, shape (N - first,)."""
-        return np.arange(self.y.size - self.first) >= self.nd
+        """Which residuals need nothing from before their recording, shape (N - first,)."""
+        flags = np.zeros(self.y.size - self.first, dtype=bool)
+        for rows, _ in self.pieces:
+            flags[rows.start + self.nd : rows.stop] = True
+        return flags
+
+    def of(self, i: int, p: Array) -> tuple[PolynomialModel, Array]:
+        """Return the model of one recording, and its own free parameters."""
+        part = self.spans[i]
+        one = PolynomialModel(self.structure, self.y[part], self.u[part], self.offset, self.moving)
+        return one, p[self._places[i]]
 
     def parts(self, p: Array) -> Parts:
         """Take the free parameters apart."""
@@ -127,128 +150,76 @@ class PolynomialModel:
         return is_stable(p[places.f].tolist()) and is_stable(p[places.c].tolist())
 
     def residuals(self, p: Array) -> Array:
-        """Return r from sample ``first`` on."""
-        parts, v = self.parts(p), self.equation_error(p)
-        return v if parts.c.size == parts.d.size == 1 else np.asarray(lfilter(parts.d, parts.c, v))
+        """Return r of each recording from its sample ``first`` on, 0 where it has none yet."""
+        return self._signal(p, self._residuals)
 
     def equation_error(self, p: Array) -> Array:
-        """Return A y - w - d from sample ``first`` on."""
-        parts = self.parts(p)
-        return self._equation_error(parts, self._undisturbed(parts))
+        """Return A y - w - d."""
+        return self._signal(p, lambda parts, span: self._equation_error(parts, span, self._undisturbed(parts, span)))
 
     def undisturbed(self, p: Array) -> Array:
-        """Return w, what the inputs and the start alone make of B/F, from sample ``first`` on."""
-        return self._undisturbed(self.parts(p))
+        """Return w, what the inputs and the starts alone make of B/F."""
+        return self._signal(p, self._undisturbed)
 
     def jacobian(self, p: Array) -> Array:
         """Return the derivatives of the residuals by the free parameters, shape (N - first, n)."""
-        parts, places, n = self.parts(p), self.structure.polynomials, self.structure.n_theta
-        length = self.y.size - self.first
-        w = self._undisturbed(parts)
-        rows = np.zeros((self.n, length))
-        for j in range(1, parts.a.size):
-            rows[places.a.start + j - 1] = self.y[self.first - j : self.y.size - j]
-        for u, nb, nk, place in self.inputs:
-            for j in range(nb):
-                delay = self.first - nk - j
-                rows[place.start + j] = -u[delay : delay + length]
-        if self.offset:
-            rows[n] = -1.0
-        if self.nf:
-            inputs = slice(self.inputs[0].place.start, self.inputs[-1].place.stop)
-            rows[inputs] = lfilter([1.0], parts.f, rows[inputs])
-            impulse = np.zeros(length)
-            impulse[0] = -1.0
-            _fill_with_delays(rows[n + self.offset :], lfilter([1.0], parts.f, impulse), 0)
-            _fill_with_delays(rows[places.f], lfilter([1.0], parts.f, w), 1)
-        if parts.c.size > 1 or parts.d.size > 1:
-            rows = np.asarray(lfilter(parts.d, parts.c, rows))
-            v = lfilter([1.0], parts.c, self._equation_error(parts, w))
-            _fill_with_delays(rows[places.d], v, 1)
-            _fill_with_delays(rows[places.c], -lfilter(parts.d, parts.c, v), 1)
-        return rows.T
+        J = np.zeros((self.y.size - self.first, self.n))
+        for (rows, span), places in zip(self.pieces, self._places, strict=True):
+            J[rows, places] = self._derivatives(self.parts(p[places]), span, places.size).T
+        return J
 
-    def _undisturbed(self, parts: Parts) -> Array:
-        """Return w."""
-        w = np.zeros(self.y.size - self.first)
+    def _signal(self, p: Array, of: Callable[[Parts, slice], Array]) -> Array:
+        """Return a signal of all recordings."""
+        signal = np.zeros(self.y.size - self.first)
+        for (rows, span), places in zip(self.pieces, self._places, strict=True):
+            signal[rows] = of(self.parts(p[places]), span)
+        return signal
+
+    def _undisturbed(self, parts: Parts, span: slice) -> Array:
+        """Return w of a recording."""
+        w = np.zeros(span.stop - span.start - self.first)
         for (u, nb, nk, _), b in zip(self.inputs, parts.b, strict=True):
-            w += np.convolve(u[self.first - nk - nb + 1 : self.y.size - nk], b, "valid")
+            w += np.convolve(u[span.start + self.first - nk - nb + 1 : span.stop - nk], b, "valid")
         if self.nf:
             start = parts.start[: w.size]
             w[: start.size] += start
             w = np.asarray(lfilter([1.0], parts.f, w))
         return w
 
-    def _equation_error(self, parts: Parts, w: Array) -> Array:
-        """Return A y - w - d."""
-        y = np.convolve(self.y[self.first - parts.a.size + 1 :], parts.a, "valid")
+    def _equation_error(self, parts: Parts, span: slice, w: Array) -> Array:
+        """Return A y - w - d of a recording."""
+        y = np.convolve(self.y[span.start + self.first - parts.a.size + 1 : span.stop], parts.a, "valid")
         return np.asarray(y - w - parts.offset)
 
+    def _residuals(self, parts: Parts, span: slice) -> Array:
+        """Return r of a recording."""
+        v = self._equation_error(parts, span, self._undisturbed(parts, span))
+        return v if parts.c.size == parts.d.size == 1 else np.asarray(lfilter(parts.d, parts.c, v))
 
-def _fill_with_delays(rows: Array, signal: Array, least: int) -> None:
-    """Write a signal into each row, one sample later in each than in the row before."""
-    for j, row in enumerate(rows):
-        delay = least + j
-        row[delay:] = signal[: max(signal.size - delay, 0)]
-
-
-class SeveralRecordings(PolynomialModel):
-    """Residuals and their derivatives for recordings that follow each other in ``y`` and ``u``."""
-
-    def __init__(
-        self, structure: Structure, y: Array, u: Array, offset: bool, moving: bool, begins: tuple[int, ...]
-    ) -> None:
-        """Make a model of each recording."""
-        super().__init__(structure, y, u, offset, moving)
-        self.begins = begins
-        self.spans = tuple(slice(b, e) for b, e in zip(begins, ends_of(begins, y.size), strict=True))
-        self._models = [PolynomialModel(structure, y[part], u[part], offset, moving) for part in self.spans]
-        k, n = len(begins), structure.n_theta
-        starts = n + offset * k + np.arange(k * self.nf * moving).reshape(k, -1)
-        shared = np.arange(n)
-        self._places = [np.concatenate((shared, np.full(int(offset), n + i), starts[i])).astype(int) for i in range(k)]
-        self.n = n + k * (offset + self.nf * moving)
-
-    def with_output(self, y: Array) -> SeveralRecordings:
-        """Return the same model for other outputs."""
-        return SeveralRecordings(self.structure, y, self.u, self.offset, self.moving, self.begins)
-
-    @property
-    def pieces(self) -> tuple[tuple[slice, slice], ...]:
-        """Which residuals and which samples belong to each recording."""
-        return tuple((slice(part.start, part.stop - self.first), part) for part in self.spans)
-
-    @property
-    def conditioned(self) -> Any:
-        """Which residuals need nothing from before their recording."""
-        flags = np.zeros(self.y.size - self.first, dtype=bool)
-        for (rows, _), model in zip(self.pieces, self._models, strict=True):
-            flags[rows] = model.conditioned
-        return flags
-
-    def of(self, i: int, p: Array) -> tuple[PolynomialModel, Array]:
-        """Return the model of one recording, and its own free parameters."""
-        return self._models[i], p[self._places[i]]
-
-    def residuals(self, p: Array) -> Array:
-        """Return the residuals of all recordings."""
-        return self._together(lambda model, q: model.residuals(q), p)
-
-    def equation_error(self, p: Array) -> Array:
-        """Return A y - w - d of all recordings."""
-        return self._together(lambda model, q: model.equation_error(q), p)
-
-    def undisturbed(self, p: Array) -> Array:
-        """Return what the inputs and the starts make of B/F."""
-        return self._together(lambda model, q: model.undisturbed(q), p)
-
-    def jacobian(self, p: Array) -> Array:
-        """Return the derivatives of the residuals by the free parameters, shape (N - first, n)."""
-        J = np.zeros((self.y.size - self.first, self.n))
-        for i, (rows, _) in enumerate(self.pieces):
-            model, q = self.of(i, p)
-            J[rows, self._places[i]] = model.jacobian(q)
-        return J
+    def _derivatives(self, parts: Parts, span: slice, count: int) -> Array:
+        """Return the derivatives of the residuals of a recording by its free parameters, a row for each."""
+        places, n, w = self.structure.polynomials, self.structure.n_theta, self._undisturbed(parts, span)
+        begin, rows = span.start + self.first, np.zeros((count, w.size))
+        for j in range(1, parts.a.size):
+            rows[places.a.start + j - 1] = self.y[begin - j : span.stop - j]
+        for u, nb, nk, place in self.inputs:
+            for j in range(nb):
+                rows[place.start + j] = -u[begin - nk - j : span.stop - nk - j]
+        if self.offset:
+            rows[n] = -1.0
+        if self.nf:
+            inputs = slice(self.inputs[0].place.start, self.inputs[-1].place.stop)
+            rows[inputs] = lfilter([1.0], parts.f, rows[inputs])
+            impulse = np.zeros(w.size)
+            impulse[0] = -1.0
+            _fill_with_delays(rows[n + self.offset :], lfilter([1.0], parts.f, impulse), 0)
+            _fill_with_delays(rows[places.f], lfilter([1.0], parts.f, w), 1)
+        if parts.c.size > 1 or parts.d.size > 1:
+            rows = np.asarray(lfilter(parts.d, parts.c, rows))
+            v = lfilter([1.0], parts.c, self._equation_error(parts, span, w))
+            _fill_with_delays(rows[places.d], v, 1)
+            _fill_with_delays(rows[places.c], -lfilter(parts.d, parts.c, v), 1)
+        return rows
 
     def joined(self, missing: Any) -> tuple[PolynomialModel, Any]:
         """Return all recordings as one, with gaps between them, and where its output is missing."""
@@ -266,17 +237,17 @@ class SeveralRecordings(PolynomialModel):
         n, q = self.structure.n_theta, np.zeros(self.n)
         q[:n] = p[:n]
         if self.offset:
-            q[n : n + len(self.begins)] = p[n]
+            q[n : n + len(self.spans)] = p[n]
         return q
 
-    def _together(self, of: Any, p: Array) -> Array:
-        """Return a signal of all recordings, 0 where a recording has none yet."""
-        signal = np.zeros(self.y.size - self.first)
-        for i, (rows, _) in enumerate(self.pieces):
-            signal[rows] = of(*self.of(i, p))
-        return signal
+
+def _fill_with_delays(rows: Array, signal: Array, least: int) -> None:
+    """Write a signal into each row, one sample later in each than in the row before."""
+    for j, row in enumerate(rows):
+        delay = least + j
+        row[delay:] = signal[: max(signal.size - delay, 0)]
 
 
-def ends_of(begins: tuple[int, ...], size: int) -> tuple[int, ...]:
-    """Return the sample after the last of each recording."""
-    return (*begins[1:], size)
+def spans_of(begins: tuple[int, ...], size: int) -> tuple[slice, ...]:
+    """Return the samples of each recording."""
+    return tuple(slice(a, b) for a, b in pairwise((*begins, size)))
