@@ -28,7 +28,9 @@ from robust_filterpy.identification.models.recording import ANY_TIMES, recorded,
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.influence.functions import Huber, Influence
 
-_FIRST_STEPS: Final = 30
+# A step of so many standard deviations ends the search: with a first loss, and with the noise learned.
+_NEAR: Final = 0.1
+_NEARER: Final = 1e-4
 # A direction along which a standard deviation is this share of the parameters is one that the recording cannot tell.
 _UNIDENTIFIABLE: Final = 0.5
 # Of a direction that nothing depends on, by this share of the best one, the recording says nothing.
@@ -62,9 +64,8 @@ def identified_grey_box(
         first = np.concatenate([np.broadcast_to(levels[part.start], levels[part].shape) for part in spans])
         models = []
         for own in (levels, levels - first) if levels.any() else (levels,):
-            y = outputs - own
-            model = _modelled(structure, of(y, u), measured, influence)
-            models.append(Explanation(model, own, u, evidence_of_outputs(model.noise, y - alone(model, y, u), spans)))
+            model, residual = _modelled(structure, of(outputs - own, u), measured, influence)
+            models.append(Explanation(model, own, u, evidence_of_outputs(model.noise, residual, spans)))
         return max(models, key=lambda one: one.evidence)
 
     def starts(u: Array, plain: GreyBoxModel) -> list[Array]:
@@ -82,8 +83,8 @@ def identified_grey_box(
 
 def _modelled(
     structure: GreyBox, recordings: list[GreyRecording], measured: list[Any], influence: Influence | None
-) -> GreyBoxModel:
-    """Return the model of recordings as they are."""
+) -> tuple[GreyBoxModel, Array]:
+    """Return the model of recordings as they are, and its residuals, NaN where an output is missing, shape (N, p)."""
     starts = np.repeat(structure.x0[None], len(recordings), axis=0)
     model = structure.residuals_of(recordings, starts, structure.start == "free")
     if not model.settled(model.first):
@@ -91,24 +92,25 @@ def _modelled(
             "p0: expected first guesses with which f has finite outputs; the equations are unstable there, or too "
             "stiff for 128 steps between samples"
         )
-    rows = np.concatenate([good.ravel() for good in measured])
+    good = np.concatenate(measured)
+    rows = good.ravel()
     if rows.sum() < 2 * model.n:
         raise ValueError(f"y: expected at least {2 * model.n} measured samples, got {int(rows.sum())}")
     p = recordings[0].y.shape[1]
     which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in recordings])[rows]
     # Without noise R would end at 0.
-    outputs = np.concatenate([np.where(good, one.y, np.nan) for one, good in zip(recordings, measured, strict=True)])
+    outputs = np.where(good, np.concatenate([one.y for one in recordings]), np.nan)
     least = np.maximum(ROUNDING**2 * np.nanstd(outputs, 0) ** 2, np.finfo(float).tiny)
     noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), which)
     stage("search from the first guesses")
     limits = Limits(model.lower, model.upper)
-    end = minimised(model, model.first, noise, rows, rows, _FIRST_STEPS, limits)
+    end = minimised(model, model.first, noise, rows, rows, limits=limits, precision=_NEAR)
     model.steps = 1
     model.settled(end.p)
     stage("noise learned, search again")
     learnt = end.noise if influence is not None else end.noise.learnt()
-    end = minimised(model, end.p, learnt, rows, rows, limits=limits)
-    return _as_model(structure, model, end, rows, limits)
+    end = minimised(model, end.p, learnt, rows, rows, limits=limits, precision=_NEARER)
+    return _as_model(structure, model, end, rows, limits), np.where(good, end.residual.reshape(good.shape), np.nan)
 
 
 def _require_functions(structure: GreyBox, one: GreyRecording) -> None:

@@ -115,14 +115,12 @@ class GreyResiduals:
         return np.concatenate([part.ravel() for part in parts])
 
     def jacobian(self, z: Array) -> Array:
-        """Return the derivatives of the residuals by differences to both sides."""
-        ahead, behind = np.minimum(z + _DIFFERENCE * self.size, self.upper), z - _DIFFERENCE * self.size
-        span, parts = np.diag(ahead - z), []
-        back = np.diag(np.maximum(behind, self.lower) - z)
+        """Return the derivatives of the residuals by differences."""
+        step = _DIFFERENCE * self.size
+        step, parts = np.where(z + step > self.upper, -step, step), []
         for i in range(len(self.recordings)):
-            outputs = self._outputs(z[:, None] + np.hstack((span, back)), i)
-            change = (outputs[..., self.n :] - outputs[..., : self.n]).reshape(-1, self.n)
-            parts.append(change / (span - back).diagonal())
+            outputs = self._outputs(z[:, None] + np.column_stack((np.zeros(self.n), np.diag(step))), i)
+            parts.append((outputs[..., :1] - outputs[..., 1:]).reshape(-1, self.n) / step)
         return np.concatenate(parts)
 
     def is_stable(self, z: Array) -> bool:
