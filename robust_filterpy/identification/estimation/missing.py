@@ -9,9 +9,9 @@ for any parameters (variable projection: Golub and Pereyra, SIAM Journal on Nume
 of the second term is that of h' K h/2, where K sums (H'H)^-1 over pairs of unknowns by their delays to a residual: a
 few further residuals. Residuals may have weights.
 
-The equations couple neighbors. They fall into chains that know nothing of each other, and each chain into blocks of
-which one is coupled to the next. The inverse is full within a chain, but near the diagonal it follows from the blocks
-alone, from the last to the first (Takahashi, Fagan and Chin 1973). So the work is linear in the number of unknowns.
+The equations couple neighbors. They fall into chains that know nothing of each other. The inverse is full within a
+chain, but near the diagonal it follows from the factor of the equations, from the last row to the first (Takahashi,
+Fagan and Chin 1973). So the work is linear in the number of unknowns.
 
 Outliers that a model's own regressor holds: found, and from then on unknown samples.
 
@@ -25,12 +25,13 @@ Where patterns overlap, outliers hide each other: they are also looked for all a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import lfilter
 from scipy.sparse import csc_array, csr_array
@@ -295,65 +296,42 @@ def touched(unknown: Any, h: Array, first: int) -> Any:
 
 
 class Neighbours:
-    """A symmetric matrix G that couples each row to those up to ``reach`` - 1 after it."""
+    """A symmetric matrix G that couples each row to those up to ``reach`` - 1 after it, but not to another chain's."""
 
     def __init__(self, band: Array, begins: Any) -> None:
-        """Eliminate block after block, from the first of each chain on."""
-        self._reach, rows = len(band), np.arange(begins.size)
-        place = rows - np.maximum.accumulate(np.where(begins, rows, 0))
-        self._slot, self._chain = place % self._reach, np.cumsum(begins)
-        self._block = np.cumsum(self._slot == 0) - 1
-        turn = place[self._slot == 0] // self._reach
-        self._turns = [np.flatnonzero(turn == t) for t in range(int(turn.max()) + 1)]
-        # Where a block is not full, the rest of it is a matrix of its own.
-        own = np.tile(np.eye(self._reach), (turn.size, 1, 1))
-        across = np.zeros_like(own)
-        for d, i, j, within in self._pairs():
-            g, a, b, values = self._block[i], self._slot[i], self._slot[j], band[d, i]
-            own[g[within], a[within], b[within]] = own[g[within], b[within], a[within]] = values[within]
-            across[g[~within], a[~within], b[~within]] = values[~within]
-        self._inverse, self._gain = np.empty_like(own), np.empty_like(own)
-        for t, at in enumerate(self._turns):
-            if t:
-                own[at] -= across[at - 1].transpose(0, 2, 1) @ self._gain[at - 1]
-            self._inverse[at] = np.linalg.inv(own[at])
-            self._gain[at] = self._inverse[at] @ across[at]
+        """Factor it, G = L L': from ``band[d, i]`` = G[i, i + d], and where chains begin."""
+        factor, failed = dpbtrf(band, lower=1)
+        # Parameters far off make more of it than numbers hold.
+        self._factor, self._begins = np.full_like(factor, np.nan) if failed else factor, begins
 
     def solve(self, right: Array) -> Array:
         """Return G^-1 times a vector or some columns."""
-        x = np.zeros((len(self._inverse), self._reach, right[0].size))
-        x[self._block, self._slot] = right.reshape(len(right), -1)
-        for at in self._turns[1:]:
-            x[at] -= self._gain[at - 1].transpose(0, 2, 1) @ x[at - 1]
-        x = self._inverse @ x
-        for at in self._turns[:0:-1]:
-            x[at - 1] -= self._gain[at - 1] @ x[at]
-        return x[self._block, self._slot].reshape(right.shape)
+        return np.asarray(dpbtrs(self._factor, right.reshape(len(right), -1), lower=1)[0].reshape(right.shape))
 
     @property
     def log_det(self) -> float:
-        """log |det G|."""
-        return -float(np.linalg.slogdet(self._inverse)[1].sum())
+        """Log of the determinant of G."""
+        return 2.0 * float(np.log(self._factor[0]).sum())
 
     @cached_property
     def inverse(self) -> Array:
         """G^-1[i, i + d] in row d, column i, shape (reach, m); 0 where i + d is in another chain."""
-        whole, across = self._inverse.copy(), np.zeros_like(self._inverse)
-        for at in self._turns[:0:-1]:
-            gain = self._gain[at - 1]
-            across[at - 1] = -gain @ whole[at]
-            whole[at - 1] -= across[at - 1] @ gain.transpose(0, 2, 1)
-        band = np.zeros((self._reach, self._slot.size))
-        for d, i, j, within in self._pairs():
-            g, a, b = self._block[i], self._slot[i], self._slot[j]
-            band[d, i] = np.where(within, whole[g, a, b], across[g, a, b])
+        sizes = np.diff(np.append(np.flatnonzero(self._begins), self._begins.size))
+        longest = np.argsort(-sizes, kind="stable")
+        last, sizes, n = np.cumsum(sizes)[longest] - 1, sizes[longest], len(self._factor) - 1
+        band, after = np.zeros(self._factor.shape), np.zeros((sizes.size, 2 * n + 1, 2 * n + 1))
+        columns, at = np.ascontiguousarray((self._factor / self._factor[0]).T)[:, None], n + 1
+        # The same row of all chains at once, the last one first; what is known of those after it moves through a square.
+        for t, chains in enumerate(np.searchsorted(-sizes, -np.arange(sizes[0]))):
+            rows, own, places = last[:chains] - t, after[:chains], slice(at, at + n)
+            column, at = columns[rows, :, 1:], at - 1
+            across = -(column @ own[:, places, places])
+            own[:, at, places] = own[:, places, at] = across[:, 0]
+            own[:, at, at] = self._factor[0, rows] ** -2.0 - (across @ column.transpose(0, 2, 1))[:, 0, 0]
+            band[:, rows] = own[:, at, at : at + n + 1].T
+            if not at:
+                after[:, n + 1 :, n + 1 :], at = after[:, :n, :n], n + 1
         return band
-
-    def _pairs(self) -> Iterator[tuple[int, Any, Any, Any]]:
-        """Yield rows of one chain that are d apart, and which of them are in the same block."""
-        for d in range(self._reach):
-            i = np.flatnonzero(self._chain[d:] == self._chain[: max(self._chain.size - d, 0)])
-            yield d, i, i + d, self._block[i + d] == self._block[i]
 
 
 #: Standard deviations that make an outlier, at the least and at the most.
