@@ -321,7 +321,7 @@ class Neighbours:
         last, sizes, n = np.cumsum(sizes)[longest] - 1, sizes[longest], len(self._factor) - 1
         band, after = np.zeros(self._factor.shape), np.zeros((sizes.size, 2 * n + 1, 2 * n + 1))
         columns, at = np.ascontiguousarray((self._factor / self._factor[0]).T)[:, None], n + 1
-        # The same row of all chains at once, the last one first; what is known of those after it moves through a square.
+        # The same row of all chains at once, the last one first; the inverse of those after it moves through a square.
         for t, chains in enumerate(np.searchsorted(-sizes, -np.arange(sizes[0]))):
             rows, own, places = last[:chains] - t, after[:chains], slice(at, at + n)
             column, at = columns[rows, :, 1:], at - 1
