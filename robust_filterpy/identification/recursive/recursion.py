@@ -36,7 +36,7 @@ from robust_filterpy.identification.models.regressor import (
 )
 from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.watch import Followed, Windows
+from robust_filterpy.identification.recursive.watch import Watch
 
 #: What the gain is computed from.
 Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
@@ -191,8 +191,7 @@ class State(NamedTuple):
     record: np.dtype[Any]
     #: The actuators that look for a model.
     starts: Mapping[int, ColdStart]
-    followed: Followed
-    windows: Windows
+    watch: Watch
     unjudged: Unjudged = Unjudged()
 
     def part(self, name: str) -> Array:
@@ -234,21 +233,18 @@ class State(NamedTuple):
     def rows(self, which: np.ndarray) -> State:
         """Return the state of some actuators."""
         starts = {j: self.starts[i] for j, i in enumerate(which.tolist()) if i in self.starts}
-        followed = Followed(*(values[which] for values in self.followed))
-        windows = Windows(*(values[which] for values in self.windows))
-        return State(self.moved[which], self.record, starts, followed, windows)
+        return State(self.moved[which], self.record, starts, Watch(*(values[which] for values in self.watch)))
 
     @classmethod
     def joined(cls, states: Sequence[State]) -> State:
         """Return the states of several actuators, of one each, as one."""
         starts = {i: state.starts[0] for i, state in enumerate(states) if state.starts}
-        followed = Followed(*map(np.concatenate, zip(*(state.followed for state in states), strict=True)))
-        windows = Windows(*map(np.concatenate, zip(*(state.windows for state in states), strict=True)))
-        return State(np.concatenate([one.moved for one in states]), states[0].record, starts, followed, windows)
+        watch = Watch(*map(np.concatenate, zip(*(state.watch for state in states), strict=True)))
+        return State(np.concatenate([one.moved for one in states]), states[0].record, starts, watch)
 
     def arrays(self) -> dict[str, Array]:
         """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
-        n, width = len(self.theta), self.followed.rows.shape[2]
+        n, width = len(self.theta), self.watch.rows.shape[2]
         waits = np.full(n, -1.0)
         sizes = np.zeros(n)
         for i, start in self.starts.items():
@@ -256,7 +252,7 @@ class State(NamedTuple):
         recorded = np.full((n, int(sizes.max(initial=0)), width - 1), np.nan)
         for i, start in self.starts.items():
             recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
-        part, scale, followed = self.part, self.scale, self.followed
+        part, scale, followed = self.part, self.scale, self.watch
         rule = np.column_stack((part("centre"), part("windup"), scale[:, 1:4], part("begun"), waits))
         watch = np.column_stack((part("restarts"), part("samples"), followed.numbers))
         watch = np.insert(watch, 7, scale[:, 4], axis=1)
@@ -280,10 +276,10 @@ class State(NamedTuple):
             part = recorded[i, recorded.shape[1] - int(sizes[i]) :]
             starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
         rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
-        rows = stored.get("followed", np.zeros((n, 0, self.followed.rows.shape[2])))
-        followed = Followed.restored(np.delete(watch, 7, axis=1)[:, 2:] if watch.shape[1] > 7 else watch[:, 2:], rows)
+        rows = stored.get("followed", np.zeros((n, 0, self.watch.rows.shape[2])))
+        numbers = np.delete(watch, 7, axis=1)[:, 2:] if watch.shape[1] > 7 else watch[:, 2:]
         scale = np.column_stack((R, rule[:, 2:5], rounding))
-        return State(np.zeros(self.moved.shape), self.record, starts, followed, self.windows.emptied()).with_parts(
+        return State(np.zeros(self.moved.shape), self.record, starts, self.watch.restored(numbers, rows)).with_parts(
             **{name: stored[name] for name in ("theta", "P", *Memory._fields)}, scale=scale,
             readings=stored.get("readings", 0.0), centre=rule[:, 0], windup=rule[:, 1], begun=rule[:, 5],
             restarts=watch[:, 0], samples=samples,
@@ -316,7 +312,7 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, begu
     structure, record = form.structure, form.record
     starts = {} if begun else {0: ColdStart.of(structure.n_theta, structure.n_inputs, samples)}
     moved = np.zeros((1, record.itemsize // 8))
-    return State(moved, record, starts, Followed.none(1, form.n_signals), Windows.none(1)).with_parts(
+    return State(moved, record, starts, Watch.none(1, form.n_signals)).with_parts(
         theta=theta, P=P, scale=scale, windup=WINDUP * max(float(np.trace(P)), 1e-300), begun=begun,
         restarts=not begun, samples=samples,
     )  # fmt: skip

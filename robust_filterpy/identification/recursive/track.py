@@ -38,7 +38,15 @@ from robust_filterpy.identification.recursive.recursion import (
     note,
     ordinary_mean,
 )
-from robust_filterpy.identification.recursive.watch import STUCK, News, Trouble, is_right, long_held
+from robust_filterpy.identification.recursive.watch import (
+    OF_START,
+    OF_STUCK,
+    STUCK,
+    News,
+    Trouble,
+    is_right,
+    long_held,
+)
 from robust_filterpy.kernel.series import SCALINGS, rule
 
 _LEARNT = float(SCALINGS.index("learnt"))
@@ -141,25 +149,20 @@ def _begun(form: Form, using: Settings, now: State) -> Unjudged:
     mask = (now.part("restarts") > 0.0) & (using.flags[:, 3] > 0) & bool(form.structure.n_inputs)
     mask[list(now.starts)] = False
     watched = np.flatnonzero(mask)
-    looked_at = min([now.followed.waits(watched), *(max(start.waits, 1) for start in now.starts.values())])
-    due = min(looked_at, now.windows.waits)
+    looked_at = min([now.watch.waits(watched), *(max(start.waits, 1) for start in now.starts.values())])
+    due = min(looked_at, now.watch.fills)
     return Unjudged((), due, looked_at, watched, using.flags, now.part("readings")[:, -1])
 
 
 def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Array) -> tuple[State, News]:
     """Return what samples that have been taken say of sensors, models and starts."""
-    said: News = []
     left_out = np.isnan(shown[:, :, 1]) & ~np.isnan(y)
-    if left_out.any():
-        windows, news = now.windows.once(
-            "spoken_of_stuck", long_held(left_out, waiting.stuck), STUCK, StuckSensorWarning
-        )
-        now, said = now._replace(windows=windows), said + news
+    watch, said = now.watch.once(OF_STUCK, long_held(left_out, waiting.stuck), STUCK, StuckSensorWarning)
     # A model that is looked for still claims nothing.
     claimed = shown.copy()
     claimed[list(now.starts), :, 2] = np.nan
-    windows, news = now.windows.seen(claimed[:, :, 1:], now.scale[:, 0], form.has_offset, now.scale[:, 4])
-    now, more = _looked(form, now._replace(windows=windows), waiting, y, u, shown)
+    watch, news = watch.filled(claimed[:, :, 1:], now.scale[:, 0], form.has_offset, now.scale[:, 4])
+    now, more = _looked(form, now._replace(watch=watch), waiting, y, u, shown)
     return now, said + news + more
 
 
@@ -175,20 +178,18 @@ def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown
             news += said
     if watched.size:
         new = np.concatenate((shown[:, :, [1, 0]], u), axis=2)[watched]
-        followed, lost = now.followed.looked(
+        watch, lost = now.watch.looked(
             watched, new, form.structure, now.theta[watched][:, form.own], form.has_offset, now.scale[watched, 4]
         )
-        now = now._replace(followed=followed)
+        now = now._replace(watch=watch)
         for one in lost:
             i = one.actuator
             if one.gain:
-                now = with_gain(form, now, i, one.gain, followed.rows[i, :, 2:].mean(axis=0))
+                now = with_gain(form, now, i, one.gain, watch.rows[i, :, 2:].mean(axis=0))
                 news.append(one)
                 continue
             start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.part("samples")[i]))
-            now = now._replace(
-                starts={**now.starts, i: start}, followed=now.followed.forgotten(i), windows=now.windows.forgotten(i)
-            )
+            now = now._replace(starts={**now.starts, i: start}, watch=now.watch.forgotten(i))
             anew = f"{one.text}; it starts anew, and theta may jump when a model of the next samples is found"
             news.append(Trouble(i, anew))
     return now, news
@@ -213,8 +214,8 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
     if not start.is_last_look:
         return now, []
     sentence = f"no model can be made of {start.y.size} samples, it goes on looking: {failure}"
-    windows, news = now.windows.once("spoken_of_start", np.arange(len(now.begun)) == i, sentence)
-    return now._replace(windows=windows), news
+    watch, news = now.watch.once(OF_START, np.arange(len(now.begun)) == i, sentence)
+    return now._replace(watch=watch), news
 
 
 def _identified(form: Form, now: State, i: int, start: ColdStart, begin: Array | None = None) -> Model:
@@ -267,14 +268,13 @@ def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
 
 def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tuple[State, News]:
     """Learn from a model's own recording what is usual; say what is odd in that recording already."""
-    followed, share = now.followed.begun(i, *_left(model, start), float(now.scale[i, 4]))
-    now = now._replace(followed=followed)
-    odd, windows = {one.kind: one.text for one in model.findings}, now.windows
+    watch, share = now.watch.begun(i, *_left(model, start), float(now.scale[i, 4]))
+    odd = {one.kind: one.text for one in model.findings}
     news: News = []
     which = np.arange(len(now.begun)) == i
     if "stuck" in odd:
         text = f"of its first samples: {odd['stuck']}"
-        windows, news = windows.once("spoken_of_stuck", which, text, StuckSensorWarning)
+        watch, news = watch.once(OF_STUCK, which, text, StuckSensorWarning)
     taken = [text for kind, text in odd.items() if kind in _SAID or (kind == "another plant" and not share)]
     sentence = (
         f"{100 * share:.0f} % of what the model of the first {start.y.size} samples leaves follow the inputs: the "
@@ -283,8 +283,8 @@ def _usual(form: Form, now: State, i: int, start: ColdStart, model: Model) -> tu
     )
     if taken:
         sentence = f"of its first {start.y.size} samples: {'; '.join(taken)}"
-    windows, more = windows.once("spoken_of_start", which & bool(share or taken), sentence)
-    return now._replace(windows=windows), news + more
+    watch, more = watch.once(OF_START, which & bool(share or taken), sentence)
+    return now._replace(watch=watch), news + more
 
 
 # From a model to a recursion that goes on at its end, or with another gain.

@@ -590,7 +590,7 @@ class ParameterTracker(Following, PolynomialSystem):
         now, out, news = track.advance(many.form, using, now, y, u, None)
         self._say(news)
         after = now.arrays() | {"enabled": stored["enabled"], "R": now.scale[:, :1, None]}
-        lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.followed.seen, SPAN)}
+        lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.watch.seen, SPAN)}
         return out, after | {name: apart(after[name], size) for name, size in lengths.items()}
 
     @property

@@ -22,7 +22,7 @@ from robust_filterpy.identification.models.dependence import (
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["Followed", "LostTrackerWarning", "News", "Trouble", "Windows", "long_held"]
+__all__ = ["LOST", "OF_START", "OF_STUCK", "LostTrackerWarning", "News", "Trouble", "Watch", "long_held"]
 
 # Samples that are judged together.
 _WINDOW: Final = 200
@@ -77,8 +77,12 @@ class Trouble(NamedTuple):
 News = list[Trouble]
 
 
-class Followed(NamedTuple):
-    """The residuals by which another plant is seen, of n actuators."""
+#: What is said of an actuator once.
+LOST, OF_START, OF_STUCK = range(3)
+
+
+class Watch(NamedTuple):
+    """What shows that a model is no longer the plant's, and what has been said of it, of n actuators."""
 
     #: How many samples, (n,).
     seen: np.ndarray
@@ -88,45 +92,55 @@ class Followed(NamedTuple):
     rows: Array
     #: Of the gain in the last blocks of _PERIOD samples, (n, gain.BLOCKS, 2).
     scores: Array
+    #: Residual, weight and guard of the last samples, until there are enough to judge them, (n, L, 3).
+    recent: Array
+    #: R when it was first judged, NaN before, (n,).
+    R: Array
+    #: What has been said, (n, 3).
+    spoken: np.ndarray
 
     @classmethod
-    def none(cls, n: int, n_signals: int) -> Followed:
+    def none(cls, n: int, n_signals: int) -> Watch:
         """Return it before the first sample."""
-        rows, scores = np.zeros((n, SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2))
-        return cls(np.zeros(n, dtype=int), np.zeros((n, _USUAL)), rows, scores)
+        rows, scores, spoken = np.zeros((n, SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2)), np.zeros((n, 3), bool)
+        seen, usual = np.zeros(n, dtype=int), np.zeros((n, _USUAL))
+        return cls(seen, usual, rows, scores, np.zeros((n, 0, 3)), np.full(n, np.nan), spoken)
 
     @property
     def numbers(self) -> Array:
         """Samples seen, what is usual, and the scores, (n, 29)."""
         return np.column_stack((self.seen, self.usual, self.scores.reshape(len(self.seen), -1)))
 
-    @classmethod
-    def restored(cls, numbers: Array, rows: Array) -> Followed:
-        """Return it from its numbers, fewer from before there were so many, and rows of the last samples."""
-        whole = np.zeros((len(rows), SPAN, rows.shape[2]))
-        last = rows[:, -SPAN:]
-        whole[:, SPAN - last.shape[1] :] = last
-        empty = cls.none(len(rows), rows.shape[2] - 1)
-        every = empty.numbers
-        every[:, : numbers.shape[1]] = numbers
-        scores = every[:, 1 + _USUAL :].reshape(empty.scores.shape)
-        return cls(every[:, 0].astype(int), every[:, 1 : 1 + _USUAL], whole, scores)
+    def restored(self, numbers: Array, rows: Array) -> Watch:
+        """Return it with such numbers, fewer from before there were so many, and rows; what was said stays said."""
+        empty = Watch.none(len(rows), rows.shape[2] - 1)
+        last, every = rows[:, -SPAN:], empty.numbers
+        empty.rows[:, SPAN - last.shape[1] :], every[:, : numbers.shape[1]] = last, numbers
+        usual, scores = every[:, 1 : 1 + _USUAL], every[:, 1 + _USUAL :].reshape(empty.scores.shape)
+        return empty._replace(seen=every[:, 0].astype(int), usual=usual, scores=scores, spoken=self.spoken)
 
     def waits(self, which: np.ndarray) -> int:
         """Return after how many samples one of some actuators is to be looked at."""
         return int((_PERIOD - self.seen[which] % _PERIOD).min()) if which.size else sys.maxsize
 
-    def forgotten(self, i: int) -> Followed:
-        """Return it with nothing seen of an actuator."""
-        followed = Followed(*(a.copy() for a in self))
-        for a in followed:
-            a[i] = 0
-        return followed
+    @property
+    def fills(self) -> int:
+        """After how many samples the next window is full."""
+        return _WINDOW - self.recent.shape[1] % _WINDOW
 
-    def begun(self, i: int, residuals: Array, signals: Array, rounding: float) -> tuple[Followed, float]:
+    def forgotten(self, i: int, whole: bool = True) -> Watch:
+        """Return it with nothing seen of an actuator, for another model; or but for the window that fills."""
+        watch = Watch(*(a.copy() for a in self))
+        for a in watch[:4]:
+            a[i] = 0
+        if whole:
+            watch.recent[i], watch.R[i], watch.spoken[i, LOST] = np.nan, np.nan, False
+        return watch
+
+    def begun(self, i: int, residuals: Array, signals: Array, rounding: float) -> tuple[Watch, float]:
         """Return it with what is usual of an actuator: what its model leaves of its own recording."""
         windows = [slice(k - SPAN, k) for k in range(len(residuals), SPAN - 1, -SPAN)]
-        after = self.forgotten(i)
+        after = self.forgotten(i, False)
         if not windows or np.isnan(residuals).all() or _tells_nothing(residuals, rounding):
             return after, 0.0
         covariances = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
@@ -137,9 +151,9 @@ class Followed(NamedTuple):
 
     def looked(
         self, which: np.ndarray, new: Array, structure: Structure, theta: Array, has_offset: bool, rounding: Array
-    ) -> tuple[Followed, News]:
+    ) -> tuple[Watch, News]:
         """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's."""
-        seen, usual, rows, scores = (a.copy() for a in self)
+        seen, usual, rows, scores = (a.copy() for a in self[:4])
         rows[which] = np.concatenate((rows[which], new), axis=1)[:, -SPAN:]
         seen[which] += new.shape[1]
         news: News = []
@@ -157,7 +171,36 @@ class Followed(NamedTuple):
                 judged = int(np.count_nonzero(scores[i, :, 1])) * _PERIOD
                 news.append(Trouble(i, _GAIN.format(1.0 + g, judged), gain=g))
                 scores[i] = 0.0
-        return Followed(seen, usual, rows, scores), news
+        return Watch(seen, usual, rows, scores, *self[4:]), news
+
+    def once(
+        self, of: int, which: np.ndarray, text: str, category: type[UserWarning] = LostTrackerWarning
+    ) -> tuple[Watch, News]:
+        """Return it and what is to be said of some actuators, unless it has been said."""
+        news = [Trouble(i, text, category) for i in np.flatnonzero(which & ~self.spoken[:, of]).tolist()]
+        spoken = self.spoken.copy()
+        spoken[:, of] |= which
+        return self._replace(spoken=spoken), news
+
+    def filled(self, new: Array, R: Array, has_offset: bool, rounding: Array) -> tuple[Watch, News]:
+        """Return it with samples (n, N, 3), R (n,) after these, and what is wrong, once for each actuator."""
+        if self.spoken[:, LOST].all():
+            return self, []
+        recent = np.concatenate((self.recent, new), axis=1)
+        n, count = len(recent), recent.shape[1] // _WINDOW
+        if not count:
+            return self._replace(recent=recent), []
+        windows, recent = recent[:, : count * _WINDOW].reshape(n, count, _WINDOW, 3), recent[:, count * _WINDOW :]
+        seen, R = ~np.isnan(windows[..., 1]), np.maximum(R, rounding**2 / 12.0)
+        judged = seen.sum(axis=2) >= _WINDOW // 2
+        # Residuals of a plant that rests, or has no noise, are rounding.
+        quiet = seen & (np.abs(np.nan_to_num(windows[..., 0])) <= rounding[:, None, None])
+        judged &= quiet.sum(axis=2) < _NEARLY_ALL * seen.sum(axis=2)
+        first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
+        news = _judged(windows, seen, judged & ~self.spoken[:, LOST, None], R, first, has_offset)
+        spoken = self.spoken.copy()
+        spoken[[one.actuator for one in news], LOST] = True
+        return self._replace(recent=recent, R=first, spoken=spoken), news
 
 
 _ANOTHER: Final = (
@@ -243,66 +286,6 @@ def long_held(left_out: np.ndarray, before: Array) -> np.ndarray:
     row = np.concatenate((earlier, left_out), axis=1)
     n = row.shape[1] - _HELD + 1
     return np.logical_and.reduce([row[:, k : k + n] for k in range(_HELD)]).any(axis=1)
-
-
-class Windows(NamedTuple):
-    """The last samples, until there are enough to judge them, and what has been said, of n actuators."""
-
-    #: Residual, weight and guard of each sample, (n, L, 3).
-    recent: Array
-    #: R when it was first judged, NaN before, (n,).
-    R: Array
-    spoken: np.ndarray
-    spoken_of_start: np.ndarray
-    spoken_of_stuck: np.ndarray
-
-    @classmethod
-    def none(cls, n: int) -> Windows:
-        """Return them before the first sample."""
-        return cls(np.zeros((n, 0, 3)), np.full(n, np.nan), *(np.zeros(n, dtype=bool) for _ in range(3)))
-
-    @property
-    def waits(self) -> int:
-        """After how many samples the next window is full."""
-        return _WINDOW - self.recent.shape[1] % _WINDOW
-
-    def emptied(self) -> Windows:
-        """Return them with no samples; what has been said stays said."""
-        return self._replace(**{name: getattr(Windows.none(len(self.R)), name) for name in ("recent", "R")})
-
-    def forgotten(self, i: int) -> Windows:
-        """Return them with nothing seen of an actuator, for another model."""
-        recent, R, spoken = self.recent.copy(), self.R.copy(), self.spoken.copy()
-        recent[i], R[i], spoken[i] = np.nan, np.nan, False
-        return self._replace(recent=recent, R=R, spoken=spoken)
-
-    def once(
-        self, of: str, which: np.ndarray, text: str, category: type[UserWarning] = LostTrackerWarning
-    ) -> tuple[Windows, News]:
-        """Return them and what is to be said of some actuators, unless a field says that it has been said."""
-        spoken = getattr(self, of)
-        news = [Trouble(i, text, category) for i in np.flatnonzero(which & ~spoken).tolist()]
-        return (self._replace(**{of: spoken | which}) if news else self), news
-
-    def seen(self, new: Array, R: Array, has_offset: bool, rounding: Array) -> tuple[Windows, News]:
-        """Return them with samples (n, N, 3), R (n,) after these, and what is wrong, once for each actuator."""
-        if self.spoken.all():
-            return self, []
-        recent = np.concatenate((self.recent, new), axis=1)
-        n, count = len(recent), recent.shape[1] // _WINDOW
-        if not count:
-            return self._replace(recent=recent), []
-        windows, recent = recent[:, : count * _WINDOW].reshape(n, count, _WINDOW, 3), recent[:, count * _WINDOW :]
-        seen, R = ~np.isnan(windows[..., 1]), np.maximum(R, rounding**2 / 12.0)
-        judged = seen.sum(axis=2) >= _WINDOW // 2
-        # Residuals of a plant that rests, or has no noise, are rounding.
-        quiet = seen & (np.abs(np.nan_to_num(windows[..., 0])) <= rounding[:, None, None])
-        judged &= quiet.sum(axis=2) < _NEARLY_ALL * seen.sum(axis=2)
-        first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
-        news = _judged(windows, seen, judged & ~self.spoken[:, None], R, first, has_offset)
-        spoken = self.spoken.copy()
-        spoken[[one.actuator for one in news]] = True
-        return self._replace(recent=recent, R=first, spoken=spoken), news
 
 
 def _judged(windows: Array, seen: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
