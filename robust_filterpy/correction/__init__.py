@@ -2,10 +2,8 @@
 
 * `definition`: the equations as they read; the kernel is tested against it.
 * `options`: influence, scaling, information, grouping, checked.
-* `result`: what a correction returns.
-* `standardization`: T of a group of sensors, and of all of them in the order taken.
+* `result`: what a correction returns, and T of a group of sensors, and of all of them in the order taken.
 * `spread`: how large a sensor's innovations usually are, learned.
-* `likelihood`: log-density of an innovation.
 * `contaminated`: `Contaminated`, the mixture of two normal distributions: drawn, given, learned, and as a psi.
 * `policies`: what a filter is given of noise: `Contaminated`, `Learnt`, `Scales`.
 * `repeats`: whether a sensor repeats its last reading though it seldom does and its noise is white.
@@ -24,7 +22,7 @@ from robust_filterpy._lazy import elsewhere
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.definition import NotPositiveDefiniteError
 from robust_filterpy.correction.policies import Learnt, Scales
-from robust_filterpy.correction.standardization import SingularInnovationError
+from robust_filterpy.correction.result import SingularInnovationError
 
 __all__ = ["Contaminated", "Learnt", "NotPositiveDefiniteError", "Scales", "SingularInnovationError"]
 

@@ -23,10 +23,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import spread
-from robust_filterpy.correction.likelihood import log_density_of_group
-from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.standardization import SingularInnovationError, group_scaling, is_cancelled, singular
+from robust_filterpy.correction.options import Choices, length_and_direction
+from robust_filterpy.correction.result import Correction, SingularInnovationError, group_scaling, is_cancelled, singular
 
 __all__ = [
     "Innovation",
@@ -41,6 +39,8 @@ __all__ = [
 
 _DEFAULT = Choices()
 _LARGEST = sys.float_info.max
+# What one group costs at most in log-likelihood, so that the sum over all is a number.
+_COSTLIEST = 1e300
 
 
 # LinAlgError is a ValueError from numpy 1.25 on.
@@ -128,7 +128,7 @@ def correct(
                 # What the sensors before it determine teaches nothing.
                 seen.e[group], seen.weights[group], seen.psi_deriv[group] = 0.0, 1.0, 1.0
                 continue
-            log_density += log_density_of_group(joint.y[group], joint.S[np.ix_(group, group)], choices)
+            log_density += _log_density(joint.y[group], joint.S[np.ix_(group, group)], choices)
             seen.note(group, step, joint.W[:, group] @ step.T.T)
             joint.condition(group, step.T, step.psi, step.D)
     if choices.scaling == "unit":
@@ -244,6 +244,22 @@ def _judge(group: list[int], joint: _Joint, S: Array, choices: Choices, widths: 
     e = np.clip(T @ joint.y[group], -_LARGEST, _LARGEST)
     psi, D, weights, psi_deriv, length = choices.influence_on(e, s)
     return _Step(_key(length / s, length, float(e[0]) if len(group) == 1 else 0.0), T, e, psi, D, weights, psi_deriv)
+
+
+def _log_density(y: Array, S: Array, choices: Any) -> float:
+    """Return log f(S^(-1/2) y) + log det S^(-1/2) of one group of sensors, given those before it."""
+    # f(e) is proportional to exp(-rho(e)): normal for an infinite threshold, linear in |e| beyond a finite one. It is
+    # standardized by the nominal S^(-1/2), whatever the scaling of the filter and whatever it learned, so that filters
+    # with different models can be compared by it.
+    # An influence function without a density of its own (redescending, or somebody else's) has f(e) =
+    # exp(-rho(e))/sqrt(2 pi), which does not integrate to 1.
+    k = len(y)
+    T = group_scaling(S, "innovation")
+    e = np.clip(T @ y, -_LARGEST, _LARGEST)
+    loss = choices.rho_of(length_and_direction(e)[0])
+    normalizer = getattr(choices.influence, "log_normalizer", None)
+    constant = 0.5 * k * math.log(2.0 * math.pi) if normalizer is None else normalizer(k)
+    return float(np.log(T.diagonal()).sum()) - min(loss, _COSTLIEST) - constant
 
 
 def _key(*sizes: float) -> tuple[float, ...]:

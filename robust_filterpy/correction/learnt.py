@@ -24,8 +24,8 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction import factor, learning, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.result import SingularInnovationError, correlation_whitening, singular
 from robust_filterpy.correction.side_by_side import Models, Scales
-from robust_filterpy.correction.standardization import SingularInnovationError, correlation_whitening, singular_error
 
 __all__ = ["Corrected", "correct"]
 
@@ -204,7 +204,7 @@ def _corrected(
         own = rows[group[:1]] if joint else rows[group]
         S = now.S[:, group[:, None], group]
         if (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
-            raise singular_error(now.S[0], float(S[:, 0, 0].min()))
+            raise singular(now.S[0])
         # What the last sample was only models know that were there then.
         before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)

@@ -14,7 +14,7 @@ import numpy as np
 from robust_filterpy._arrays import measured, regardless, require_finite_prediction
 from robust_filterpy._checks import Array, entries, shown
 from robust_filterpy._warning import RobustFilterWarning, warn
-from robust_filterpy.correction.standardization import SingularInnovationError
+from robust_filterpy.correction.result import SingularInnovationError
 from robust_filterpy.filters.policies import Carried, Policy, Prior
 from robust_filterpy.filters.snapshot import unchanged_if_refused
 from robust_filterpy.kernel.series import Rows, State

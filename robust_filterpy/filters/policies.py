@@ -43,9 +43,8 @@ from robust_filterpy.correction.policies import (
     process_policy,
     process_scales,
 )
-from robust_filterpy.correction.result import Correction
+from robust_filterpy.correction.result import Correction, ordered_scaling
 from robust_filterpy.correction.side_by_side import Models, Scales
-from robust_filterpy.correction.standardization import ordered_scaling
 from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_refused, watched
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as half_step

@@ -10,8 +10,7 @@ from robust_filterpy import kernel
 from robust_filterpy._arrays import regardless
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices, length_and_direction
-from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.standardization import group_scaling
+from robust_filterpy.correction.result import Correction, group_scaling
 from robust_filterpy.kernel.series import SCALINGS, rule
 
 __all__ = ["Taken", "correct", "correct_linear", "correction_of", "judged_of", "moments_of", "weights_of"]

@@ -28,7 +28,7 @@ import numpy as np
 
 from robust_filterpy import _checks, kernel
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.standardization import correlation_whitening
+from robust_filterpy.correction.result import correlation_whitening
 from robust_filterpy.filters.problem import finite, read
 from robust_filterpy.kernel.series import plain
 
