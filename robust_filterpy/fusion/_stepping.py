@@ -102,12 +102,6 @@ def _require_R(layout: Layout, why: str) -> None:
             raise ValueError(f"sensor {name!r}: expected R, since with {why} nobody learns it")
 
 
-def start(policy: Policy, x: Array, P: Array, sizes: Array, u: Array) -> State:
-    """Return the state before anything has happened."""
-    M = len(sizes)
-    return State(x, P, policy.begin(M), policy.start(x, P, M), sizes, u, np.zeros((M, TRIAL)))
-
-
 def arrays(policy: Policy, state: State) -> tuple[Array, ...]:
     """Return a state as arrays: the models, their probabilities, memory, x, P, sizes, u, trial."""
     hypotheses = policy.current(state.carried, state.x, state.P)[:3]
@@ -119,13 +113,6 @@ def of_arrays(policy: Policy, parts: Any) -> State:
     means, covariances, belief, memory, x, P, sizes, u, trial = parts
     hypotheses = policy.resumed({"means": means, "covariances": covariances, "belief": belief}, x, P)
     return State(x, P, memory, hypotheses, sizes, u, trial)
-
-
-def predicted(policy: Policy, state: State, F: Array, Q: Array, drift: Array) -> State:
-    """Return the state after a stretch of time."""
-    x, P, hypotheses = policy.predicted(state.carried, state.x, state.P, F, Q, drift, 1.0)
-    require_finite_prediction(x, P)
-    return State(x, P, state.memory, hypotheses, *state[4:])
 
 
 def series(
@@ -175,31 +162,35 @@ class Moment(NamedTuple):
 def begun(setup: Setup, x: Array, P: Array) -> Moment:
     """Return the moment before the first stamp."""
     layout, policy = setup.layout, setup.policy
-    sizes = np.where(layout.without_R, np.nan, 1.0)
-    state = start(policy, x, P, sizes, np.zeros(setup.motion.dim_u))
+    sizes, M = np.where(layout.without_R, np.nan, 1.0), layout.size
+    u, trial = np.zeros(setup.motion.dim_u), np.zeros((M, TRIAL))
+    state = State(x, P, policy.begin(M), policy.start(x, P, M), sizes, u, trial)
     scales = policy.shares(state.memory)[0]
-    return Moment(state, fresh(layout.n, layout.size, len(layout.parties), scales) if setup.watches else None)
+    return Moment(state, fresh(layout.n, M, len(layout.parties), scales) if setup.watches else None)
 
 
 def moved(setup: Setup, state: State, seconds: float) -> State:
     """Return the state some seconds later, with nothing read."""
     if seconds == 0.0:
         return state
-    return predicted(setup.policy, state, *setup.motion.over(seconds, state.x, state.u))
+    F, Q, drift = setup.motion.over(seconds, state.x, state.u)
+    x, P, hypotheses = setup.policy.predicted(state.carried, state.x, state.P, F, Q, drift, 1.0)
+    require_finite_prediction(x, P)
+    return state._replace(x=x, P=P, carried=hypotheses)
 
 
 def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Array | None) -> Moment:
     """Return the moment some seconds later, when something was read or a control input changed."""
     layout, policy, state, watch = setup.layout, setup.policy, before.state, before.watch
     n, step, seen = layout.n, setup.motion.over(seconds, state.x, state.u), Seen(z, layout.H)
-    if control is not None:
-        state = state._replace(u=control)
     values = z
     if layout.curved:
-        x = predicted(policy, state, *step).x
+        x = step.F @ state.x + step.drift
         seen = layout.seen_from(x, z)
         # What goes round in circles is compared as the difference to what was expected.
         values = np.where(layout.is_curved, seen.z - seen.H @ x, seen.z)
+    if control is not None:
+        state = state._replace(u=control)
     used, R = seen.z, layout.R
     if layout.any_without_R:
         state = aged(state, seconds, values)
@@ -210,9 +201,9 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         if watch.fault.any():
             # Nothing is taken from a sensor that lies.
             used = np.where(watch.out[layout.party], np.nan, used)
-    xs, Ps = np.empty((2, 1, n)), np.empty((2, 1, n * n))
-    rows = Rows(xs[0], Ps[0], xs[1], Ps[1], np.empty((1, layout.size)))
-    after = series(policy, state, used[None], *(part[None] for part in (*step, seen.H, R)), rows)
+    xs, Ps, weights = np.empty((2, 1, n)), np.empty((2, 1, n * n)), np.empty((1, layout.size))
+    F, Q, drift, H, R = (part[None] for part in (*step, seen.H, R))
+    after = series(policy, state, used[None], F, Q, drift, H, R, Rows(xs[0], Ps[0], xs[1], Ps[1], weights))
     if (watch is None and setup.reacquire is None) or not (readings == readings).any():
         return Moment(after, watch, seen.failed)
     y, P = readings - seen.H @ xs[1, 0], Ps[1].reshape(n, n)
@@ -221,12 +212,12 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
             # Nothing is learned of a sensor on alarm.
             learns = (watch.fault != DEPARTS)[layout.party]
             after = after._replace(memory=np.where(learns[:, None], after.memory, state.memory))
-        now = Looked(z, y, seen.H, P, R.diagonal(), rows.weights[0], policy, state)
+        now = Looked(z, y, seen.H, P, R[0].diagonal(), weights[0], policy, state)
         watch = looked_at(watch, now, layout.party)
     if setup.reacquire is None:
         return Moment(after, watch, seen.failed)
     spread = ((seen.H @ P) * seen.H).sum(axis=1)
-    e = np.abs(np.where(np.isnan(used), 0.0, y)) / np.sqrt(spread + policy.factors(state.memory) * R.diagonal())
+    e = np.abs(np.where(np.isnan(used), 0.0, y)) / np.sqrt(spread + policy.factors(state.memory) * R[0].diagonal())
     return Moment(after, watch, seen.failed, None, int(layout.owner[np.argmax(e)]) if e.max() > FAR else -1)
 
 

@@ -224,7 +224,7 @@ def _after(
 def _lasting(
     watch: Watch, statistics: Array, here: list[int], y: Array, H: Array, PH: Array, S: Array, counts: list[float],
     R: Array,
-) -> dict[str, Array]:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     """Return what there is to say of biases and drifts after the readings of one moment, each of which counts less."""
     shape, d, age = watch.age.shape, -(H @ watch.response), watch.age
     own = d.reshape(len(y), *shape)

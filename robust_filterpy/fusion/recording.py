@@ -211,10 +211,8 @@ def _without_lies(layout: Layout, rows: Readings, said: list[tuple[int, str, Ver
 def _next_first(moment: Moment, zs: Array, done: int) -> int:
     """Return the next row with a reading of a component whose noise is not estimated, the number of rows if none."""
     unknown = np.isnan(moment.state.sizes)
-    if not unknown.any():
-        return len(zs)
     # A look at some rows after the other: the next one is near.
-    for low in range(done, len(zs), 1000):
+    for low in range(done, len(zs) if unknown.any() else 0, 1000):
         there = (~np.isnan(zs[low : low + 1000, unknown])).any(axis=1)
         if there.any():
             return low + int(np.argmax(there))
