@@ -26,7 +26,9 @@ _GONE = {
                 "bounded_influence",
                 "missing_is_no_information",
                 "recovers_from_jump",
+                "same_filter",
                 "sensor_order_irrelevant",
+                "state_round_trip",
                 "unit_equivariant",
             )
         ],
@@ -61,7 +63,7 @@ _HOMES = (
     "plotting.models plot_noise_spectrum plot_step",
     "plotting.models plot_comparison plot_structure_selection plot_validation",
     "testing.consistency assert_covariance_stays_one",
-    "testing.contracts assert_refused_call_changes_nothing assert_same_filter assert_state_round_trip",
+    "testing.contracts assert_refused_call_changes_nothing",
     "testing.drawing Scenario",
     "testing.models StateModel", "testing.plants Plant PlantScenario",
 )  # fmt: skip

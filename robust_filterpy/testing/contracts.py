@@ -1,4 +1,4 @@
-"""What a program relies on between the lines: refused calls, copies, shapes; two filters that are the same."""
+"""What a program relies on between the lines: refused calls, copies, shapes."""
 
 from __future__ import annotations
 
@@ -153,106 +153,6 @@ def _names(raises: Any) -> str:
     return " or ".join(kind.__name__ for kind in (raises if isinstance(raises, tuple) else (raises,)))
 
 
-#: Ways to an independent copy.
-WAYS: dict[str, Callable[[Any], Any]] = {
-    "copy": copy.copy,
-    "deepcopy": copy.deepcopy,
-    "pickle": lambda estimator: pickle.loads(pickle.dumps(estimator)),
-}
-
-
-def assert_state_round_trip(
-    estimator: Any, go_on: Callable[[Any], Any], *, ways: Sequence[str] = ("deepcopy", "pickle")
-) -> None:
-    """Assert that a copied or unpickled estimator goes on as the original does, bit for bit, and by itself.
-
-    Parameters
-    ----------
-    estimator : object
-        Filter or tracker in the middle of its work; it is changed.
-    go_on : callable
-        ``go_on(estimator)`` does some more work.
-    ways : sequence of {"copy", "deepcopy", "pickle"}
-        How to copy.
-
-    Raises
-    ------
-    AssertionError
-        If a copy cannot be made, differs, moves with the original, or goes on otherwise.
-    """
-    twins = {}
-    for way in ways:
-        make_copy = WAYS[_checks.option("ways", way, WAYS)]
-        try:
-            twins[way] = make_copy(estimator)
-        except Exception as error:
-            raise AssertionError(f"{way} failed with {type(error).__name__}: {error}") from error
-    before = visible(estimator)
-    for way, twin in twins.items():
-        if type(twin) is not type(estimator):
-            raise AssertionError(f"{way} made a {type(twin).__name__} of a {type(estimator).__name__}")
-        assert_unchanged(before, twin, f"{way}")
-    go_on(estimator)
-    after = visible(estimator)
-    for way, twin in twins.items():
-        assert_unchanged(before, twin, f"the original went on and, through what a {way} shares with it,")
-        go_on(twin)
-        assert_unchanged(after, twin, f"going on after {way} gave other numbers than the original's: it")
-
-
-def assert_same_filter(
-    a: Any, b: Any, zs: Iterable[Any], *, us: Sequence[Any] | None = None, names: Sequence[str] = ("x", "P"),
-    rtol: float = 1e-9, step: Callable[[Any, Any], Any] | None = None,
-) -> None:  # fmt: skip
-    """Assert that two filters are the same, call by call.
-
-    Parameters
-    ----------
-    a, b : filter objects
-        Loaded alike; both are changed. b is the reference.
-    zs : iterable
-        Measurements.
-    us : sequence, optional
-        Inputs of the predictions.
-    names : sequence of str, default "x", "P"
-        Attributes to compare after each call.
-    rtol : float, default 1e-9
-        Difference that is allowed, in the size of the whole array.
-    step : callable, optional
-        ``step(kf, z)`` in the place of ``predict(u)`` and ``update(z)``.
-
-    Raises
-    ------
-    AssertionError
-        If they part; it names the call, the attribute and the difference.
-    """
-    for k, z in enumerate(zs):
-        calls = (
-            [("step", (z,))] if step is not None else [("predict", () if us is None else (us[k],)), ("update", (z,))]
-        )
-        for name, arguments in calls:
-            for kf in (a, b):
-                if step is not None:
-                    step(kf, z)
-                else:
-                    getattr(kf, name)(*arguments)
-            for attribute in names:
-                assert_close(getattr(a, attribute), getattr(b, attribute), rtol, f"{name} {k}: {attribute}")
-
-
-def assert_close(actual: Any, desired: Any, rtol: float = 1e-10, what: str = "", size: float = 0.0) -> None:
-    """Assert that two arrays differ by little of the size of the whole array."""
-    actual, desired = np.asarray(actual, dtype=float), np.asarray(desired, dtype=float)
-    if actual.shape != desired.shape:
-        raise AssertionError(f"{what}: shape {actual.shape}, expected {desired.shape}")
-    if not np.isfinite(actual).all():
-        raise AssertionError(f"{what}: NaN or infinity")
-    scale = max(float(np.abs(desired).max(initial=0.0)), size, float(np.finfo(float).tiny))
-    difference = float(np.abs(actual - desired).max(initial=0.0))
-    if not difference <= rtol * scale:
-        raise AssertionError(f"{what}: differs by {difference / scale:.3g} of its size")
-
-
 #: What is looked at before the equations.
 FIRST: list[Check] = []
 #: What holds the estimate.
@@ -373,21 +273,33 @@ def two_estimators_share_nothing(subject: FilterSubject) -> None:
 @promise(FIRST)
 def deepcopies_go_on_alike(subject: FilterSubject) -> None:
     """A deepcopy goes on as the original does, bit for bit, and neither moves the other."""
-    _round_trip(subject, "deepcopy")
+    _round_trip(subject, "deepcopy", copy.deepcopy)
 
 
 @promise(FIRST, "pickle")
 def pickles_go_on_alike(subject: FilterSubject) -> None:
     """An unpickled estimator goes on as the original does, bit for bit."""
-    _round_trip(subject, "pickle")
+    _round_trip(subject, "pickle", lambda estimator: pickle.loads(pickle.dumps(estimator)))
 
 
-def _round_trip(subject: FilterSubject, way: str) -> None:
-    """Copy in the middle of a recording."""
+def _round_trip(subject: FilterSubject, way: str, copied: Callable[[Any], Any]) -> None:
+    """Copy in the middle of a recording, and go on with both."""
     new, steps = subject.work()
     half = len(steps) // 2
     estimator = through(new(), steps[:half])
-    assert_state_round_trip(estimator, lambda one: through(one, steps[half:]), ways=(way,))
+    try:
+        twin = copied(estimator)
+    except Exception as error:
+        raise AssertionError(f"{way} failed with {type(error).__name__}: {error}") from error
+    if type(twin) is not type(estimator):
+        raise AssertionError(f"{way} made a {type(twin).__name__} of a {type(estimator).__name__}")
+    before = visible(estimator)
+    assert_unchanged(before, twin, way)
+    after = visible(through(estimator, steps[half:]))
+    assert_unchanged(before, twin, f"the original went on and, through what a {way} shares with it,")
+    assert_unchanged(
+        after, through(twin, steps[half:]), f"going on after {way} gave other numbers than the original's: it"
+    )
 
 
 @promise(FIRST, "validates")

@@ -21,7 +21,7 @@ from robust_filterpy.testing.consistency import (
     assert_unbiased,
 )  # fmt: skip
 from robust_filterpy.testing.contamination import Kinds
-from robust_filterpy.testing.contracts import apart, assert_same_filter, deviations, furthest
+from robust_filterpy.testing.contracts import apart, deviations, furthest
 from robust_filterpy.testing.drawing import Scenario, draw
 from robust_filterpy.testing.models import StateModel
 from robust_filterpy.testing.runs import state
@@ -294,15 +294,10 @@ def likelihood_integrates_to_one(subject: FilterSubject) -> None:
 def recording_is_filtered_as_by_the_kalman_filter(subject: FilterSubject) -> None:
     """x and P are those of filterpy's KalmanFilter, call by call, over a recording."""
     for dims in ((1, 1), (4, 2), (5, 3)):
-        model = subject.model(*dims)
-        zs = subject.recording(model, 40)
-        kf, reference = subject.new(model), runs.load(KalmanFilter(*dims), model)
-
-        def step(one: Any, z: Array, model: StateModel = model) -> None:
-            runs.step(one, z, model)
-
-        reference.x = reference.x.reshape(np.shape(kf.x))
-        assert_same_filter(kf, reference, zs, rtol=1e-6, step=step)
+        scenario = draw(subject.model(*dims), 40, rng=subject.rng)
+        reference = runs.load(KalmanFilter(*dims), scenario.model)
+        states = [state(reference) for _ in runs.calls(reference, scenario.z, scenario.model)]
+        _same(subject, scenario, states, "next to filterpy's KalmanFilter", "it is another filter")
 
 
 @promise(LATER, stochastic=True)

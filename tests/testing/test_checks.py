@@ -39,7 +39,7 @@ def test_a_wrong_filter_is_caught_by_each_check_whose_name_fits(cls):
     ("TransposedTransitionOfP", "prediction_moves_the_covariance_by_F", "; it is F' P F$"),
     ("QThroughF", "prediction_adds_Q_once", "where F is not I .*; it is F Q F'$"),
     # Sensor and prediction are equally good there.
-    ("SignOfGain", "estimate_moves_towards_the_measurement", r"by -0\.5 of the innovation, .*: away from z$"),
+    ("SignOfGain", "small_innovations_are_believed", "after 0 samples the step is -1 times the Kalman gain's"),
     ("PNotUpdated", "correction_leaves_P_minus_K_S_K", "; it is P: it was not corrected$"),
     ("ShownInnovationOfTheOtherSign", "innovation_and_its_covariance_are_shown", "; it has the other sign$"),
     ("LikelihoodWithoutConstant", "likelihood_is_the_gaussian_density_of_the_innovation",
