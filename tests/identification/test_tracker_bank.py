@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 import support
-from recordings import assert_refused, same, unchanged
+from recordings import assert_refused, same, unchanged, unheard
 from scipy.signal import lfilter
 
 from robust_filterpy import ARX, Contaminated, Huber, OutputError, ParameterTracker
@@ -133,6 +133,18 @@ def test_each_actuator_may_have_its_own_options(structure):
     assert_is_the_loop(structure, y, u, **options)
     for name, value in options.items():
         assert_is_the_loop(structure, y, u, **{name: value})
+
+
+def test_a_matrix_for_each_actuator_that_is_set_or_restored_later_is_its_own():
+    structure, Q = FIR(2), np.geomspace(1e-5, 1e-2, N)
+    y, u = recording(structure)
+    expected = loop_over(structure, y, u, P=1.0, Q=list(Q))[1]
+    one, other = (support.paper_bank(N, structure, P=1.0) for _ in range(2))
+    one.Q = Q
+    with unheard():
+        other.restore(one.state())
+    for bank in (one, other):
+        close(bank.run(y, u)[:6], expected)
 
 
 # One sample or a recording, kept or not

@@ -333,6 +333,47 @@ def test_a_number_that_is_no_variance_is_refused_as_the_definition_does(name, va
     assert said[0] == said[1]
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_density_of_variances_whose_product_is_no_number_is_the_definitions(both, sign):
+    R = 10.0 ** (sign * np.array([90.0, 250.0, 90.0]))
+
+    def densities():
+        kf = support.of_matrices(RobustKalmanFilter, 1.0, np.eye(3), R.min(), np.diag(R), 0.0, scaling="innovation")
+        found = []
+        for z in np.sqrt(R) * np.random.default_rng(0).normal(size=(6, 3)):
+            support.predict_and_update(kf, z)
+            found.append(kf.log_likelihood)
+        return found
+
+    ours, theirs = both(densities)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+    assert (np.abs(ours) > 400.0).all()
+
+
+EXACTLY = {
+    # No sensor makes it jump, and readings that are as predicted have no spread.
+    "known": (0.0, np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)),
+    "as predicted": (0.01, np.repeat([0.0, 5.0, 5.5], 6)),
+}
+
+
+@pytest.mark.parametrize("name", EXACTLY)
+def test_what_is_known_exactly_and_what_is_read_exactly_are_the_definitions(both, name):
+    q, zs = EXACTLY[name]
+
+    def steps():
+        kf, rows = support.of_matrices(RobustKalmanFilter, 1.0, [[1.0]], q, 1.0, 100.0 * q), []
+        for z in zs:
+            support.predict_and_update(kf, z)
+            rows.append(shown(kf, "_memory"))
+        return rows
+
+    ours, theirs = both(steps)
+    assert_alike(ours, theirs, 1e-9)
+    assert (ours[-1]["x"] == 0.0) == (name == "known")
+
+
 def test_noise_that_is_thirty_times_larger_from_now_on_is_typical_after_ten_readings(both):
     """Ten far ones in a row are outliers, the next ones are what is usual."""
     rng = np.random.default_rng(2)

@@ -114,6 +114,8 @@ RUNS = {
     "F": [(OutputError(2, 2), {"F": OWN_F, "Q": 1e-4, "guard": guard}) for guard in ("none", "halve")],
     "F, forgetting": [(OutputError(2, 2), {"F": OWN_F, "forgetting": 0.98})],
     "two inputs": [(ARX(2, (2, 1), nk=(1, 0)), {}), (OutputError(1, (1, 2), nk=(0, 2)), {}), (LinearRegression(2), {})],
+    "cleaned outputs": [(one, {"regressor": "cleaned"}) for one in (ARX(2, 2), ARMAX(2, 2, 2), STRUCTURES[-1])],
+    "a constant, and R learned": [(one, {"offset": True, "R": None}) for one in (ARX(2, 2), OutputError(2, 2))],
     "an R for each sample": [(structure, {}) for structure in STRUCTURES[:3]],
     "bounded, on both sides of one": [
         (ARX(2, 2), {"P": 0.01, "Q": 1e-4, "R": R, "scaling": "bounded"}) for R in (0.25, 0.9, 4.0)
