@@ -353,17 +353,18 @@ def test_a_density_of_variances_whose_product_is_no_number_is_the_definitions(bo
 
 EXACTLY = {
     # No sensor makes it jump, and readings that are as predicted have no spread.
-    "known": (0.0, np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)),
-    "as predicted": (0.01, np.repeat([0.0, 5.0, 5.5], 6)),
+    "known": (0.0, [0.0, 0.0], np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)),
+    "as predicted": (0.01, [-1.0, 1.0], np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0, 30.0, 30.0])),
 }
 
 
 @pytest.mark.parametrize("name", EXACTLY)
 def test_what_is_known_exactly_and_what_is_read_exactly_are_the_definitions(both, name):
-    q, zs = EXACTLY[name]
+    q, x, zs = EXACTLY[name]
 
     def steps():
-        kf, rows = support.of_matrices(RobustKalmanFilter, 1.0, [[1.0]], q, 1.0, 100.0 * q), []
+        F = [[1.0, 1.0], [0.0, 1.0]]
+        kf, rows = support.of_matrices(RobustKalmanFilter, F, [[1.0, 0.0]], q, 1.0, 100.0 * q, x), []
         for z in zs:
             support.predict_and_update(kf, z)
             rows.append(shown(kf, "_memory"))
@@ -371,7 +372,7 @@ def test_what_is_known_exactly_and_what_is_read_exactly_are_the_definitions(both
 
     ours, theirs = both(steps)
     assert_alike(ours, theirs, 1e-9)
-    assert (ours[-1]["x"] == 0.0) == (name == "known")
+    assert (np.all(ours[-1]["x"] == 0.0)) == (name == "known") and np.all(theirs[3]["y"] == 0.0) == (name != "known")
 
 
 def test_noise_that_is_thirty_times_larger_from_now_on_is_typical_after_ten_readings(both):
