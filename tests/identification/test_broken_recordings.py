@@ -406,3 +406,8 @@ def test_an_arx_that_coloured_noise_biases_is_said(noise):
         assert "there is OutputError(2, 2, 1)" in model.findings[0].text
         cured = quiet(y, u, OutputError(2, 2))
         assert np.all(np.abs(cured.theta - [*a[1:], *b[1:]]) < 3.0 * cured.std) and not cured.findings
+
+
+def test_a_colour_that_tells_less_than_its_price_is_not_said():
+    y, u = recordings.recording([29, 1], 300, 0.0, 0.1, inside=True)
+    assert not quiet(y + 0.04 * np.random.default_rng(0).normal(size=300), u, ARX(2, 2)).findings

@@ -375,6 +375,23 @@ def test_what_is_known_exactly_and_what_is_read_exactly_are_the_definitions(both
     assert (np.all(ours[-1]["x"] == 0.0)) == (name == "known") and np.all(theirs[3]["y"] == 0.0) == (name != "known")
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_jump_that_creeps_moves_what_correlates_by_a_sensor_of_either_sign(both, sign):
+    zs = sign * (0.7 * np.random.default_rng(0).normal(size=140) + np.where(np.arange(140) < 80, 0.0, 3.0))
+
+    def steps():
+        kf, rows = support.mover(RobustKalmanFilter, H=[[sign, 0.0]], q=1e-4), []
+        for z in zs:
+            support.predict_and_update(kf, z)
+            rows.append(shown(kf, "_memory"))
+        return rows
+
+    ours, theirs = both(steps)
+    assert_alike(ours, theirs, 1e-9)
+    # Readings are no farther off than a few spreads.
+    assert max(np.trace(row["P_post"]) - np.trace(row["P_prior"]) for row in theirs) > 0.0
+
+
 def test_noise_that_is_thirty_times_larger_from_now_on_is_typical_after_ten_readings(both):
     """Ten far ones in a row are outliers, the next ones are what is usual."""
     rng = np.random.default_rng(2)
