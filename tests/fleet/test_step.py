@@ -586,7 +586,9 @@ def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
     assert "state: P: expected a positive semidefinite matrix" in lost.error.iloc[-1]
 
 
-@pytest.mark.parametrize("options", [{"start": 0}, {"start": 0, "regressor": "cleaned", "offset": True}])
+@pytest.mark.parametrize("options", [
+    {"start": 0}, {"start": 0, "regressor": "cleaned", "offset": True}, {"start": 80},
+])  # fmt: skip
 def test_keys_of_trackers_go_together_and_are_the_trackers(options, monkeypatch):
     rng, keys = np.random.default_rng(8), list("abcde")
     u = rng.choice([-1.0, 1.0], (5, 150))
@@ -595,7 +597,7 @@ def test_keys_of_trackers_go_together_and_are_the_trackers(options, monkeypatch)
     model, states, calls = TrackerModel(ARX(1, 2), options, measurements=["y"], inputs=["u"]), None, []
     alone = ParameterTracker.advance
     monkeypatch.setattr(ParameterTracker, "advance", lambda *given: calls.append(0) or alone(*given))
-    cuts = [0, 1, 40, 41, 120, 150]
+    cuts = [0, 1, 40, 41, 42, 90, 91, 120, 150]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for first, stop in itertools.pairwise(cuts):

@@ -164,7 +164,7 @@ def _until_next(samples: int, size: int, n_theta: int) -> int:
 class Unjudged(NamedTuple):
     """Samples that came one by one and wait to be looked at together."""
 
-    #: y, u, and prediction, residual, weight and guard of each, with the axes (n, 1).
+    #: y, u, and the row that each gave, with the axes (n, 1).
     samples: tuple[tuple[Any, ...], ...] = ()
     #: After how many the next look at anything is.
     due: int = 0

@@ -87,8 +87,8 @@ def settled(form: Form, now: State) -> tuple[State, News]:
     waiting = now.unjudged
     if not waiting.samples:
         return now, []
-    parts = (np.concatenate(part, axis=1) for part in zip(*waiting.samples, strict=True))
-    return _judged(form, now._replace(unjudged=Unjudged()), waiting, *parts)
+    y, u, out = (np.concatenate(part, axis=1) for part in zip(*waiting.samples, strict=True))
+    return _judged(form, now._replace(unjudged=Unjudged()), waiting, y, u, out[:, :, -4:])
 
 
 def advance(form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None) -> tuple[State, Array, News]:
@@ -115,7 +115,9 @@ def advance(form: Form, using: Settings, now: State, y: Array, u: Array, R: Arra
                     (level, y[i, part] - level, np.full(level.size, np.nan), 0.0 * level)
                 )
         moved = _through(form, using, now, (y, u, R), out, part)
-        samples = (*waiting.samples, (y[:, part], u[:, part], out[:, part, -4:]))
+        # What views cost, of one sample is much.
+        here = (y, u, out) if length == 1 else (y[:, part], u[:, part], out[:, part])
+        samples = (*waiting.samples, here)
         now = State(moved, *now[1:-1], Unjudged(samples, *waiting[1:]))
         # Of a sensor that is stuck the user hears at once.
         stuck = form.judges and now.part("readings")[:, -1].any()

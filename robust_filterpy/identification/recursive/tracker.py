@@ -588,7 +588,8 @@ class ParameterTracker(Following, PolynomialSystem):
         flags[:, 3] = stored["enabled"]
         using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), flags=flags)
         now, out, news = track.advance(many.form, using, now, y, u, None)
-        self._say(news)
+        now, more = track.settled(many.form, now)
+        self._say(news + more)
         after = now.arrays() | {"enabled": stored["enabled"], "R": now.scale[:, :1, None]}
         lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.watch.seen, SPAN)}
         return out, after | {name: apart(after[name], size) for name, size in lengths.items()}
