@@ -43,7 +43,7 @@ _OF_NOISE: Final = ((4, 10), (22, 16))
 
 
 # Arrays of as many sensors, steps or numbers as there are.
-_ANY_LENGTH: Final = ("learnt", "insisting", "random", "window", "regressions")
+_ANY_LENGTH: Final = ("learnt", "random", "window", "regressions")
 
 
 class StateError(ValueError):

@@ -16,7 +16,7 @@ static int fixed(const int steps, const double told, const int scaling, const do
     double *const spare = work + n * (n + 1) + predict_work(n);
     spread_memory memory[m] = {{0}};
     correction c;
-    correction_rule rule = {{PSI_HUBER, threshold, 0, 0}, scaling, INFORMATION_REALIZED, 1, 0, NULL};
+    correction_rule rule = {{PSI_HUBER, threshold, 0, 0}, scaling, INFORMATION_REALIZED, 1, 0, NULL, 0};
     real_copy(n * n, START, P);
     correction_begin(n, m, 0, &c, spare);
     for (int k = 0; k < steps; k++) {

@@ -167,7 +167,7 @@ def correct_by_typical(
 ) -> Correction:
     """Correct a state under scaling "learnt": judge each sensor by its own typical innovation, and learn that."""
     z, y, C, S, R, H = innovation
-    judged = spread.prepared(memory, z, y, S, R, C, P)
+    judged = spread.prepared(memory, z, y, S, R, C, P, choices.patience)
     y = np.where(judged.held, np.nan, y)
     before, R = S, np.asarray(R)
     if (judged.growth > 1.0).any() or judged.opened.any():

@@ -46,13 +46,15 @@ class Choices:
     grouping : {"component", "joint"} or tuple of tuple of int
         Which sensors fail together: none, all, or those named, such as ``((0, 1), (2,))``; sensors in no tuple fail
         on their own.
+    patience : int, optional
+        Under "learnt", after how many innovations in a row that agree the state has jumped, >= 2; default: learned.
 
     Raises
     ------
     TypeError
         If influence lacks one of ``rho, psi, psi_deriv, weights``, or an option is no string.
     ValueError
-        If an option is unknown.
+        If an option is unknown, or patience is given where no jump is believed.
 
     Examples
     --------
@@ -64,6 +66,7 @@ class Choices:
     scaling: Scaling = "innovation"
     information: Information = "realized"
     grouping: Grouping = "component"
+    patience: int | None = None
 
     def __post_init__(self) -> None:
         """Check every choice."""
@@ -75,6 +78,11 @@ class Choices:
         _checks.option("scaling", self.scaling, SCALINGS)
         _checks.option("information", self.information, INFORMATIONS)
         object.__setattr__(self, "grouping", checked_grouping(self.grouping))
+        if self.patience is not None and _checks.count("patience", self.patience, 2) and not self.by_typical:
+            raise ValueError(
+                f"patience: expected none, or scaling='learnt' and a psi that bounds something, which refuse and then "
+                f"believe, got scaling={self.scaling!r} and {self.influence!r} with it"
+            )
 
     def changed(self, **choice: Any) -> Choices:
         """Return the same choices but for the ones given."""

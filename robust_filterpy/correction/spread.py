@@ -72,9 +72,10 @@ def begin(m: int) -> np.ndarray:
 
 
 def prepared(
-    memory: np.ndarray, z: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C: np.ndarray, P: np.ndarray
-) -> Prepared:
-    """Learn from an innovation, and say how it is to be judged."""
+    memory: np.ndarray, z: np.ndarray, y: np.ndarray, S: np.ndarray, R: np.ndarray, C: np.ndarray, P: np.ndarray,
+    patience: int | None = None,
+) -> Prepared:  # fmt: skip
+    """Learn from an innovation, and say how it is to be judged; patience: how many that agree are a jump."""
     memory, here = memory.copy(), np.isfinite(y) & (np.diag(S) > 0)
     nominal, size = np.sqrt(np.where(here, np.diag(S), 1.0)), np.zeros(len(y))
     ratio = _ratio(np.diag(S - R), R, S)
@@ -92,29 +93,32 @@ def prepared(
     begins = (memory[:, WEIGHT] > 0) | (np.abs(y) > ROUNDED * (np.abs(z) + nominal))
     new = (memory[:, STEP] == 0) | (z != memory[:, LAST])
     for i in np.flatnonzero(here & begins & new & (size > 0)):
-        _learn(memory[i], size[i], coarse[i], math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0)))
+        weight = math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0))
+        _learn(memory[i], size[i], coarse[i], weight, FEW + (patience or 0))
     # Who has no typical innovation yet has shown zeros alone: any width will do.
     s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
     added = _added_noise(y, s, nominal, B, here) if here.sum() > 1 else np.zeros(len(y))
     narrowed = np.maximum(s / (1 + YIELD * memory[:, SHARE]), coarse)
     unit, out, back = s * nominal * wider, here & (size > BEND * narrowed), np.zeros(len(y), dtype=bool)
+    # No chance is to end a longer run: the difference of two innovations has twice the variance of one.
+    near = (AGREE if patience is None else math.sqrt(2.0) * FAR) * unit
     for i in np.flatnonzero(here):
         own, ordinary = memory[i], not out[i]
         _note_reading(own, z[i], ordinary and own[RUN] == 0)
         _grow_old(own, unit[i], ordinary)
         if ordinary and own[RUN] == 0:
             _learn_growth(own, ratio[i])
-        if ordinary or not _goes_on(own, y[i], AGREE * unit[i]):
+        if ordinary or not _goes_on(own, y[i], near[i]):
             _end_run(own, unit[i])
         own[RUN] += out[i]
         # Back where the state was before a jump.
-        landing = max(AGREE * unit[i], RETURN * abs(own[JUMP]))
+        landing = max(near[i], RETURN * abs(own[JUMP]))
         back[i] = out[i] and own[JUMP] != 0 and abs(y[i] + own[JUMP]) < landing
     # What others that see the same are not off by is a sensor's own noise, no jump.
     growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * nominal * wider
     for i in np.flatnonzero(out & (added == 0) & (np.diag(B) > 0)):
-        if not _believed(memory[i], y[i], unit[i], back[i]):
+        if not _believed(memory[i], y[i], unit[i], back[i], patience):
             continue
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
         # What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees.
@@ -181,9 +185,9 @@ def _towards(median: float, aim: float, up: float, down: float) -> float:
     return max(aim, median * math.exp(-down))
 
 
-def _learn(own: np.ndarray, size: float, coarse: float, weight: float) -> None:
-    """Let one sensor's |e| move its spread and its share of outliers."""
-    if own[OUTLIERS] >= FEW:
+def _learn(own: np.ndarray, size: float, coarse: float, weight: float, most: float) -> None:
+    """Let one sensor's |e| move its spread and its share of outliers, of which at most so many are in a row."""
+    if own[OUTLIERS] >= most:
         own[[WEIGHT, SHARE, OUTLIERS]] = 0.0
     before, aim = own[WEIGHT], size / QUARTILE
     own[WEIGHT] += weight
@@ -210,8 +214,10 @@ def _as_jumps(own: np.ndarray, far: float, unit: float) -> bool:
     return far > FAR * unit and (reach == 0 or (far < FAR * reach and FAR * far > reach))
 
 
-def _believed(own: np.ndarray, y: float, unit: float, back: bool) -> bool:
+def _believed(own: np.ndarray, y: float, unit: float, back: bool, patience: int | None) -> bool:
     """Tell whether a run is a jump rather than outliers: by the odds of those before, or by its length."""
+    if patience is not None:
+        return bool(own[RUN] >= patience)
     # What has not lasted yet is undone at once.
     if own[RUN] >= RUN_LENGTH or (back and (own[AGE] > 0 or own[SHARE] < RARE)):
         return True

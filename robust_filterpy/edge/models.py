@@ -111,6 +111,7 @@ def _bounded(kf: Any, name: str, x: Array, P: Array, model: dict[str, Any]) -> _
         start["memory"] = _checks.finite("memory", _sensor_memory(kf, "spread"), (m, NUMBERS))
     headers = "real", "psi", "prediction", "correction", *(("joint",) if joint else ()), "spread", "update"
     values |= {"width": NUMBERS, "models": "", "joint": joint, "normalizers": "normalizers" if joint else "NULL"}
+    values["patience"] = choices.patience or 0
     remark = f"For another threshold at run time change a copy of {name}_default."
     return headers, shown(choices), values, start, influence_fields(choices), remark
 
@@ -218,12 +219,12 @@ def require_own(kf: Any, name: str) -> None:
 def require_plain(kf: Any, name: str) -> None:
     """Raise unless a filter does what the C of a `RobustKalmanFilter` does."""
     require_own(kf, name)
-    if not kf.policy.by_kernel:
-        off = ", ".join(f"{word}=None" for word in ("noise", "process", "patience") if getattr(kf, word) is not None)
+    if kf.noise is not None:
+        off = ", ".join(f"{word}=None" for word in ("noise", "process") if getattr(kf, word) is not None)
         raise ValueError(
-            f"{name}: expected bounded influence without patience, or, of a linear filter, noise given or learned "
-            f"sensor by sensor with process=None or Scales, of which there is C, got noise={kf.noise!r}, "
-            f"process={kf.process!r}, patience={kf.patience!r}; set {off} before the export"
+            f"{name}: expected bounded influence, or, of a linear filter, noise given or learned sensor by sensor with "
+            f"process=None or Scales, of which there is C, got noise={kf.noise!r}, process={kf.process!r}; set {off} "
+            f"before the export"
         )
     if kf.choices.kernel_psi is None:
         raise ValueError(

@@ -2,7 +2,7 @@
 
 * `kalman`: `RobustKalmanFilter`.
 * `extended`, `sigma_point`: nonlinear filters.
-* `policies`: what judges measurements: psi (and the patience of `_insistence`), or noise given or learned, in several
+* `policies`: what judges measurements: psi , or noise given or learned, in several
   models of the state.
 * `series`: `filter_series`, many recordings, the noise of each learned on request.
 * `driver`: many steps, by the kernel where it serves, else by the definition.

@@ -193,7 +193,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
             return
         apart, seen = self.sigmas - self.x, predicted - mean
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
-        last, carried = self._corrected(self.P, values, y, C, S, R, np.subtract, (m,))
+        last, carried = self._corrected(self.P, values, y, C, S, R)
         last = last if isinstance(last, Correction) else last.as_arrays()._replace(memory=last.memory)
         require_finite(x=self.x + last.x)
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)

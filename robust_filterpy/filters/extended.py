@@ -79,9 +79,9 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
     with the predicted value in its place. z may be a row or a column, whatever Hx returns. HJacobian and Hx are given
     copies of x, which they may write into.
 
-    Under ``noise=`` the measurement is linear around the predicted state, and nothing else of it is believed. Two
-    refused innovations agree by their ``residual``, which is called with both of them: it may wrap angles, and must
-    subtract otherwise. A jump so far that the line is wrong there can take more than one recovery.
+    Under ``noise=`` the measurement is linear around the predicted state, and nothing else of it is believed. A jump is
+    believed where innovations, as ``residual`` gives them, keep their sign: not by half a turn, where they lie on both
+    sides of pi. One so far that the line is wrong there can be believed in parts.
 
     ``x_prior`` after `predict_update` is the predicted state; filterpy leaves the state before the prediction there.
 

@@ -69,7 +69,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         usually is, which is learned; x does not depend on a common factor of P, Q and R, as the Kalman filter's does
         not. "innovation": in its standard deviation, thresholds as they are, for an S that is right (36). "unit": in
         the unit of z, the paper's modification (42)-(49), a filter only while H P H' < 1. "bounded": "unit" wherever
-        that is a valid filter, "innovation" elsewhere. Default: "learnt"; with `patience` "innovation".
+        that is a valid filter, "innovation" elsewhere. Default: "learnt".
     information : {"realized", "expected", "weight"}
         What an innovation takes off P. "realized": psi'(e) (46), so that P stays while innovations are clipped and a
         filter that is wrong, not its sensor, comes back. "expected": E[psi'] (40, 45), which can lock out after a true
@@ -86,9 +86,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         weighed by their likelihood. `Scales` keep their scale for long and know jumps, `Contaminated` draws anew in
         each step. Default: Q as given.
     patience : int, optional
-        How many refused measurements in a row that agree are believed, >= 2: a redescending psi such as
-        `TukeyBiweight` leaves out a run of outliers that is shorter, and comes back after a true jump in so many steps
-        and a few. Default: none, and a psi that returns to zero may hold on to a wrong state for good.
+        Under "learnt", after how many readings of a sensor in a row that are far off and agree the state has jumped,
+        >= 2: a run of outliers that is shorter is bounded, or left out by a redescending psi such as `TukeyBiweight`.
+        Default: four until jumps have been seen, then as those and the runs of outliers before tell.
 
     Attributes
     ----------
@@ -104,8 +104,6 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         Scaling: the inverse Cholesky factor of S in the order in which the sensors were taken, T S T' = I.
     y_bounded : ndarray, shape of y
         What psi leaves of y, in the unit of z, so that x_post == x_prior + K @ y_bounded.
-    refused, recoveries : int
-        Under `patience`, how many refused measurements agree so far, and how often P was widened.
     R_learnt, noise_learnt, learnt, sensors_learnt : ndarray, LearntNoise, ndarray, dict of str to LearntNoise
         Under ``noise=Learnt(..)``, what has been learned: the covariance of ordinary noise, contamination and scale of
         outliers and length of their runs with standard errors, and all of it as an array that another filter can begin
@@ -134,8 +132,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     Under "learnt" nothing is an outlier before there is a typical innovation: the very first reading is believed as
     the Kalman filter believes it. Sensors that take turns through ``update(z, R, H)`` are distinguished by their rows
     of H, or by ``sensor=``. Where redundant sensors contradict one of them, the rest is added to its variance; where a
-    sensor's innovations keep their sign and height four times in a row and nobody contradicts, P grows and the state
-    jumps. S and K are then those of the grown P.
+    sensor's innovations keep their sign and height as often in a row as `patience` says and nobody contradicts, P grows
+    and the state jumps. S and K are then those of the grown P.
 
     NaN (or None, or a masked entry) in z is a missing component: the others are used; y, e, y_bounded and the
     columns of K are 0 there. A measurement that is missing altogether is ``update(None)``, with log-likelihood 0.
@@ -148,9 +146,11 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     `update_steadystate` clips. Under `Learnt` an outlier is what exceeds most samples: if ordinary samples are no
     longer the majority, the noise itself has grown. A program that assigns x or P assigns it to every model. The larger
     the scale_ratio that is given, the farther an outlier may lie, and the longer a jump of the state by less is taken
-    for outliers. Under `patience` only `update` and `update_correlated` count, and what agrees for longer is a jump: a
-    sensor that fails for good is believed in turn. Innovations agree only while H stays about the same, so patience is
-    nothing for a `ParameterTracker`: give that `noise` and `process`.
+    for outliers.
+
+    Under `patience` what agrees for longer is a jump: a sensor that fails for good is believed in turn. A jump of more
+    than a thousand standard deviations of the innovation takes it twice. Innovations agree only while H stays about the
+    same, so patience is nothing for a `ParameterTracker`: give that `noise` and `process`.
 
     Examples
     --------
@@ -442,7 +442,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         S = self.S if np.shape(self.S) == (m, m) and np.any(self.S) else H.dot(P).dot(H.T) + R
         values = np.atleast_1d(values)
         y = values - finite_product(H, x.ravel())
-        # Of the correction by this S only what psi leaves of y is used: the gain is K. No refusal counts.
+        # Of the correction by this S only what psi leaves of y is used: the gain is K.
         before, C = self._prior(m)._replace(carried=None), P @ H.T
         correction: Any = None
         if not self._skips:
@@ -506,14 +506,12 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         part = slice(start, start + k)
         if k < 1 or start + k > m:
             raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
-        shown, S, SI, kept, z = self._record(), self._S, self._SI, self._kept, np.ravel(self.z).tolist()
+        shown, S, SI, z = self._record(), self._S, self._SI, np.ravel(self.z).tolist()
         settings = None if self.noise is not None else (self._choices, self._whole_memory(), self._skips)
         if H_i is None and self._correct_part(z_i, R_i, part):
             correction, values = self._record(), self.z
         else:
             correction, values = self._corrected_part(z_i, R_i, H_i, part)
-        # A part tells nothing of how long the whole has been refused.
-        self._kept = self._kept if self.noise is not None else kept
         z = z if len(z) == m else [None] * m
         z[part] = np.ravel(values).tolist()
         self.z = np.array(z, dtype=object if None in z else float).reshape((m, 1) if np.ndim(self.x) == 2 else m)
@@ -542,7 +540,6 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         noise = noise_covariance(own, R, k)
         values = measured(z, k, missing=True)
         before = self._prior(k, first=part.start)
-        before = before._replace(carried=None) if self.noise is None else before
         last, self._kept = regardless(self._corrected, x, P, values, rows, np.ascontiguousarray(noise), None, before)
         self._learn(last.memory, k, first=part.start)
         self.x, self.P = last.x.reshape(x.shape), last.P
@@ -609,8 +606,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
     def _steps_are_own(self) -> bool:
         """Return whether the kernel's steps of a recording are this filter's, by its class, its policy and itself."""
-        serves = self._policy.by_kernel or self._policy.noise is not None
-        if not (self._by_kernel and serves and not self._skips):
+        if not self._by_kernel or self._skips:
             return False
         own = RobustKalmanFilter
         methods = (("predict", own.predict), ("update", own.update))

@@ -69,24 +69,18 @@ class NonlinearFilterMixin(Shell):
         if values is None:
             self._skip()
             return False
-        shape = np.shape(at) or (1,)
-        if add is np.add and self._stepped(values, None, y, C, S, R, difference_of(residual, shape)):
+        if add is np.add and self._stepped(values, None, y, C, S, R):
             return True
-        last, carried = self._corrected(P, values, y, C, S, R, residual, shape)
+        last, carried = self._corrected(P, values, y, C, S, R)
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
         require_finite(x=last.x)
         self._keep(last, carried, values)
         return True
 
-    def _corrected(
-        self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array, residual: Callable[[Any, Any], Any],
-        shape: tuple[int, ...],
-    ) -> tuple[Any, Any]:  # fmt: skip
-        """Return the correction of a state at 0 by an innovation, and what the policy keeps; changes nothing."""
-        # C and S are the innovation's moments, or the Jacobian H and None. shape is that of a measurement as residual
-        # is handed it.
+    def _corrected(self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array) -> tuple[Any, Any]:
+        """Return the correction of a state at 0; C and S are the innovation's moments, or the Jacobian H and None."""
         before = self._prior(len(y))
-        if self._policy.by_kernel and not self._skips:
+        if self._policy.noise is None and not self._skips:
             taken = moments.correct(self._choices, before.memory, P, z, y, C, S, R)
             if taken is not None:
                 return taken, before.carried
@@ -95,8 +89,7 @@ class NonlinearFilterMixin(Shell):
             """Correct with the moments of P, where C is a Jacobian."""
             cross, spread = innovation_moments(P, C, R) if S is None else (C, S)
             innovation = Innovation(z, y, cross, spread, R, C if S is None else None)
-            difference = difference_of(residual, shape)
-            return self._policy.corrected_by_moments(before, np.zeros(len(P)), P, innovation, self._skips, difference)
+            return self._policy.corrected_by_moments(before, np.zeros(len(P)), P, innovation, self._skips)
 
         return without_rounding(type(self).__name__, correct, before, P, C if S is None else None, R)
 
@@ -113,20 +106,6 @@ class NonlinearFilterMixin(Shell):
 
         take_steps(self, range(steps), take, saver)
         return means, covariances
-
-
-def difference_of(residual: Callable[[Any, Any], Any], shape: tuple[int, ...]) -> Callable[[Array, Array], Array]:
-    """Return the function of two innovations that says how the user's measurements differ."""
-
-    def difference(y: Array, before: Array) -> Array:
-        """Return that difference, of the size of y."""
-        # A copy: a residual function may write into what it is given.
-        apart = np.ravel(np.asarray(residual(y.reshape(shape).copy(), before.reshape(shape)), dtype=float))
-        if apart.size != y.size:
-            raise ValueError(f"residual: expected {y.size} number(s), got {apart}")
-        return apart
-
-    return difference
 
 
 def innovation_of(

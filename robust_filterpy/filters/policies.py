@@ -1,14 +1,13 @@
 """What judges a filter's measurements: one of two policies, and which of them was asked for.
 
-`Bounded` lets psi bound what an innovation does, and opens P after as many refusals that agree as `patience` says;
-`Mixture` weighs what noise may have been, given or learned: models of the state, each corrected under every class of
-noise and weighed; who assigns x or P from outside has assigned it to every model. A policy never changes. What it knows
-is the filter's, arrays and tuples that are never written to: a memory, one row for each sensor, and what else it keeps
-(models of the state, a count). It is handed to every call, and what comes back takes its place when the whole call has
-gone well: so a refused call changes nothing, and a filter is copied, stored and put back without asking the policy. A
-correction is a `Correction`, or has its x, P, memory, weights and log_density and makes one by ``as_arrays``; that of
-`corrected` is by a linear sensor, z of shape (m,) with NaN where missing. Which steps are the kernel's is a policy's
-affair; each that the kernel declines it takes by the definition.
+`Bounded` lets psi bound what an innovation does; `Mixture` weighs what noise may have been, given or learned: models of
+the state, each corrected under every class of noise and weighed; who assigns x or P from outside has assigned it to
+every model. A policy never changes. What it knows is the filter's, arrays and tuples that are never written to: a
+memory, one row for each sensor, and what else it keeps (models of the state). It is handed to every call, and what
+comes back takes its place when the whole call has gone well: so a refused call changes nothing, and a filter is copied,
+stored and put back without asking the policy. A correction is a `Correction`, or has its x, P, memory, weights and
+log_density and makes one by ``as_arrays``; that of `corrected` is by a linear sensor, z of shape (m,) with NaN where
+missing. Which steps are the kernel's is a policy's affair; each that the kernel declines it takes by the definition.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias, TypedDict, TypeVar
 import numpy as np
 from scipy.linalg import block_diag
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import side_by_side, spread
 from robust_filterpy.correction.definition import (
@@ -45,7 +43,6 @@ from robust_filterpy.correction.policies import (
 )
 from robust_filterpy.correction.result import Correction, ordered_scaling
 from robust_filterpy.correction.side_by_side import Models, Scales
-from robust_filterpy.filters._insistence import Insistence, jump_of, nothing_refused, watched
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import learnt as half_step
 from robust_filterpy.kernel import moments, series
@@ -88,20 +85,8 @@ class Bounded:
     """Correct by psi."""
 
     choices: Choices
-    patience: int | None = None
     noise: ClassVar[None] = None
     process: ClassVar[None] = None
-
-    def __post_init__(self) -> None:
-        """Check what stands against what."""
-        if self.patience is None:
-            return
-        _checks.count("patience", self.patience, 2)
-        if self.choices.scaling == "learnt":
-            raise ValueError(
-                "patience: expected scaling 'innovation', 'unit' or 'bounded' with it, got 'learnt', which believes "
-                "four innovations in a row that agree; leave one of the two out"
-            )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Bounded:
         """Return self: nothing in here changes."""
@@ -114,14 +99,9 @@ class Bounded:
         return series.options(self.choices)
 
     @cached_property
-    def by_kernel(self) -> bool:
-        """Whether the kernel's steps are these."""
-        return self.patience is None
-
-    @cached_property
     def unwatched(self) -> bool:
-        """Whether nothing is looked at after a step of the kernel: whether innovations are refused, or clip."""
-        return self.by_kernel and self.choices.scaling != "innovation" and self.choices.kernel_psi is not None
+        """Whether nothing is looked at after a step of the kernel: whether innovations clip."""
+        return self.choices.scaling != "innovation" and self.choices.kernel_psi is not None
 
     @property
     def learns(self) -> bool:
@@ -132,9 +112,8 @@ class Bounded:
         """Return the memory of sensors of which nothing was learned."""
         return spread.begin(sensors)
 
-    def start(self, x: Array, P: Array, sensors: int) -> Insistence | None:
-        """Return the count, if there is one."""
-        return None if self.patience is None else nothing_refused(sensors)
+    def start(self, x: Array, P: Array) -> None:
+        """Return nothing: the memory is all that is kept."""
 
     def predicted(
         self, carried: Any, x: Array, P: Array, F: Array, Q: Array, Bu: Array | None, alpha_sq: float
@@ -153,7 +132,7 @@ class Bounded:
         self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, skips: bool
     ) -> tuple[Correction | moments.Taken, Any]:
         """Return the correction by a linear sensor."""
-        if self.by_kernel and not skips:
+        if not skips:
             taken = moments.correct_linear(self.choices, before.memory, x, P, z, H, R, M)
             if taken is not None:
                 return taken, before.carried
@@ -161,25 +140,12 @@ class Bounded:
         return self.corrected_by_moments(before, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), skips)
 
     def corrected_by_moments(
-        self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool,
-        difference: Callable[[Array, Array], Array] = np.subtract,
-    ) -> tuple[Correction, Any]:  # fmt: skip
-        """Return the correction, P widened where enough refused innovations agreed."""
+        self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool
+    ) -> tuple[Correction, Any]:
+        """Return the correction."""
         if self.learns:
-            last = correct_by_typical(before.memory, x, P, innovation, self.choices, skips)
-        else:
-            _, y, C, S, _, _ = innovation
-            last = correct(x, P, y, C, S, self.choices, skip_singular=skips)
-        if self.patience is None or before.carried is None:
-            return last, before.carried
-        seen = np.where(np.isnan(last.weights), np.nan, last.y)
-        carried, full = watched(before.carried, self.patience, seen, last.S, difference)
-        if not full:
-            return last, carried
-        _, _, C, S, R, H = innovation
-        C = C if H is None else P @ H.T
-        jump = jump_of(seen, C, S - R if H is None else H @ C)
-        return (last, carried) if jump is None else (last._replace(P=last.P + jump), carried.recovered())
+            return correct_by_typical(before.memory, x, P, innovation, self.choices, skips), before.carried
+        return correct(x, P, *innovation[1:4], self.choices, skip_singular=skips), before.carried
 
     def current(self, carried: Any, x: Array, P: Array) -> Carried:
         """Return the one model that there is."""
@@ -219,20 +185,12 @@ class Bounded:
         """Return the mean factor of each state's Q."""
         return np.ones(n)
 
-    def entries(self, carried: Insistence | None, x: Array, P: Array) -> dict[str, Array]:
-        """Return the count and the refused innovation that the next one is compared with."""
-        if carried is None:
-            return {}
-        return {"counts": np.array([carried.refused, carried.recoveries], dtype=float), "insisting": carried.insisting}
+    def entries(self, carried: Any, x: Array, P: Array) -> dict[str, Array]:
+        """Return nothing: the memory is all that is kept."""
+        return {}
 
-    def resumed(self, entries: dict[str, Array], x: Array, P: Array) -> Insistence | None:
-        """Return the count of a state, if it is one."""
-        if self.patience is None:
-            return None
-        counts = entries["counts"]
-        if (counts < 0).any() or (counts != np.floor(counts)).any():
-            raise ValueError(f"state: expected whole counts >= 0, got {counts}")
-        return Insistence(int(counts[0]), int(counts[1]), entries["insisting"])
+    def resumed(self, entries: dict[str, Array], x: Array, P: Array) -> None:
+        """Return nothing: the memory is all that is kept."""
 
 
 def alone(x: Array, P: Array) -> Carried:
@@ -261,11 +219,10 @@ class Mixture:
     classes: NoiseClasses = field(init=False, repr=False, compare=False)
     scales: Scales = field(init=False, repr=False, compare=False)
     choices: Choices = field(init=False, repr=False, compare=False)
-    patience: None = field(init=False, repr=False, default=None)
     #: What the kernel takes, and puts a correction into.
     rule: Array = field(init=False, repr=False, compare=False)
     record: Any = field(init=False, repr=False, compare=False)
-    by_kernel = unwatched = False
+    unwatched = False
 
     def __post_init__(self) -> None:
         """Make of what was given what the correction takes."""
@@ -298,7 +255,7 @@ class Mixture:
         """Return the memory of sensors of which nothing was learned."""
         return self.classes.start(sensors)
 
-    def start(self, x: Array, P: Array, sensors: int) -> Carried | None:
+    def start(self, x: Array, P: Array) -> Carried | None:
         """Return the models, all at x, P; None where there is but one."""
         begun = side_by_side.start(x, P, self.scales)
         return Carried(*begun.packed, x.copy(), P.copy()) if self.scales.count > 1 else None
@@ -350,9 +307,8 @@ class Mixture:
         return record, None if before.carried is None else after
 
     def corrected_by_moments(
-        self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool,
-        difference: Callable[[Array, Array], Array] = np.subtract,
-    ) -> tuple[Correction | Mixed, Any]:  # fmt: skip
+        self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool
+    ) -> tuple[Correction | Mixed, Any]:
         """Return the correction of one model; what a line does not explain of z is a state of its own."""
         readings, y, C, S, R, H = innovation
         curvature = np.zeros((0, 0))
@@ -565,8 +521,7 @@ def policy_of(
                 "process follows from its noise: say noise='learnt' or noise=Contaminated(..), Contaminated(0) for "
                 "noise without outliers"
             )
-        usual: Scaling = "learnt" if patience is None else "innovation"
-        return Bounded(Choices(influence, usual if scaling is None else scaling, information, grouping), patience)
+        return Bounded(Choices(influence, scaling or "learnt", information, grouping, patience))
     if patience is not None:
         raise ValueError(
             f"patience: expected None with noise=, got {patience!r}; there a jump is believed by its probability: say "

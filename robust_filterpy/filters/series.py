@@ -277,7 +277,7 @@ def filter_series(
     P0 : array_like, shape (dim_x, dim_x) or (S, dim_x, dim_x)
         Its covariance.
     influence, scaling, information, grouping, noise, process, patience
-        As in `RobustKalmanFilter`, without patience; with ``noise=Learnt()`` what is learned is each series' own.
+        As in `RobustKalmanFilter`; with ``noise=Learnt()`` what is learned is each series' own.
     learnt : array_like, shape (1 or dim_z, w), or (S, ..) for each series its own, optional
         What was learned of the noise before the first step: the ``learnt`` of a filter, or of a state, with the same
         ``noise=``.
@@ -343,8 +343,6 @@ def filter_series(
         x0, P0 = state["x"], state["P"]
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
     steps, output = given.z.shape[1], given.output
-    if options.get("patience") is not None:
-        raise ValueError(f"patience: expected None for filter_series, got {options['patience']!r}; a filter counts")
     policy = policy_of(**options)
     is_mixture = policy.noise is not None
     stands = began(policy, given, learnt) if state is None else continued(policy, given, state)

@@ -11,19 +11,18 @@ import numpy as np
 from filterpy.common import pretty_str
 
 from robust_filterpy import _checks, kernel
-from robust_filterpy._arrays import noise_covariance, regardless, state_of
+from robust_filterpy._arrays import state_of
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._insistence import jump_of, watched
 from robust_filterpy.filters._parts import Parts, as_arrays, log_density
 from robust_filterpy.filters.driver import require_finite_correction
 from robust_filterpy.filters.notices import FIRST, LOOKS, PERIOD, look, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
-from robust_filterpy.kernel.moments import Taken, correction_of, moments_of, weights_of
+from robust_filterpy.kernel.moments import Taken, correction_of, weights_of
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
@@ -42,7 +41,7 @@ def _option(name: str, words: str) -> Any:
 
     def read(kf: Any) -> Any:
         """Return it."""
-        return getattr(kf._policy if name in ("noise", "process", "patience") else kf._choices, name)
+        return getattr(kf._policy if name in ("noise", "process") else kf._choices, name)
 
     return property(read, lambda kf, value: kf._choose(**{name: value}), doc=words)
 
@@ -87,7 +86,7 @@ class Shell(StateMixin):
 
     noise = _option("noise", "How measurements fail: None (psi bounds them), `Contaminated` or `Learnt`.")
     process = _option("process", "What the process noise may be: None (Q as given), `Contaminated` or `Scales`.")
-    patience: int | None = _option("patience", "How many refused measurements that agree are believed, if any.")
+    patience: int | None = _option("patience", "How many readings in a row that agree are a jump; None: learned.")
     scaling: Scaling = _option("scaling", 'Which T: "learnt", "innovation", "unit" or "bounded".')
     information: Information = _option("information", 'Which D: "realized", "expected" or "weight".')
     grouping: Grouping = _option("grouping", 'Which sensors fail together: "component" (none), "joint" (all), groups.')
@@ -121,7 +120,7 @@ class Shell(StateMixin):
     def _start(self) -> None:
         """Let what is kept with x and P begin at them; called at the end of a constructor."""
         x, P = state_of(self)
-        self._kept = self._policy.start(np.ravel(x), P, self.dim_z)
+        self._kept = self._policy.start(np.ravel(x), P)
 
     @property
     def _inverse(self) -> Inverse | None:
@@ -154,16 +153,16 @@ class Shell(StateMixin):
             raise AttributeError(f"{name}: follows from noise={old.noise!r}; set noise=None before")
         chosen = {"grouping": old.choices.grouping, "noise": old.noise, "process": old.process}
         if old.noise is None and changes.get("noise") is None:
-            chosen |= {name: getattr(old.choices, name) for name in ("influence", "scaling", "information")}
+            chosen |= {name: getattr(old.choices, name) for name in ("influence", "scaling", "information", "patience")}
         elif "noise" in changes and changes["noise"] is None:
             chosen["process"] = None
-        policy: Any = policy_of(**{**chosen, "patience": old.patience, **changes})
+        policy: Any = policy_of(**{**chosen, **changes})
         self._require_possible(policy)
         anew = type(policy) is not type(old) or (isinstance(policy, Mixture) and policy.classes != old.classes)
         self._policy, self._choices = policy, policy.choices
         if anew:
             self._keep_sensors(Memories(policy.begin(self.dim_z), {}))
-        if anew or policy.process != old.process or policy.patience != old.patience:
+        if anew or policy.process != old.process:
             self._start()
 
     def _require_possible(self, policy: Any) -> None:
@@ -172,11 +171,11 @@ class Shell(StateMixin):
         if policy.process is not None and not self._takes_process:
             raise ValueError(
                 f"process: expected None for a {name}, got {policy.process!r}; copies with another Q are for linear "
-                "models (RobustKalmanFilter). Where the state may jump, say patience= without noise="
+                "models (RobustKalmanFilter). Without noise= a jump of the state is believed"
             )
-        if not self._takes_mixtures and (policy.noise is not None or policy.patience is not None):
+        if not self._takes_mixtures and policy.noise is not None:
             raise ValueError(
-                f"noise, patience: expected None for a {name}, whose members move by a bounded innovation; take a "
+                f"noise: expected None for a {name}, whose members move by a bounded innovation; take a "
                 "RobustUnscentedKalmanFilter"
             )
 
@@ -202,7 +201,7 @@ class Shell(StateMixin):
             names[:3] = "noise", "process"
             names[3:4] = "R_learnt", "noise_learnt", "process_scale", "outlier_probability"
         elif self.patience is not None:
-            names[4:4] = "patience", "refused", "recoveries"
+            names.insert(4, "patience")
         return "\n".join(
             [f"{type(self).__name__} object", *lines[1:], *(pretty_str(name, getattr(self, name)) for name in names)]
         )
@@ -227,20 +226,17 @@ class Shell(StateMixin):
 
     def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
         """Correct by a linear sensor."""
-        if _extension is None or not self._by_kernel or (self._policy.patience is not None and M is not None):
+        if _extension is None or not self._by_kernel:
             return False
-        return self._taken(_extension.correct, z, R, H, M, R=R)
+        return self._taken(_extension.correct, z, R, H, M)
 
-    def _stepped(
-        self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any,
-        difference: Callable[[Array, Array], Array] = np.subtract,
-    ) -> bool:  # fmt: skip
+    def _stepped(self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
         if _extension is None:
             return False
-        return self._taken(_extension.correct_innovation, z, predicted, y, C, S, R, R=R, difference=difference)
+        return self._taken(_extension.correct_innovation, z, predicted, y, C, S, R)
 
-    def _taken(self, step: Any, *given: Any, R: Any, difference: Any = np.subtract) -> bool:
+    def _taken(self, step: Any, *given: Any) -> bool:
         """Take a correction by the kernel and look at it, as one: what interrupts or refuses it undoes both."""
         if self._policy.unwatched:
             return bool(step(self, *given))
@@ -249,8 +245,6 @@ class Shell(StateMixin):
             if not step(self, *given):
                 return False
             self._look(self._last)
-            if self._policy.patience is not None:
-                self._insist(R, difference)
         except BaseException:
             # A warning that is made an error refuses the call, and then nothing has changed.
             if before is not None:
@@ -261,23 +255,9 @@ class Shell(StateMixin):
     def _is_refusable(self) -> bool:
         """Return whether something may be said of the next correction, or raised behind its back."""
         # Psi of the user's may write into anything before it raises.
-        calls = self._policy.noise is None and (self._policy.patience is not None or self._choices.kernel_psi is None)
+        calls = self._policy.noise is None and self._choices.kernel_psi is None
         count, stride = LOOKS[self._policy.noise is None]
         return calls or (self._updates + 1) % PERIOD == FIRST + (count - 1) * stride
-
-    def _insist(self, R: Any, difference: Callable[[Array, Array], Array]) -> None:
-        """Count a correction that the kernel took, and widen P where enough refused ones agreed."""
-        y, S = moments_of(self._last)
-        carried, full = regardless(watched, self._kept, self._policy.patience, y, S, difference)
-        jump = None
-        if full:
-            kf: Any = self
-            last: Any = self._arrays()
-            jump = jump_of(y, last.C, last.S - noise_covariance(kf.R, R, len(y)))
-        if jump is not None:
-            self.P = last.P + jump
-            self.P_post, self._last, carried = self.P.copy(), last._replace(P=self.P), carried.recovered()
-        self._kept = carried
 
     @property
     def weights(self) -> Array:
@@ -430,7 +410,7 @@ def _judgement(kf: Any) -> dict[str, Any]:
     if kf.noise is None:
         names = ["influence", "scaling", "information", "grouping"]
         if kf.patience is not None:
-            names += ["patience", "refused", "recoveries"]
+            names.append("patience")
         parts = {name: getattr(kf, name) for name in names}
         return {**parts, "spread, learned": kf.spread} if np.isfinite(kf.spread).any() else parts
     parts = {name: getattr(kf, name) for name in ("noise", "process", "grouping")}

@@ -102,9 +102,9 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
     NaN in z is a missing component; residual_z never sees it.
 
     Under ``noise=`` the part of S that no line explains (the measurement is curved) counts as uncertainty of the state
-    and not as noise, of which R knows nothing. Under ``patience=`` P is widened along C (S - R)^-1 y. The sigma points
-    of a widened P lie several times as far out as the jump: where the measurement is an angle that turns right round
-    over such a distance, choose points that lie closer (a small alpha).
+    and not as noise, of which R knows nothing. Where a jump is believed, P is widened. The sigma points of a
+    widened P lie several times as far out as the jump: where the measurement is an angle that turns right round over
+    such a distance, choose points that lie closer (a small alpha).
 
     `predict` is that of the installed filterpy: 2.0.0 draws new sigma points from the predicted covariance for the
     correction, 1.4.5 uses the propagated ones, without Q.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,15 +16,12 @@ from robust_filterpy.correction.learning import LearntNoise, describe
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.side_by_side import slow
 from robust_filterpy.correction.spread import NUMBERS, SPREAD, WEIGHT
-from robust_filterpy.filters._insistence import Insistence
 from robust_filterpy.filters.policies import Bounded, Mixture, Prior, ordinary_noise
 from robust_filterpy.filters.snapshot import whole
 
 if TYPE_CHECKING:
     from robust_filterpy._filterpy import Assigned
 
-#: Arrays of a state that may hold NaN.
-GAPS: Final = ("insisting",)
 # So many sensors that take turns through `update(z, R, H)` are distinguished; the one seen longest ago gives way.
 _MOST = 32
 
@@ -183,16 +180,6 @@ class StateMixin:
         return np.where(memory[:, WEIGHT] > 0.0, memory[:, SPREAD], np.nan)
 
     @property
-    def refused(self) -> int:
-        """Under ``patience=``, how many refused measurements agree so far."""
-        return self._kept.refused if isinstance(self._kept, Insistence) else 0
-
-    @property
-    def recoveries(self) -> int:
-        """Under ``patience=``, how often that many were refused and P was widened."""
-        return self._kept.recoveries if isinstance(self._kept, Insistence) else 0
-
-    @property
     def outlier_probability(self) -> float:
         """Under ``noise=``, the probability that a component of the last measurement was an outlier."""
         return getattr(self._last, "outlier_probability", 0.0)
@@ -325,11 +312,11 @@ class StateMixin:
         }  # fmt: skip
         optional = {name: shapes[name] for name in self._settings}
         optional |= self._sensor_shapes()
-        entries = _state.checked(state, type(self).__name__, self._needed(), optional, GAPS)
-        foreign = sorted({"means", "counts", "learnt", "spread"} & set(state) - set(entries))
+        entries = _state.checked(state, type(self).__name__, self._needed(), optional)
+        foreign = sorted({"means", "learnt", "spread"} & set(state) - set(entries))
         if foreign:
             raise _state.StateError(
-                f"state: expected one of a filter with the same noise=, process= and patience=, got {foreign[0]} in it"
+                f"state: expected one of a filter with the same noise=, process= and scaling=, got {foreign[0]} in it"
             )
         if entries.get("alpha_sq", 1.0) < 1.0:
             raise ValueError(f"state: expected alpha_sq >= 1, got {entries['alpha_sq']}")

@@ -68,7 +68,7 @@ def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     # An R or H of the user's own is for `update` to look at.
     if update or type(kf) is not RobustKalmanFilter or {"predict", "update"} & vars(kf).keys():
         return None
-    if kf.inv is not np.linalg.inv or not (kf.policy.by_kernel and kernel.serves(kf.choices)):
+    if kf.inv is not np.linalg.inv or not (kf.noise is None and kernel.serves(kf.choices)):
         return None
     _, P = state_of(kf)
     n, m = kf.dim_x, kf.dim_z

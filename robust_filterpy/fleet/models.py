@@ -19,7 +19,7 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import wrapped
 from robust_filterpy._checks import Array
 from robust_filterpy._state import LABEL, Shape, labelled
-from robust_filterpy.filters.states import GAPS, StateMixin, moved_shapes, settings_of
+from robust_filterpy.filters.states import StateMixin, moved_shapes, settings_of
 from robust_filterpy.fleet import _advancing
 from robust_filterpy.fleet._advancing import Plain, Work
 from robust_filterpy.fleet.reading import POLICIES
@@ -250,7 +250,7 @@ class FilterModel(Model):
     @property
     def gaps(self) -> tuple[str, ...]:
         """Entries of a state that may hold NaN."""
-        return GAPS
+        return ()
 
     def start(self) -> dict[str, Array]:
         """Return the entries of a state at the start.

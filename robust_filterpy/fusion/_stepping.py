@@ -164,7 +164,7 @@ def begun(setup: Setup, x: Array, P: Array) -> Moment:
     layout, policy = setup.layout, setup.policy
     sizes, M = np.where(layout.without_R, np.nan, 1.0), layout.size
     u, trial = np.zeros(setup.motion.dim_u), np.zeros((M, TRIAL))
-    state = State(x, P, policy.begin(M), policy.start(x, P, M), sizes, u, trial)
+    state = State(x, P, policy.begin(M), policy.start(x, P), sizes, u, trial)
     scales = policy.shares(state.memory)[0]
     return Moment(state, fresh(layout.n, M, len(layout.parties), scales) if setup.watches else None)
 

@@ -20,6 +20,7 @@ typedef struct {
     real normalizer; /* log of the integral of exp(-rho) */
     /* The same for 1, 2 .. JOINT_MOST sensors that fail together; NULL if each fails on its own. */
     const real *joint;
+    int patience; /* after how many in a row that agree an innovation is a jump under SCALING_LEARNT; 0: as learned */
 } correction_rule;
 
 /* What a correction works on and leaves behind; y, C and S are what is left of them when it is done. */

@@ -182,10 +182,11 @@ int rule_of_numbers(const double *numbers, correction_rule *rule) {
     const rule_numbers *const of = (const rule_numbers *)numbers;
     /* Also of NaN no integer can be made. */
     if (!(of->psi >= PSI_LINEAR && of->psi <= PSI_STUDENT_T && of->scaling >= SCALING_LEARNT &&
-          of->scaling <= SCALING_BOUNDED && of->information >= INFORMATION_REALIZED && of->information <= INFORMATION_WEIGHT))
+          of->scaling <= SCALING_BOUNDED && of->information >= INFORMATION_REALIZED && of->information <= INFORMATION_WEIGHT &&
+          of->patience >= 0 && of->patience <= INT_MAX))
         return 0;
     *rule = (correction_rule){{(int)of->psi, of->a, of->b, of->c, NULL, NULL}, (int)of->scaling, (int)of->information,
-                              of->expected, of->normalizer, NULL};
+                              of->expected, of->normalizer, NULL, (int)of->patience};
     return 1;
 }
 

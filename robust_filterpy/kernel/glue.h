@@ -79,7 +79,7 @@ int all_finite(const double *a, npy_intp count);
 int rule_of(PyObject *object, correction_rule *rule);
 /* How that array begins: psi with its parameters, E[psi']. */
 typedef struct {
-    double psi, a, b, c, scaling, information, expected, normalizer;
+    double psi, a, b, c, scaling, information, expected, normalizer, patience;
 } rule_numbers;
 #define RULE_NUMBERS ((npy_intp)(sizeof(rule_numbers) / sizeof(double)))
 int rule_of_numbers(const double *numbers, correction_rule *rule);

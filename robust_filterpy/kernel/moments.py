@@ -13,7 +13,7 @@ from robust_filterpy.correction.options import Choices, length_and_direction
 from robust_filterpy.correction.result import Correction, group_scaling
 from robust_filterpy.kernel.series import SCALINGS, rule
 
-__all__ = ["Taken", "correct", "correct_linear", "correction_of", "judged_of", "moments_of", "weights_of"]
+__all__ = ["Taken", "correct", "correct_linear", "correction_of", "judged_of", "weights_of"]
 
 # A record: four numbers, rows of m numbers, then S and the transpose of C.
 _N, _M, _SCALING, _LOG_DENSITY, _HEAD = range(5)
@@ -48,13 +48,6 @@ def judged_of(values: Array) -> tuple[Array, Array]:
     """Return weights and innovations of a record."""
     m = int(values[_M])
     return values[_row(_WEIGHTS, m)], values[_row(_Y, m)]
-
-
-def moments_of(values: Array) -> tuple[Array, Array]:
-    """Return y, NaN where missing, and S of a record."""
-    m = int(values[_M])
-    at, (weights, y) = _row(_ROWS, m).start, judged_of(values)
-    return np.where(weights == weights, y, np.nan), values[at : at + m * m].reshape(m, m)
 
 
 def _groups(order: Array) -> list[list[int]]:

@@ -86,7 +86,7 @@ JOINT_MOST = 16
 
 
 def rule(choices: Choices) -> Array | None:
-    """Return the options as numbers: kind and parameters of psi, scaling, information, E[psi'], normalizers."""
+    """Return the options as numbers: psi, scaling, information, E[psi'], normalizer, patience, and those of groups."""
     numbers, called = options(choices)
     return numbers if called is None else None
 
@@ -115,7 +115,8 @@ def _encoded(choices: Choices) -> Array | None:
     expected = choices.expected if choices.information == "expected" else 1.0
     of = getattr(choices.influence, "log_normalizer", Linear().log_normalizer)
     normalizers = [of(k) for k in range(1, JOINT_MOST + 1 if joint else 2)]
-    return np.array([*codes, information, expected, normalizers[0], *(normalizers if joint else ())], dtype=float)
+    numbers_of_all = *codes, information, expected, normalizers[0], choices.patience or 0
+    return np.array([*numbers_of_all, *(normalizers if joint else ())], dtype=float)
 
 
 def serves(choices: Choices) -> bool:

@@ -85,11 +85,13 @@ INLINE real spread_towards(const real median, const real aim, const real up, con
     return real_max(aim, median * real_exp(-down));
 }
 
-/* Let one |e| move the spread and the share of outliers; weight: the root of R_ii / S_ii. */
-INLINE void spread_learn(spread_memory *const own, const real size, const real coarse, const real weight) {
+/* Let one |e| move the spread and the share of outliers, of which at most so many are in a row; weight: the root of
+   R_ii / S_ii. */
+INLINE void spread_learn(spread_memory *const own, const real size, const real coarse, const real weight,
+                         const real most) {
     const real aim = size / SPREAD_QUARTILE;
     real known, pace, far;
-    if (own->outliers >= SPREAD_FEW) own->weight = own->share = own->outliers = 0;
+    if (own->outliers >= most) own->weight = own->share = own->outliers = 0;
     known = own->weight;
     own->weight += weight;
     if (known == 0) {
@@ -170,8 +172,10 @@ INLINE int spread_as_jumps(const spread_memory *const own, const real far, const
 }
 
 /* Whether a run is a jump rather than outliers: by its length, or by the odds of those before; back: it undoes one. */
-INLINE int spread_believed(const spread_memory *const own, const real y, const real unit, const int back) {
+INLINE int spread_believed(const spread_memory *const own, const real y, const real unit, const int back,
+                           const int patience) {
     const real again = (own->on + 1) / (own->vain + own->on + 2);
+    if (patience) return own->run >= patience;
     if (own->run >= SPREAD_RUN || (back && (own->age > 0 || own->share < SPREAD_RARE))) return 1;
     if (!(own->reach > 0 && spread_as_jumps(own, real_abs(y), unit))) return 0;
     return own->lasted * SPREAD_ROUNDING >= (own->vain + 1) * real_exp((own->run - 1) * real_log(again));
@@ -284,8 +288,8 @@ INLINE real spread_ratio(const real known, const real R, const real variance) {
 
 /* Learn from the innovations of c and the readings z, before the correction; P and R are those behind c. Readings that
    say nothing new are then left out of c, and have no width. */
-CALLED void spread_before(const int n, const int m, const real *z, const real *P, const real *R, correction *const c,
-                          spread_memory *const memory, spread_change *const change, real *work) {
+CALLED void spread_before(const int n, const int m, const int patience, const real *z, const real *P, const real *R,
+                          correction *const c, spread_memory *const memory, spread_change *const change, real *work) {
     real *s, *nominal, *units, *size, *out, *ratio, *excess, *seen, coarse, e;
     change->growth = work;
     change->width = work + n;
@@ -319,7 +323,8 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
            reading before tells nothing of the noise. */
         if (c->left[i] != 0 && size[i] > 0 && (own->step == 0 || z[i] != own->last) &&
             (own->weight > 0 || real_abs(c->y[i]) > SPREAD_ROUNDED * (real_abs(z[i]) + nominal[i])))
-            spread_learn(own, size[i], coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)));
+            spread_learn(own, size[i], coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)),
+                         SPREAD_FEW + (real)patience);
         /* Who has no typical innovation yet has shown zeros alone: any width will do. */
         s[i] = own->weight > 0 ? real_max(own->spread, coarse) : 1;
     }
@@ -329,7 +334,8 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
     for (int i = 0; i < m; i++) {
         spread_memory *const own = &memory[i];
         const real y = c->y[i], rest = own->rest, wider = nominal[i] * out[i], unit = s[i] * wider;
-        const real near = SPREAD_AGREE * unit;
+        /* No chance is to end a longer run: the difference of two innovations has twice the variance of one. */
+        const real near = (patience ? SPREAD_FAR * real_sqrt(2) : SPREAD_AGREE) * unit;
         units[i] = unit;
         s[i] = real_max(s[i] / (1 + SPREAD_YIELD * own->share), spread_coarse(own, nominal[i]));
         out[i] = 0;
@@ -355,7 +361,8 @@ CALLED void spread_before(const int n, const int m, const real *z, const real *P
         spread_memory *const own = &memory[i];
         const real variance = c->S[i * m + i], b = variance - R[i * m + i];
         real bent, wanted;
-        if (c->left[i] == 0 || out[i] == 0 || !spread_believed(own, c->y[i], units[i], out[i] == 2)) continue;
+        if (c->left[i] == 0 || out[i] == 0 || !spread_believed(own, c->y[i], units[i], out[i] == 2, patience))
+            continue;
         if (change->added[i] > 0 || !(b > 0)) continue;
         bent = size[i] / (SPREAD_BEND * s[i]);
         wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance;

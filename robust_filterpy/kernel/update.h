@@ -82,7 +82,7 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
             learnt[i] = memory[i];
             if (c->left[i] != 0 && !(c->S[i * m + i] > 0)) return 0;
         }
-        spread_before(n, m, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
+        spread_before(n, m, rule->patience, z, P, R, c, learnt, &change, rest + SPREAD_NUMBERS * m);
         if (change.grows) {
             if (!H) return 0;
             spread_open(n, m, H, &change, P, rest + SPREAD_NUMBERS * m + spread_work(n, m));

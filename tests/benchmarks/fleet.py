@@ -69,7 +69,6 @@ def sizes():
     for n, m in ((2, 1), (4, 2), (6, 3)):
         filters = {
             f"RobustKalmanFilter({n}, {m})": RobustKalmanFilter(n, m),
-            f"RobustKalmanFilter({n}, {m}, patience=12)": RobustKalmanFilter(n, m, patience=12),
             f"RobustKalmanFilter({n}, {m}, noise=Contaminated())": RobustKalmanFilter(n, m, noise=Contaminated()),
             f"AdaptiveKalmanFilter({n}, {m})": AdaptiveKalmanFilter(n, m),
         }

@@ -199,7 +199,7 @@ def table():
         ("default", {}, 0.2), ("innovation", {"scaling": "innovation"}, 0.3), ("bounded", {"scaling": "bounded"}, 0.3),
         ("joint", JOINT, 0.3), ("Tukey", {"influence": TukeyBiweight()}, 0.3),
         ("StudentT", {"influence": StudentT(4)}, 0.3),
-        ("patience", {"patience": 8}, 3), ("psi in Python", {"influence": Biweight()}, 3),
+        ("patience", {"patience": 8}, 0.3), ("psi in Python", {"influence": Biweight()}, 3),
         ("learnt", LEARNT, 0.8), ("learnt joint", {**LEARNT, **JOINT}, 1), ("adaptive", ADAPTIVE, 0.8),
         ("adaptive joint", {**ADAPTIVE, **JOINT}, 1), ("given", GIVEN, 1), ("given joint", {**GIVEN, **JOINT}, 1),
         ("given groups", {**GIVEN, "grouping": ((0, 1),)}, 1),
@@ -222,9 +222,8 @@ def table():
         ("cubature", cubature, polar, CubatureKalmanFilter, rf.filters.RobustCubatureKalmanFilter),
     ):
         other = (lambda m=made, c=theirs: m(c)), walk if theirs is not CubatureKalmanFilter else column
-        for kind, options in (("default", {}), ("learnt", LEARNT), ("given", GIVEN), ("patience", {"patience": 8})):
-            target = 3 if kind == "patience" else 1
-            yield f"{name}, {kind}", lambda m=made, c=cls, o=options: m(c, **o), walk, *other, target
+        for kind, options in (("default", {}), ("learnt", LEARNT), ("given", GIVEN)):
+            yield f"{name}, {kind}", lambda m=made, c=cls, o=options: m(c, **o), walk, *other, 1
     yield (
         "ensemble", lambda: ensemble(RobustEnsembleKalmanFilter), polar, lambda: ensemble(EnsembleKalmanFilter), polar,
         1.5,

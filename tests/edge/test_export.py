@@ -324,11 +324,6 @@ REFUSED = {
         TypeError,
         "working point",
     ),
-    "patience": (
-        lambda: RobustKalmanFilter(2, 1, scaling="innovation", patience=5),
-        ValueError,
-        "set patience=None before",
-    ),
     "several": (
         lambda: filterpy.kalman.IMMEstimator([plain(), plain()], np.ones(2) / 2, np.full((2, 2), 0.5)),
         TypeError,
@@ -366,7 +361,6 @@ REFUSED = {
     ),
     "extended of its own": (lambda: OwnUpdate(2, 1), TypeError, "predict_x alone"),
     "extended, joint": (lambda: extended(noise="learnt", grouping="joint"), ValueError, "set noise=None"),
-    "extended, patience": (lambda: extended(scaling="innovation", patience=5), ValueError, "set patience=None"),
     "extended, wrapped": (lambda: extended(update=print), ValueError, "update"),
     "extended, negative": (lambda: extended(Q=-np.eye(2)), ValueError, "Q: expected"),
     "extended, B": (lambda: extended(B=np.ones((3, 1))), ValueError, "B: expected"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from support import NOISE_GIVEN, cart, make, of_matrices, random_problem, recovering, simulate, through, with_
+from support import NOISE_GIVEN, cart, make, of_matrices, random_problem, simulate, through, with_
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales, side_by_side
@@ -234,8 +234,6 @@ SPOILT = [
         ("belief", lambda a: np.vstack((a[:8], a[8:9] - 1.0, a[9:])), "state: belief: expected evidence and readings"),
         ("belief", lambda a: np.vstack((a[:10], 0.0 * a[10:])), "state: belief: .* and a factor > 0"),
     )),
-    *((recovering, "counts", lambda a, counts=counts: np.array(counts), "state: expected whole counts")
-      for counts in ([-1.0, 0.0], [0.5, 0.0])),
 ]  # fmt: skip
 
 

@@ -239,7 +239,9 @@ OPTIONS = [
     (linear, {"noise": "learned"}, "noise: expected"),
     (linear, {"noise": Contaminated(0.0), "process": StudentT()}, "process: expected"),
     (linear, {"process": "scales"}, "noise='learnt'"), (linear, {"noise": "learnt", "patience": 12}, "jump="),
-    (linear, {"scaling": "learnt", "patience": 12}, "leave one of the two out"),
+    *((linear, {**given, "patience": 12}, "patience: expected none, or scaling='learnt'") for given in (
+        {"scaling": "innovation"}, {"scaling": "unit"}, {"influence": Linear()},
+    )),
     (linear, {"noise": "learnt", "influence": StudentT()}, "influence: expected none"),
     (linear, {"noise": "learnt", "scaling": "unit"}, "scaling: expected none"),
     (partial(RobustKalmanFilter, 2, 2), {"noise": "learnt", "grouping": ((0,), (0,))}, "grouping: expected"),

@@ -43,7 +43,7 @@ FILTERS = {
     "Student, learnt": (partial(RobustKalmanFilter, influence=StudentT()), ("recovers", "memoryless", "linear")),
     "Tukey": (partial(by_S, influence=TukeyBiweight()), ("recovers", "likelihood")),
     "extended by S": (partial(RobustExtendedKalmanFilter, scaling="innovation"), ()),
-    "recovering": (recovering, ("likelihood", "memoryless")),
+    "recovering": (recovering, ("likelihood", "memoryless", "linear")),
     "noise-matched": (partial(noise_given, grouping="joint"), ("recovers",)),
     "noise-matched, each sensor": (noise_given, ("recovers", "linear")),
     "two-sided": (two_sided, ("linear", "prediction", "memoryless")),
@@ -71,7 +71,7 @@ for name, kind, own in (
     make = nonlinear if own is SIGMA else partial
     FILTERS |= {
         name: (make(kind), own),
-        f"recovering {name}": (make(kind, **RECOVERING), ("likelihood", *own)),
+        f"recovering {name}": (make(kind, **RECOVERING), ("likelihood", "linear", *own)),
         f"{name} given": (make(kind, **GIVEN), ("linear", "recovers", *(SIGMA if own is SIGMA else ()))),
         f"{name} learnt": (make(kind, noise="learnt"), ("linear", "recovers", *own)),
     }

@@ -144,8 +144,6 @@ def test_batch_filter_and_rts_smoother_are_filterpys(update_first):
     (lambda: ours.predict(np.zeros(2), np.eye(2), F=np.eye(3)), "F: expected shape"),
     (lambda: ours.predict(np.zeros(2), np.eye(2), u=np.ones(3), B=np.ones((3, 3))), "B, u: expected"),
     (lambda: ours.batch_filter(np.zeros(2), np.eye(2), [1.0], [np.eye(2)], [np.eye(2)], [], [1.0]), "Hs: expected"),
-    (lambda: filter_series(np.zeros((1, 3, 1)), *[np.eye(1)] * 4, [0.0], np.eye(1), patience=3),
-     "patience: expected None for filter_series"),
     *((lambda given=given: common.kinematic_kf(*given), match) for given, match in (
         ((0, 1), "dim"), ((2, -1), "order"), ((3, 1, 1.0, 2), "dim_z"), ((2, 1, 1.0, 0), "dim_z"),
     )),

@@ -229,8 +229,7 @@ def test_outliers_are_not_and_a_learnt_spread_follows_small_noises(dims, contami
 @pytest.mark.parametrize("update_first", [False, True])
 @pytest.mark.parametrize("options", [
     {}, {"grouping": "joint"}, {"influence": TukeyBiweight()}, {"influence": StudentT(5.0)},
-    {"influence": TukeyBiweight(), "patience": 12},
-], ids=range(5))  # fmt: skip
+], ids=range(4))  # fmt: skip
 @pytest.mark.parametrize("dims", [(2, 1), (4, 2), (7, 4)])
 def test_noises_ten_thousand_times_too_small_are_said_once_by_steps_and_by_batch_filter(dims, options, update_first):
     """At the user's line, also of a recording with gaps; of noises as they are nothing is said."""

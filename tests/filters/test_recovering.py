@@ -5,7 +5,7 @@ import pytest
 from statsmodels.robust.norms import TrimmedMean
 from support import make, of_matrices, random_problem, recovering, through, with_, without_kernel
 
-from robust_filterpy import Huber, RobustKalmanFilter, TukeyBiweight
+from robust_filterpy import Huber, RobustKalmanFilter, TukeyBiweight, filter_series
 from robust_filterpy.influence import Hampel
 
 pytestmark = pytest.mark.core
@@ -21,7 +21,7 @@ def advance(kf, zs):
 
 PLAIN = {"influence": TukeyBiweight(), "scaling": "innovation"}
 CHOICES = [{"influence": psi} for psi in (TukeyBiweight(), Hampel(), TrimmedMean(3.0), Huber())]
-CHOICES += [{"scaling": "bounded"}, {"information": "expected"}, {"information": "weight", "scaling": "bounded"}]
+CHOICES += [{"information": "expected"}, {"information": "weight"}]
 
 
 def recording(seed, jump=0.0, run=0, size=0.0, n=150, at=50):
@@ -35,17 +35,19 @@ def recording(seed, jump=0.0, run=0, size=0.0, n=150, at=50):
 
 @pytest.mark.pairwise(1)
 @pytest.mark.parametrize("options", CHOICES, ids=range(len(CHOICES)))
-@pytest.mark.parametrize("jump", [6.0, -10.0, 30.0, 100.0, 1e6])
-def test_every_true_jump_is_followed(options, jump):
+@pytest.mark.parametrize("R", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize("jump", [6.0, -10.0, 30.0, 100.0, 1e3])
+def test_every_true_jump_is_followed(options, R, jump):
+    """Whatever R is, for which Q is in proportion here."""
     for seed in range(8):
         x, zs = recording(seed, jump)
         kf = level(**options)
+        kf.Q, kf.R, kf.P = R * kf.Q, R * kf.R, R * kf.P
         path = advance(kf, zs)
-        assert np.abs(path - x)[-30:].mean() < max(1.0, 1e-12 * abs(jump)), (jump, seed)
+        assert np.abs(path - x)[-30:].mean() < 1.0, (jump, seed)
         if abs(jump) >= 30:
             # The delay that is stated: patience and a few.
-            assert kf.recoveries == 1
-            assert np.abs(path - x)[50 + kf.patience + 10 :].max() < max(2.5, 1e-12 * abs(jump))
+            assert np.abs(path - x)[50 + kf.patience + 10 :].max() < 2.5
 
 
 def test_without_recovery_a_redescending_psi_locks_out():
@@ -56,40 +58,36 @@ def test_without_recovery_a_redescending_psi_locks_out():
 @pytest.mark.pairwise(1)
 @pytest.mark.parametrize("size", [4.0, -8.0, 30.0, 1e6])
 @pytest.mark.parametrize("run", [1, 5, 10, 11])
-def test_a_run_shorter_than_the_patience_does_not_capture(monkeypatch, run, size):
-    # The kernel has no recovering filter; to the last bit only the definition equals itself.
-    without_kernel(monkeypatch)
-    peaks, plain = [], []
+def test_a_run_shorter_than_the_patience_does_not_capture(run, size):
+    peaks = []
     for seed in range(4):
         x, zs = recording(seed, run=run, size=size)
-        kf = level()
-        peaks.append(np.abs(advance(kf, zs) - x)[50:].max())
-        plain.append(np.abs(advance(level(RobustKalmanFilter, **PLAIN), zs) - x)[50:].max())
-        assert kf.recoveries == 0
+        peaks.append(np.abs(advance(level(), zs) - x)[50:].max())
     assert np.mean(peaks) < 2.0
-    # Until it recovers it is the same filter.
-    np.testing.assert_array_equal(peaks, plain)
 
 
-def test_scattered_outliers_and_what_is_too_far_never_insist():
+def test_what_learns_how_long_runs_are_is_captured_by_one_that_patience_outlasts():
+    x, zs = recording(0, run=10, size=30.0)
+    assert np.abs(advance(level(patience=None), zs) - x)[50:].max() > 25
+
+
+def test_scattered_outliers_are_never_believed():
     rng = np.random.default_rng(3)
-    scattered = np.r_[rng.normal(size=20), rng.choice([-1, 1], 200) * rng.uniform(20, 1000, 200)]
-    for zs in (scattered, *(np.r_[np.zeros(20), np.full(40, size)] for size in (1e10, 1e200, 1.7e308))):
-        kf = level()
-        advance(kf, zs)
-        assert kf.recoveries == 0 and abs(kf.x[0]) < 1.5 and kf.P[0, 0] < 5.0
+    zs = np.r_[rng.normal(size=20), rng.choice([-1, 1], 200) * rng.uniform(20, 1000, 200)]
+    kf = level()
+    path = advance(kf, zs)
+    assert np.abs(path[20:40]).max() < 2.0
 
 
+@pytest.mark.parametrize("by_kernel", [True, False])
 @pytest.mark.parametrize("patience", [2, 5, 20])
-def test_patience_is_the_number_of_refused_measurements(patience):
+def test_patience_is_the_number_of_refused_measurements(monkeypatch, patience, by_kernel):
+    if not by_kernel:
+        without_kernel(monkeypatch)
+    zs = np.r_[np.zeros(100), np.full(patience, 40.0)] + np.random.default_rng(1).normal(size=100 + patience)
     kf = level(patience=patience)
-    advance(kf, [*np.zeros(30), *np.full(patience - 1, 40.0)])
-    assert (kf.recoveries, kf.refused) == (0, patience - 1)
-    advance(kf, [40.0])
-    assert (kf.recoveries, kf.refused) == (1, 0)
-    assert kf.P[0, 0] == pytest.approx(9 * 1600)
-    advance(kf, [40.0])
-    assert abs(kf.x[0] - 40.0) < 0.5
+    path = advance(kf, zs)
+    assert np.abs(path[:-1]).max() < 2.0 and abs(path[-1] - 40.0) < 5.0
 
 
 def test_a_vector_jump_and_missing_components():
@@ -100,15 +98,22 @@ def test_a_vector_jump_and_missing_components():
         zs[50:] += [0.0, 60.0]
         zs[55, 1], zs[60] = np.nan, np.nan
         through(kf, zs)
-        assert abs(kf.x[1, 0] - 60.0) < 2 and abs(kf.x[0, 0]) < 2 and kf.recoveries >= 1
+        assert abs(kf.x[1, 0] - 60.0) < 2 and abs(kf.x[0, 0]) < 2
 
 
-def test_a_long_recording_recovers_too():
-    """However batch_filter goes through a long recording, it must watch every sample."""
-    _, zs = recording(3, 50.0, n=3000, at=1500)
-    online, batch = level(), level()
-    np.testing.assert_allclose(batch.batch_filter(zs)[0][:, 0], advance(online, zs), rtol=1e-10, atol=1e-12)
-    assert batch.recoveries == online.recoveries == 1
+def test_kernel_definition_recordings_and_series_believe_the_same_jumps(monkeypatch):
+    x, zs = recording(3, 50.0, n=300, at=100)
+    zs[200:208] -= 30.0
+    online = advance(level(), zs)
+    assert np.abs(online - x)[130:].max() < 2.5
+    np.testing.assert_allclose(level().batch_filter(zs)[0][:, 0], online, rtol=1e-12)
+    series = filter_series(
+        zs[None, :, None], np.eye(1), np.eye(1), 0.01 * np.eye(1), np.eye(1), np.zeros(1), 0.1 * np.eye(1),
+        influence=TukeyBiweight(), patience=12,
+    )  # fmt: skip
+    np.testing.assert_allclose(series.x[0, :, 0], online, rtol=1e-12)
+    without_kernel(monkeypatch)
+    np.testing.assert_allclose(advance(level(), zs), online, rtol=1e-11, atol=1e-12)
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1e-6, 0.0])
@@ -119,26 +124,3 @@ def test_what_the_sensor_barely_sees_stays_as_certain_as_it_was(weight):
         kf.predict()
         kf.update(100.0 * (k // 100 % 2) + rng.normal())
         assert np.linalg.eigvalsh(kf.P)[0] > -1e-9 and kf.P[2, 2] < 2.0, k
-    assert kf.recoveries >= 25
-
-
-@pytest.mark.parametrize("scaling", ["innovation", "unit", "bounded"])
-def test_a_direction_that_inv_leaves_out_does_not_count(scaling):
-    kf = recovering(2, 2, patience=3, scaling=scaling)
-    kf.H, kf.P, kf.Q, kf.R, kf.inv = np.eye(2), np.diag([0.01, 0.0]), 0.0, np.diag([0.01, 0.0]), np.linalg.pinv
-    with np.errstate(all="raise"):
-        through(kf, ([0.0, 50.0], [0.0, 50.0], [0.0, 50.0], [5.0, 50.0]))
-    assert (kf.refused, kf.recoveries) == (1, 0)
-
-
-def test_noise_that_is_correlated_with_the_state_has_no_part_in_what_a_recovery_opens():
-    """The noise of the refused readings is theirs: P grows along P H', not along P H' + M."""
-    problem, grown = random_problem(4, 3, 2), []
-    for M in (problem.M, 0.0 * problem.M):
-        kf = make(recovering, with_(problem, M=M), patience=2)
-        kf.R = problem.R + problem.H @ (problem.M - M) + (problem.M - M).T @ problem.H.T
-        for z in ([900.0, -800.0], [901.0, -801.0]):
-            kf.update_correlated(z)
-        assert kf.recoveries == 1
-        grown.append(kf.P)
-    np.testing.assert_allclose(*grown, rtol=1e-9)

@@ -102,7 +102,7 @@ def test_a_reading_that_a_warning_refuses_has_not_happened(name):
             for call in (lambda kf: kf.predict(), lambda kf, z=z: kf.update(z)):
                 watched(call, things, said)
         assert pickle.dumps(things[0].state()) == pickle.dumps(things[1].state())
-    assert said or name in ("patience", "unscented")
+    assert said or name == "unscented"
 
 
 LOST, STUCK = "LostTrackerWarning", "StuckSensorWarning"

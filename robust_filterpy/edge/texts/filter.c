@@ -61,7 +61,8 @@ $?mixes     learnt_state s;
 $?mixes     real work[learnt_correct_work(N, M, $hypotheses, CLASSES)] = {0};
 $?mixes     real weights[M], outlying[M], likelihood = 0;
 $?joint     static const real normalizers[JOINT_MOST] = {0}; /* of a likelihood nobody asks for */
-$!mixes     correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, $normalizers};
+$!mixes     correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0,
+$!mixes                             $normalizers, $patience};
 $!mixes     correction c;
 $!mixes     real work[update_work(N, M)] = {0};
 $?extended     real at[M] = {0}, filled[M], y[M], H[M * N] = {0}, check = 0;

@@ -13,8 +13,9 @@ static const ${name}_status refusals[] = {${NAME}_NOT_FINITE, ${NAME}_SINGULAR, 
 ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, ${name}_real y,
                               const ${name}_real u[$inputs_or_one], ${name}_sample *sample)
 {
-    correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, NULL};
-    tracker_rule how = {{{0, 0, 0, 0, NULL, NULL}, 0, 0, 1, 0, NULL}, $filtered, $guard, $cleans, 0, $judges, 1, NULL, NULL, 1, 0};
+    correction_rule rule = {{$kind, 0, 0, 0, NULL, NULL}, $scaling, $information, 1, 0, NULL, 0};
+    tracker_rule how = {{{0, 0, 0, 0, NULL, NULL}, 0, 0, 1, 0, NULL, 0},
+                         $filtered, $guard, $cleans, 0, $judges, 1, NULL, NULL, 1, 0};
     tracker_state next = {0};
     tracker_sample found = {0};
     real work[tracker_work(N)];

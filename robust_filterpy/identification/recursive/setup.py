@@ -183,7 +183,7 @@ def is_plain(kf: Any, n: int) -> bool:
     """Tell whether a filter of n parameters is our own as it comes: the kernel then gives the numbers of `update`."""
     # Not one whose methods somebody has wrapped.
     ours = type(kf) is RobustKalmanFilter and not {"predict", "update"} & vars(kf).keys() and kf.inv is np.linalg.inv
-    if not (ours and kf.policy.noise is None and kf.policy.patience is None):
+    if not (ours and kf.policy.noise is None and kf.choices.patience is None):
         return False
     square = all(is_array(getattr(kf, name), (n, n)) for name in "FQP")
     x_fits = is_array(kf.x, (n,)) or is_array(kf.x, (n, 1))
