@@ -362,6 +362,14 @@ def test_slow_noise_and_the_steps_of_a_sensor_are_no_breaks_of_the_level():
     assert (one.kind, abs(one.time - 300) < 3, abs(one.size - 10.0) < 1.0) == ("step", True, True)
 
 
+@pytest.mark.parametrize(("at", "found"), [(28, 29), (29, 29), (289, 289), (290, 289)])
+def test_a_step_is_looked_for_up_to_ten_samples_from_the_ends(at, found):
+    r = 0.1 * np.random.default_rng(1).normal(size=300)
+    r[at:] += 1.0
+    (one,) = piecewise_level(r, np.zeros((300, 0))).breaks
+    assert (one.kind, one.time) == ("step", found)
+
+
 def test_rows_far_outside_that_y_does_not_follow_do_not_count_and_others_do():
     rng = np.random.default_rng(3)
     phi = rng.normal(size=(800, 2))
