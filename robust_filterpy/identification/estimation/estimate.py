@@ -195,40 +195,6 @@ class Problem(NamedTuple):
         return PolynomialModel(self.structure, y, u, self.offset, self.moving, self.begins)
 
 
-class Levelled:
-    """Residuals and their derivatives for an output less levels of sizes that are found with the model."""
-
-    # The free parameters are those of the model, then the sizes.
-
-    def __init__(self, model: PolynomialModel, columns: Array) -> None:
-        """Keep both."""
-        self.model, self.columns, self.n = model, columns, model.n + columns.shape[1]
-
-    def __getattr__(self, name: str) -> Any:
-        """Return what levels do not change."""
-        return getattr(self.model, name)
-
-    def inner(self, p: Array) -> tuple[PolynomialModel, Array]:
-        """Return the model of the output less the levels, and its own free parameters."""
-        return self.model.with_output(self.model.y - self.columns @ p[self.model.n :]), p[: self.model.n]
-
-    def with_output(self, y: Array) -> Levelled:
-        """Return the same for another output."""
-        return Levelled(self.model.with_output(y), self.columns)
-
-    def residuals(self, p: Array) -> Array:
-        """Return the residuals."""
-        model, q = self.inner(p)
-        return model.residuals(q)
-
-    def jacobian(self, p: Array) -> Array:
-        """Return the derivatives of the residuals by the free parameters."""
-        model, q = self.inner(p)
-        rest = model.with_output(np.zeros(model.y.size)).residuals(q)
-        levels = [rest - model.with_output(column).residuals(q) for column in self.columns.T]
-        return np.column_stack((model.jacobian(q), *levels))
-
-
 class Estimated(NamedTuple):
     """A model, and where the search ended.
 
@@ -271,6 +237,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
     doubt = _without_noise(model, best) or _doubt(best, endings, max(_APART, 2.0 * unsure))
     recorded = problem.residuals_of(best.y * unit + units.centre[:, 0], signal)
+    recorded = recorded.with_output(recorded.y, columns)
     # Where an outlier stood in the regressor: what was measured, less what stands there now.
     replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
     p, held = units.back(model, best.p), np.zeros(model.n, dtype=bool)
@@ -280,29 +247,27 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
     others = [(excess, units.back(model, end.p)) for end, excess in ranked[1:]]
-    whole = recorded if columns is None else Levelled(recorded, columns)
-    estimate = _as_model(problem, whole, best._replace(p=p), unit, missing, replaced, held, others)
+    estimate = _as_model(problem, recorded, best._replace(p=p), unit, missing, replaced, held, others)
     estimate = replace(estimate, dt=problem.dt, endings=endings, warning=doubt)
-    sizes, p = p[recorded.n :], p[: recorded.n]
-    recorded = recorded if columns is None else recorded.with_output(recorded.y - columns @ sizes)
+    estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), problem.rest)
+    split = p.size - recorded.columns.shape[1]
     if len(recorded.spans) == 1:
-        return Estimated(_with_inputs_from_zero(estimate, recorded, p, problem.rest), p, sizes)
+        return Estimated(estimate, p[:split], p[split:])
     several = range(len(problem.begins))
     levels = np.array([resting_level(one.parts(q)) for one, q in (recorded.of(i, p) for i in several)])
-    estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), problem.rest)
     own = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
     known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, own, strict=True))
     estimate = replace(estimate, levels=levels + (estimate.level - levels[-1]), trends=known_again)
-    return Estimated(estimate, p, sizes)
+    return Estimated(estimate, p[:split], p[split:])
 
 
 def _with_levels(
     model: PolynomialModel, missing: Any, ranked: list[Ranked], columns: Array | None, limits: Limits | None
-) -> tuple[Any, list[Ranked]]:
+) -> tuple[PolynomialModel, list[Ranked]]:
     """Return the model and the ends of its search with the sizes of levels among the free parameters, from 0 on."""
     if columns is None:
         return model, ranked
-    whole, sizes = Levelled(model, columns), np.zeros(columns.shape[1])
+    whole, sizes = model.with_output(model.y, columns), np.zeros(columns.shape[1])
     best, *others = [one._replace(end=one.end._replace(p=np.concatenate((one.end.p, sizes)))) for one in ranked]
     end = searched_again(whole, best.end, missing, limits)
     return whole, [best._replace(end=end), *others]
@@ -365,7 +330,7 @@ class Units(NamedTuple):
 
 
 def _as_model(
-    problem: Problem, model: Any, end: End, unit: float, missing: Any, replaced: Array, held: Any,
+    problem: Problem, model: PolynomialModel, end: End, unit: float, missing: Any, replaced: Array, held: Any,
     others: list[tuple[float, Array]],
 ) -> Model:  # fmt: skip
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
@@ -389,16 +354,15 @@ def _as_model(
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
     offset = float(p[at]) if model.offset else 0.0
-    inner, q = model.inner(p) if isinstance(model, Levelled) else (model, p)
     total = problem.R or R * samples / (samples - model.n + held.sum())
     return Model(
         structure=structure, theta=p[:n], offset=offset, P=P[:n, :n],
         offset_std=_offset_std(P, jacobian, at) if model.offset else 0.0,
         offset_covariance=P[:n, at] if model.offset else np.zeros(n), has_offset=model.offset,
-        own_fit=_own_fit(inner.y[model.first :], residual, rows),
+        own_fit=_own_fit(model.levelled(p).y[model.first :], residual, rows),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights, log_likelihood=noise.log_likelihood(residual[rows]), endings=(), warning="",
-        memory=filled_memory(*inner.of(-1, q)),
+        memory=filled_memory(*model.of(-1, p)),
         profiled=bent, colour=colour, evidence=evidence(noise, residual, rows),
     )  # fmt: skip
 
@@ -478,11 +442,11 @@ def _apart(best: Array, other: Array) -> float:
     return difference if np.isfinite(difference) else np.inf
 
 
-def _output(model: Any, end: End) -> Array:
+def _output(model: PolynomialModel, end: End) -> Array:
     """Return what a model makes of the inputs alone, or without any what it predicts."""
     if not model.inputs:
         return end.y[model.first :] - end.residual
-    p = end.p[: model.n - getattr(model, "columns", np.zeros((0, 0))).shape[1]].copy()
+    p = end.p.copy()
     p[model.structure.n_theta :] = 0.0
     return np.asarray(lfilter([1.0], model.parts(p).a, model.undisturbed(p)))
 

@@ -61,8 +61,8 @@ class Input(NamedTuple):
 class PolynomialModel:
     """Residuals and their derivatives for recordings that follow each other in ``y`` and ``u``, usually one.
 
-    The free parameters are [theta, constant of each recording if there is one, start of each]. Residual k belongs to
-    sample ``first + k``: samples before ``first`` have regressors from before the recording.
+    The free parameters are [theta, constant of each recording if there is one, start of each, size of each level that y
+    has besides]. Residual k belongs to sample ``first + k``: those before have regressors from before the recording.
 
     Parameters
     ----------
@@ -95,16 +95,28 @@ class PolynomialModel:
         ]
         self.na, self.nf, self.nd = (part.stop - part.start for part in (places.a, places.f, places.d))
         self.first = max([self.na, *(i.nk + i.nb - 1 for i in self.inputs)])
-        self.n = n + k * (offset + self.nf * moving)
-        starts = np.arange(n + offset * k, self.n).reshape(k, -1)
+        self._own = n + k * (offset + self.nf * moving)
+        self.columns = np.zeros((y.size, 0))
+        starts = np.arange(n + offset * k, self._own).reshape(k, -1)
         # The free parameters of each recording.
         self._places = [np.array([*range(n), *[n + i] * offset, *own], dtype=int) for i, own in enumerate(starts)]
 
-    def with_output(self, y: Array) -> PolynomialModel:
-        """Return the same model for another output."""
+    @property
+    def n(self) -> int:
+        """How many free parameters there are."""
+        return self._own + self.columns.shape[1]
+
+    def with_output(self, y: Array, columns: Array | None = None) -> PolynomialModel:
+        """Return the same model for another output, or one with levels, shape (N, k), whose sizes are free."""
         other = copy.copy(self)
-        other.y = y
+        other.y, other.columns = y, self.columns if columns is None else columns
         return other
+
+    def levelled(self, p: Array) -> PolynomialModel:
+        """Return the model of the output less its levels."""
+        if not self.columns.size:
+            return self
+        return self.with_output(self.y - self.columns @ p[self._own :], self.columns[:, :0])
 
     @property
     def pieces(self) -> tuple[tuple[slice, slice], ...]:
@@ -122,7 +134,7 @@ class PolynomialModel:
     def of(self, i: int, p: Array) -> tuple[PolynomialModel, Array]:
         """Return the model of one recording, and its own free parameters."""
         part = self.spans[i]
-        one = PolynomialModel(self.structure, self.y[part], self.u[part], self.offset, self.moving)
+        one = PolynomialModel(self.structure, self.levelled(p).y[part], self.u[part], self.offset, self.moving)
         return one, p[self._places[i]]
 
     def parts(self, p: Array) -> Parts:
@@ -151,28 +163,31 @@ class PolynomialModel:
 
     def residuals(self, p: Array) -> Array:
         """Return r of each recording from its sample ``first`` on, 0 where it has none yet."""
-        return self._signal(p, self._residuals)
+        return self._signal(p, PolynomialModel._residuals)
 
     def equation_error(self, p: Array) -> Array:
         """Return A y - w - d."""
-        return self._signal(p, lambda parts, span: self._equation_error(parts, span, self._undisturbed(parts, span)))
+        return self._signal(p, lambda one, parts, span: one._equation_error(parts, span, one._undisturbed(parts, span)))
 
     def undisturbed(self, p: Array) -> Array:
         """Return w, what the inputs and the starts alone make of B/F."""
-        return self._signal(p, self._undisturbed)
+        return self._signal(p, PolynomialModel._undisturbed)
 
     def jacobian(self, p: Array) -> Array:
         """Return the derivatives of the residuals by the free parameters, shape (N - first, n)."""
-        J = np.zeros((self.y.size - self.first, self.n))
+        J, model = np.zeros((self.y.size - self.first, self.n)), self.levelled(p)
         for (rows, span), places in zip(self.pieces, self._places, strict=True):
-            J[rows, places] = self._derivatives(self.parts(p[places]), span, places.size).T
+            J[rows, places] = model._derivatives(self.parts(p[places]), span, places.size).T
+        if self.columns.size:
+            none, *each = (model.with_output(y).residuals(p) for y in (np.zeros(self.y.size), *self.columns.T))
+            J[:, self._own :] = none[:, None] - np.column_stack(each)
         return J
 
-    def _signal(self, p: Array, of: Callable[[Parts, slice], Array]) -> Array:
+    def _signal(self, p: Array, of: Callable[[PolynomialModel, Parts, slice], Array]) -> Array:
         """Return a signal of all recordings."""
-        signal = np.zeros(self.y.size - self.first)
+        signal, model = np.zeros(self.y.size - self.first), self.levelled(p)
         for (rows, span), places in zip(self.pieces, self._places, strict=True):
-            signal[rows] = of(self.parts(p[places]), span)
+            signal[rows] = of(model, self.parts(p[places]), span)
         return signal
 
     def _undisturbed(self, parts: Parts, span: slice) -> Array:
