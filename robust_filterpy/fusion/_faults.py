@@ -40,7 +40,7 @@ _CALMER = ((1.0, 1.0), (0.1, 0.125), (0.01, 0.125))
 _STILL = 0.01
 # Stamps after which hypotheses go that are so far behind the healthy one, or so far below the best and not ahead of the
 # healthy one by more than this; logarithms of odds.
-_EVERY, _BEHIND, _HOPELESS, _AHEAD = 8, 10.0, 20.0, 2.0
+_EVERY, _BEHIND, _HOPELESS, _AHEAD = 8, 10.0, 25.0, 2.0
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
 _FINE, _FIRST = 16, 5
 

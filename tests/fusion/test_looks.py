@@ -19,7 +19,7 @@ def test_sound_sensors_with_outliers_bring_no_looks_and_a_bias_few(monkeypatch, 
             expected = {one[:2]: one for one in judged(*given)}
         looks.append(judged(*given))
         for one in looks[-1]:
-            assert one.probability == pytest.approx(expected[one[:2]].probability, abs=1e-3)
+            assert one.probability == pytest.approx(expected[one[:2]].probability, abs=1e-4)
         assert looks[-1][0] == pytest.approx(expected[looks[-1][0][:2]], rel=1e-3)
         return looks[-1]
 
