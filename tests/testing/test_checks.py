@@ -38,7 +38,6 @@ def test_a_wrong_filter_is_caught_by_each_check_whose_name_fits(cls):
     ("TransposedTransition", "prediction_moves_the_state_by_F", "prediction 1: .* from F x; it is F'$"),
     ("TransposedTransitionOfP", "prediction_moves_the_covariance_by_F", "; it is F' P F$"),
     ("QThroughF", "prediction_adds_Q_once", "where F is not I .*; it is F Q F'$"),
-    # Sensor and prediction are equally good there.
     ("SignOfGain", "small_innovations_are_believed", "after 0 samples the step is -1 times the Kalman gain's"),
     ("PNotUpdated", "correction_leaves_P_minus_K_S_K", "; it is P: it was not corrected$"),
     ("ShownInnovationOfTheOtherSign", "innovation_and_its_covariance_are_shown", "; it has the other sign$"),

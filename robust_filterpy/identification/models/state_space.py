@@ -12,7 +12,7 @@ the basis where it is (McKelvey, Helmersson and Ribarits, Automatica 40, 2004).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -209,6 +209,9 @@ class StateSpace:
     StateSpace(n=4, feedthrough=False, disturbance=False)
     """
 
+    #: No regressor comes from the caller.
+    takes_phi: ClassVar[bool] = False
+
     n: int | str = "auto"
     feedthrough: bool = False
     disturbance: bool = False
@@ -222,11 +225,6 @@ class StateSpace:
         for name in ("feedthrough", "disturbance"):
             if not isinstance(getattr(self, name), (bool, np.bool_)):
                 raise TypeError(f"{name}: expected True or False, got {getattr(self, name)!r}")
-
-    @property
-    def takes_phi(self) -> bool:
-        """No regressor comes from the caller."""
-        return False
 
     @property
     def orders(self) -> Any:
