@@ -351,6 +351,11 @@ def test_a_density_of_variances_whose_product_is_no_number_is_the_definitions(bo
     assert (np.abs(ours) > 400.0).all()
 
 
+def taken(kf, zs):
+    """What a filter shows after each reading, and what it has learned."""
+    return [(support.predict_and_update(kf, z), shown(kf, "_memory"))[1] for z in zs]
+
+
 EXACTLY = {
     # No sensor makes it jump, and readings that are as predicted have no spread.
     "known": (0.0, [0.0, 0.0], np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)),
@@ -362,15 +367,8 @@ EXACTLY = {
 def test_what_is_known_exactly_and_what_is_read_exactly_are_the_definitions(both, name):
     q, x, zs = EXACTLY[name]
 
-    def steps():
-        F = [[1.0, 1.0], [0.0, 1.0]]
-        kf, rows = support.of_matrices(RobustKalmanFilter, F, [[1.0, 0.0]], q, 1.0, 100.0 * q, x), []
-        for z in zs:
-            support.predict_and_update(kf, z)
-            rows.append(shown(kf, "_memory"))
-        return rows
-
-    ours, theirs = both(steps)
+    model = [[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]], q, 1.0, 100.0 * q, x
+    ours, theirs = both(lambda: taken(support.of_matrices(RobustKalmanFilter, *model), zs))
     assert_alike(ours, theirs, 1e-9)
     assert (np.all(ours[-1]["x"] == 0.0)) == (name == "known") and np.all(theirs[3]["y"] == 0.0) == (name != "known")
 
@@ -379,14 +377,7 @@ def test_what_is_known_exactly_and_what_is_read_exactly_are_the_definitions(both
 def test_a_jump_that_creeps_moves_what_correlates_by_a_sensor_of_either_sign(both, sign):
     zs = sign * (0.7 * np.random.default_rng(0).normal(size=140) + np.where(np.arange(140) < 80, 0.0, 3.0))
 
-    def steps():
-        kf, rows = support.mover(RobustKalmanFilter, H=[[sign, 0.0]], q=1e-4), []
-        for z in zs:
-            support.predict_and_update(kf, z)
-            rows.append(shown(kf, "_memory"))
-        return rows
-
-    ours, theirs = both(steps)
+    ours, theirs = both(lambda: taken(support.mover(RobustKalmanFilter, H=[[sign, 0.0]], q=1e-4), zs))
     assert_alike(ours, theirs, 1e-9)
     # Readings are no farther off than a few spreads.
     assert max(np.trace(row["P_post"]) - np.trace(row["P_prior"]) for row in theirs) > 0.0
@@ -397,16 +388,7 @@ def test_noise_that_is_thirty_times_larger_from_now_on_is_typical_after_ten_read
     rng = np.random.default_rng(2)
     zs = np.where(np.arange(140) < 60, 1.0, 30.0) * rng.choice([-1.0, 1.0], 140) * rng.uniform(0.5, 1.5, 140)
 
-    def louder():
-        kf, rows = RobustKalmanFilter(1, 1), []
-        kf.H[:], kf.Q[:] = 1.0, 0.01
-        for z in zs:
-            kf.predict()
-            kf.update(z)
-            rows.append(shown(kf, "_memory"))
-        return rows
-
-    ours, theirs = both(louder)
+    ours, theirs = both(lambda: taken(support.of_matrices(RobustKalmanFilter, 1.0, [[1.0]], 0.01), zs))
     assert_alike(ours, theirs, 1e-9)
     clipped = [row["weights"][0] < 0.5 for row in theirs]
     assert all(clipped[60:69]) and not any(clipped[80:])
