@@ -70,3 +70,8 @@ def test_a_model_of_python_control_is_taken():
 def test_a_model_that_cannot_be_is_refused(make):
     with pytest.raises((ValueError, TypeError)):
         make()
+
+
+def test_states_are_named_by_their_axes():
+    assert constant_velocity(2).names == ("x.p", "x.v", "y.p", "y.v")
+    assert constant_velocity(4).names[::2] == ("0.p", "1.p", "2.p", "3.p")
