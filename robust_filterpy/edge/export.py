@@ -122,12 +122,12 @@ def export_c(
             f"{_remedy(model)}"
         )
     values = {
-        **form.values, "title": _comment(form.title), "name": name, "NAME": name.upper(),
+        **form.values, "text": form.text, "title": _comment(form.title), "name": name, "NAME": name.upper(),
         "remark": _comment(form.values.get("remark", "")), "real": "double" if precision == "double" else "float",
         "largest": "1e150" if precision == "double" else "1e15", "version": __version__,
     }  # fmt: skip
     exported = Exported(source, source.with_suffix(".h"))
-    texts = (_code(form, values, name, precision), _rendered(f"{form.text}.h", values))
+    texts = (_code(form, values, name, precision), _rendered("header.h", values))
     own = set(re.findall(rf"\b(?:{name}|{name.upper()})_\w+", re.sub(r"/\*.*?\*/", "", texts[1], flags=re.DOTALL)))
     if taken := own.intersection(re.findall(r"\w+", _kernel(form.headers))):
         raise ValueError(
@@ -175,8 +175,8 @@ def _lines(name: str, values: Mapping[str, Any]) -> Iterator[str]:
     for line in (_TEXTS / name).read_text(encoding="ascii").splitlines():
         *conditions, text = re.split(r"^((?:\$[?!]\w+ )+)", line)[-2:] if line[:2] in ("$?", "$!") else (line,)
         if all(bool(values.get(one[2:])) == (one[1] == "?") for one in "".join(conditions).split()):
-            included = text.removeprefix("$include ")
-            yield from [Template(text).substitute(values)] if included == text else _lines(included, values)
+            filled = Template(text.removeprefix("$include ")).substitute(values)
+            yield from _lines(filled, values) if text.startswith("$include ") else [filled]
 
 
 def _table(declaration: str, entries: Mapping[str, Any], precision: str) -> str:

@@ -17,7 +17,7 @@ writes for microcontrollers: C99, sizes as arguments, workspaces from the caller
 
 The extension is written by hand against Python's stable interface and numpy's. ``glue.h`` has what all its functions
 need: arrays that are checked when taken, attributes read and set, references held during a call. The functions are in
-one ``.c`` file for each group, with a table ``<group>_functions``; a new group is named in ``groups.h`` and in
+one ``.c`` file for each group, with a table ``<group>_functions``; a new group is named in ``glue.h`` and in
 ``module.c``. A function that does a step returns True where it has done it, and False, with nothing changed, where that
 is for the definition: another dtype, shape or order than usual, a subclass of ndarray, numbers that are not finite, a
 matrix that is no covariance, an overflow, a variance that cancels. What Python code raises on the way is passed on.

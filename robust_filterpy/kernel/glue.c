@@ -110,14 +110,19 @@ double *writable(PyObject *object, int ndim, const npy_intp *shape) { return siz
 
 int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
                   npy_intp columns) {
+    const npy_intp one = (npy_intp)sizeof(double), shape[2] = {rows, columns};
+    const int ndim = rows < 0 ? 2 : columns ? 4 : 3;
     PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_plain(object, columns ? 4 : 3, 0) || PyArray_DIM(array, 2) != rows) return 0;
-    if (columns && PyArray_DIM(array, 3) != columns) return 0;
-    const npy_intp own = PyArray_DIM(array, 0), each = PyArray_DIM(array, 1), size = rows * (columns ? columns : 1);
-    if ((own != series && own != 1) || (each < steps && each != 1)) return 0;
-    found->data = numbers_of(object);
-    found->by_series = own > 1 ? each * size : 0;
-    found->by_step = each > 1 ? size : 0;
+    if (!is_array(object, ndim) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISBEHAVED_RO(array)) return 0;
+    npy_intp apart = one, axes[2];
+    for (int i = ndim - 1; i > 1; apart *= shape[i - 2], i--)
+        if (PyArray_DIM(array, i) != shape[i - 2] || (shape[i - 2] > 1 && PyArray_STRIDE(array, i) != apart)) return 0;
+    for (int i = 0; i < 2; i++) {
+        axes[i] = PyArray_DIM(array, i) > 1 ? PyArray_STRIDE(array, i) : 0;
+        if (PyArray_DIM(array, i) != 1 && (i ? PyArray_DIM(array, 1) < steps : PyArray_DIM(array, 0) != series)) return 0;
+        if (axes[i] % one) return 0;
+    }
+    *found = (series_matrices){numbers_of(object), axes[0] / one, axes[1] / one};
     return 1;
 }
 
@@ -151,24 +156,8 @@ int is_symmetric(const double *a, npy_intp n) {
     return 1;
 }
 
-int is_covariance(const double *a, npy_intp n, double *L) {
-    if (!is_symmetric(a, n)) return 0;
-    for (npy_intp i = 0; i < n; i++)
-        for (npy_intp j = 0; j <= i; j++) {
-            double total = a[i * n + j];
-            for (npy_intp k = 0; k < j; k++) total -= L[i * n + k] * L[j * n + k];
-            if (i == j) {
-                if (!(total >= 0 && total <= DBL_MAX)) return 0;
-                L[i * n + i] = sqrt(total);
-            } else if (L[j * n + j] > 0) {
-                L[i * n + j] = total / L[j * n + j];
-            } else if (total == 0) {
-                L[i * n + j] = 0;
-            } else {
-                return 0;
-            }
-        }
-    return 1;
+int is_covariance(const double *a, npy_intp n, double *work) {
+    return is_symmetric(a, n) && update_is_positive((int)n, a, -1, work);
 }
 
 int all_finite(const double *a, npy_intp count) {

@@ -59,7 +59,8 @@ int is_array(PyObject *object, int ndim);                            /* an exact
 const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns);
 const double *vector_of(PyObject *object, npy_intp length);          /* also (length, 1) */
 double *writable(PyObject *object, int ndim, const npy_intp *shape); /* for what is written into */
-/* Matrices of shape (series or 1, steps or 1, rows, columns), columns 0 for vectors; whether they are that. */
+/* Matrices of shape (series or 1, steps or 1, rows, columns), columns 0 for vectors, rows -1 for numbers, each in one piece;
+   whether they are that. */
 int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
                   npy_intp columns);
 /* Integers, C-contiguous, with these dimensions; rows < 0: any number, columns < 0: a vector. */
@@ -87,6 +88,9 @@ int rule_of_numbers(const double *numbers, correction_rule *rule);
 double call_choices(void *choices, double e, double *slope);
 /* The outcome of a step whose psi may have been Python's: -1 where that has raised, 0 where the definition is to ask it. */
 int called_outcome(int outcome);
+
+/* The groups of functions that make the module: a new one is named here and in the list of module.c. */
+extern PyMethodDef series_functions[], smoother_functions[], step_functions[], tracker_functions[];
 
 /* Workspace of a call: on the stack up to here, else from the heap, and then to be freed. */
 #define STACK_WORK 2048

@@ -222,8 +222,6 @@ INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt
     learnt_collapse(n, rule->q, work, s->x, s->P, learnt_part(n, rule, s), x, P);
 }
 
-#define learnt_merge_work(n, models) ((size_t)((n) * (models)))
-
 /* Mean and covariance of the state; a jump is hidden while three to one is against it. Return whether they are finite. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {

@@ -2,8 +2,6 @@
 #define ROBUST_FILTERPY_MODULE
 #include "glue.h"
 
-#include "groups.h"
-
 PyObject *attribute_names[ATTRIBUTE_COUNT];
 PyObject *numpy_inverse;
 

@@ -47,11 +47,11 @@ typedef struct {
 } sensors;
 /* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors, the last two where
    something is learned. 1, 0, or -1 with an exception. */
-PyObject *given_or(held *h, PyObject *given, PyObject *own); /* plain; own where given is None; NULL with an exception */
 int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s);
-
-int take_cross(sensors *s, npy_intp n, PyObject *M);                                 /* M, or None; whether it is that */
-int take_memory(const correction_rule *rule, sensors *s, PyObject *memory); /* what psi is judged by; whether it is that */
+/* Plain, own where given is None; NULL with an exception. */
+PyObject *given_or(held *h, PyObject *given, PyObject *own);
+int take_cross(sensors *s, npy_intp n, PyObject *M); /* M, or None; whether it is that */
+int take_memory(const correction_rule *rule, sensors *s, PyObject *memory); /* of psi; whether it is that */
 
 /* What moves a state. */
 typedef struct {

@@ -18,7 +18,6 @@ typedef struct {
     real last;   /* the last reading */
     real seldom; /* one over the share of readings that repeat, with a minus sign if the last repeated the one before */
 } repeats_memory;
-#define REPEATS_WIDTH 6
 
 /* Note a reading, and how often its sensor repeats itself. */
 INLINE void repeats_note_reading(const real z, repeats_memory *const memory) {

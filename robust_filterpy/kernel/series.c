@@ -1,5 +1,4 @@
 /* Series and recordings: the loop of series.h, without the interpreter's lock. */
-#include "groups.h"
 #include "online.h"
 
 /* Sizes of the state that the compiler knows; to know one sensor too gains nothing that can be measured. */
@@ -26,7 +25,9 @@ static span_function *const spans[] = {span_any,
 static int take_moving(series_job *job, PyObject *const of[6], npy_intp series) {
     const learnt_rule *const rule = &job->mixture;
     const npy_intp n = job->n, m = job->m, models = job->mixes ? learnt_rows(rule) : 0;
-    const npy_intp shapes[4][3] = {{job->mixes ? memory_rows(rule, m) : m, job->mixes ? learnt_width(rule->K) : SPREAD_NUMBERS, 1},
+    const npy_intp rows = job->mixes ? memory_rows(rule, m) : m;
+    const npy_intp width = job->mixes ? learnt_width(rule->K) : SPREAD_NUMBERS;
+    const npy_intp shapes[4][3] = {{rows, width, 1},
                                    {models, n, 1}, {models, n, n}, {job->mixes ? learnt_beliefs(1, rule) : 0, n, 1}};
     job->x = writable(of[0], 2, (npy_intp[]){series, n}), job->P = writable(of[1], 3, (npy_intp[]){series, n, n});
     for (int a = 0; a < (job->mixes ? 4 : 1); a++) {

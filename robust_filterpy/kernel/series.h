@@ -62,6 +62,7 @@ SIZED void series_span(const int n, const int m, const int mixes, const series_j
                         const ptrdiff_t high, real *RESTRICT work) {
     const correction_rule bounded = job->bounded;
     const learnt_rule mixture = job->mixture;
+    const int kinds = mixes ? 4 : 1; /* of what moves besides x and P */
     /* What was before a step, or before the second half of one. */
     real *const x_last = work, *const P_last = x_last + n, *const x_half = P_last + n * n, *const P_half = x_half + n;
     real *const weights = P_half + n * n, *const outlying = weights + m, *const last = outlying + m, *spare = last;
@@ -81,7 +82,7 @@ SIZED void series_span(const int n, const int m, const int mixes, const series_j
             const int kept = --until == 0;
             int fine = 1;
             real_copy(n, x, x_last), real_copy(n * n, P, P_last);
-            for (int a = 0; a < (mixes ? 4 : 1); before += job->sizes[a], a++) real_copy(job->sizes[a], moving[a], before);
+            for (int a = 0; a < kinds; before += job->sizes[a], a++) real_copy(job->sizes[a], moving[a], before);
             for (int half = 0; half < 2 && fine; half++) {
                 const int corrects = (half == 0) == job->update_first;
                 const real *const F = series_at(&job->F, s, k), *const Q = series_at(&job->Q, s, k);
@@ -96,8 +97,8 @@ SIZED void series_span(const int n, const int m, const int mixes, const series_j
                     fine = update(n, m, &bounded, z, z, H, R, M, (spread_memory *)moving[0], x, P, &c, NULL, spare);
                 } else {
                     if (half == 1) real_copy(n, x, x_half), real_copy(n * n, P, P_half);
-                    fine = predict(n, half ? x_half : x_last, half ? P_half : P_last, F, Q, control, job->alpha_sq, x, P,
-                                   spare + update_work(n, m));
+                    fine = predict(n, half ? x_half : x_last, half ? P_half : P_last, F, Q, control, job->alpha_sq,
+                                   x, P, spare + update_work(n, m));
                 }
                 if (mixes) fine = fine && learnt_merge(n, &mixture, &models, x, P, spare);
                 if (fine && kept)
@@ -107,15 +108,17 @@ SIZED void series_span(const int n, const int m, const int mixes, const series_j
             if (!fine) {
                 real_copy(n, x_last, x), real_copy(n * n, P_last, P);
                 before = last;
-                for (int a = 0; a < (mixes ? 4 : 1); before += job->sizes[a], a++) real_copy(job->sizes[a], before, moving[a]);
+                for (int a = 0; a < kinds; before += job->sizes[a], a++) real_copy(job->sizes[a], before, moving[a]);
                 c.loss = loss, c.product = product;
                 break;
             }
             gained += likelihood;
             if (!mixes) observed += (real)c.observed;
             if (!kept) continue;
-            if (job->weights && job->which & SERIES_CORRECTS) real_copy(m, mixes ? weights : c.weights, job->weights + row * m);
-            if (job->outlying && job->which & SERIES_CORRECTS) real_copy(m, outlying, job->outlying + row * m);
+            if (job->which & SERIES_CORRECTS) {
+                if (job->weights) real_copy(m, mixes ? weights : c.weights, job->weights + row * m);
+                if (job->outlying) real_copy(m, outlying, job->outlying + row * m);
+            }
             for (int i = 0; mixes && job->scale && i < n; i++) {
                 real slow = 0, total = 0;
                 for (int q = 0; q < mixture.q; q++) {

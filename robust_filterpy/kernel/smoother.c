@@ -1,5 +1,5 @@
 /* A smoother's pass: the loops of smoother.h, without the interpreter's lock. */
-#include "groups.h"
+#include "glue.h"
 #include "smoother.h"
 
 /* Sizes of the state that the compiler knows, each with one sensor, two, and any number. */

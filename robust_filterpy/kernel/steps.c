@@ -1,5 +1,4 @@
 /* One step of one filter as one call: attributes read, the step taken, attributes set. */
-#include "groups.h"
 #include "mend.h"
 #include "online.h"
 

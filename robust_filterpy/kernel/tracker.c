@@ -5,19 +5,13 @@
 
 #define STAYS 5 /* numbers of an actuator that stay: centre, windup and three that the kernel has no use for */
 
-/* Signals of all actuators; strides in numbers, 0 where an axis is shared. */
-typedef struct {
-    const double *data;
-    npy_intp by_actuator, by_sample;
-} signal;
-
 typedef struct {
     tracker_layout layout;
     series_matrices options, F, Q; /* (RULE_NUMBERS), (n, n), (n, n) of each actuator or of all; one step */
     const double *alpha_sq;
     const npy_intp *flags; /* (actuators, 5): filtered, guard, cleans, learns, judges */
     npy_intp actuators, samples;
-    signal y, u, R;        /* R has no data where none is given */
+    series_matrices y, u, R;        /* R has no data where none is given */
     double *moved;         /* (actuators, width): the arrays of tracker_state in its order, then centre and windup */
     npy_intp sizes[11], width;
     double *out;           /* (actuators, samples, 2 n + 4): theta, variances, prediction, residual, weight, guard */
@@ -60,12 +54,11 @@ INLINE void one_actuator(const job *const j, const int n, const npy_intp i, doub
     if (!rule_of_numbers(j->options.data + i * j->options.by_series, &rule.correction)) return;
     if (!is_settled(n, state.P) || !is_settled(n, rule.Q)) return;
     for (; k < j->samples; k++) {
-        const double y = j->y.data[i * j->y.by_actuator + k * j->y.by_sample] - centre;
-        const double given = j->R.data ? j->R.data[i * j->R.by_actuator + k * j->R.by_sample] : (double)NAN;
+        const double y = *series_at(&j->y, i, k) - centre;
+        const double given = j->R.data ? *series_at(&j->R, i, k) : (double)NAN;
         double *const row = j->out + (i * j->samples + k) * (2 * n + 4), *const shown = row + 2 * n;
         tracker_sample sample;
-        if (!tracker_step(&j->layout, n, &rule, &state, y, j->u.data + i * j->u.by_actuator + k * j->u.by_sample, given,
-                          &sample, work))
+        if (!tracker_step(&j->layout, n, &rule, &state, y, series_at(&j->u, i, k), given, &sample, work))
             break;
         shown[0] = sample.prediction + centre;
         shown[1] = sample.residual;
@@ -97,21 +90,6 @@ SIZE(4)
 SIZE(8)
 
 static span *const spans[] = {any_size, any_size, size_2, any_size, size_4, any_size, any_size, any_size, size_8};
-
-/* An array of float64 of any strides, aligned: (actuators, samples) or (actuators, samples, width). */
-static int take_signal(PyObject *object, const job *const j, const npy_intp width, signal *const found) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    const int ndim = width < 0 ? 2 : 3;
-    if (!is_array(object, ndim) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISBEHAVED_RO(array) ||
-        PyArray_DIM(array, 0) != j->actuators || PyArray_DIM(array, 1) != j->samples)
-        return 0;
-    if (ndim == 3 && (PyArray_DIM(array, 2) != width || (width > 1 && PyArray_STRIDE(array, 2) != sizeof(double)))) return 0;
-    if (PyArray_STRIDE(array, 0) % (npy_intp)sizeof(double) || PyArray_STRIDE(array, 1) % (npy_intp)sizeof(double)) return 0;
-    found->data = numbers_of(object);
-    found->by_actuator = PyArray_STRIDE(array, 0) / (npy_intp)sizeof(double);
-    found->by_sample = PyArray_STRIDE(array, 1) / (npy_intp)sizeof(double);
-    return 1;
-}
 
 #define PLACES 12 /* na nc nd nf, a c d f, inputs, lags, length, starts; then start, used, source */
 
@@ -178,8 +156,9 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
     if (!take_matrices(&j.options, given[0], j.actuators, 1, RULE_NUMBERS, 0) ||
         !take_matrices(&j.F, given[1], j.actuators, 1, n, n) || !take_matrices(&j.Q, given[2], j.actuators, 1, n, n) ||
         !j.alpha_sq || !j.moved || !j.flags || !j.out || !j.done ||
-        !take_signal(y, &j, -1, &j.y) || !take_signal(u, &j, width, &j.u) ||
-        (R != Py_None && !take_signal(R, &j, -1, &j.R)))
+        !take_matrices(&j.y, y, j.actuators, j.samples, -1, 0) ||
+        !take_matrices(&j.u, u, j.actuators, j.samples, width, 0) ||
+        (R != Py_None && !take_matrices(&j.R, R, j.actuators, j.samples, -1, 0)))
         goto refused;
     Py_BEGIN_ALLOW_THREADS;
     spans[n < (npy_intp)(sizeof spans / sizeof *spans) ? n : 0](&j, (int)n, work);

@@ -13,18 +13,19 @@
 #define update_work(n, m) \
     (correction_work(n, m) + spread_work(n, m) + (size_t)((m) + SPREAD_NUMBERS * (m) + (n) * ((n) + 1)))
 
-/* Whether P is positive definite beyond rounding; L (n, n) is scratch. */
-CALLED int update_is_positive(const int n, const real *RESTRICT P, real *RESTRICT L) {
+/* Whether every pivot of a symmetric P is more than this part of its diagonal: REAL_PIVOT for one that is positive
+   definite beyond rounding; below 0: whether none is negative. L (n, n) is scratch. */
+CALLED int update_is_positive(const int n, const real *RESTRICT P, const real part, real *RESTRICT L) {
     for (int i = 0; i < n; i++)
         for (int j = 0; j <= i; j++) {
             real total = P[i * n + j];
             for (int k = 0; k < j; k++) total -= L[i * n + k] * L[j * n + k];
-            if (i != j) {
-                L[i * n + j] = total / L[j * n + j];
-            } else if (total > REAL_PIVOT * P[i * n + i]) {
+            if (i == j) {
+                if (!(total >= 0 && real_is_finite(total)) || (part >= 0 && !(total > part * P[i * n + i]))) return 0;
                 L[i * n + i] = real_sqrt(total);
             } else {
-                return 0;
+                if (L[j * n + j] == 0 && total != 0) return 0;
+                L[i * n + j] = total == 0 ? 0 : total / L[j * n + j];
             }
         }
     return 1;
@@ -97,7 +98,7 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
     if (rule->scaling != SCALING_LEARNT) {
         if (!correct_grouped(n, m, rule, NULL, x, P, c)) return 0;
         /* "unit" takes off more than there is where H P H' > 1. */
-        return rule->scaling != SCALING_UNIT || update_is_positive(n, P, rest);
+        return rule->scaling != SCALING_UNIT || update_is_positive(n, P, REAL_PIVOT, rest);
     }
     for (int i = 0; i < m; i++) {
         c->S[i * m + i] += change.added[i];

@@ -12,15 +12,6 @@
  *
  * $remark
  */
-#ifndef ${NAME}_H
-#define ${NAME}_H
-
-#include <stdint.h>
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 #define ${NAME}_STATES $n
 #define ${NAME}_SENSORS $m
 $?inputs #define ${NAME}_INPUTS $inputs
@@ -73,9 +64,6 @@ $?mixes     ${name}_real outlying[$m]; /* probability that it was an outlier, 0 
 $?mixes     ${name}_real weight[$m];   /* 1 is full trust; NaN where missing */
 } ${name}_shown;
 
-extern const ${name}_model ${name}_default;
-extern const ${name}_state ${name}_start;
-
 $!extended $!inputs /* Predict the next state. */
 $!extended $?inputs /* Predict the next state, with the control input u, or without where u is NULL. */
 $?extended $!inputs /* Predict the next state by f; $or by F, where motion is NULL. */
@@ -85,9 +73,3 @@ ${name}_status ${name}_predict(const ${name}_model *model, ${name}_state *state$
 /* Correct the state by a measurement z; what it found goes into `shown`, unless that is NULL. */
 ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state$sensor_parameter, const ${name}_real z[$m],
                               ${name}_shown *shown);
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif

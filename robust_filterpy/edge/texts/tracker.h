@@ -15,15 +15,6 @@
  *
  * NaN in y is a sample that is missing. For another threshold at run time change a copy of ${name}_default.
  */
-#ifndef ${NAME}_H
-#define ${NAME}_H
-
-#include <stdint.h>
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 #define ${NAME}_PARAMETERS $n
 #define ${NAME}_INPUTS $inputs
 
@@ -78,15 +69,6 @@ typedef struct {
     int32_t guard;           /* h > 0: the step was halved h times; -1: it was not taken */
 } ${name}_sample;
 
-extern const ${name}_model ${name}_default;
-extern const ${name}_state ${name}_start;
-
 /* Take one sample: y(k), and u(k) of $inputs inputs; what it showed goes into `sample`, unless that is NULL. */
 ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, ${name}_real y,
                               const ${name}_real u[$inputs_or_one], ${name}_sample *sample);
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif
