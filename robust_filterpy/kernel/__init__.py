@@ -31,8 +31,10 @@ from __future__ import annotations
 
 import logging
 import os
+import zlib
 from functools import lru_cache
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 __all__ = ["available"]
@@ -72,7 +74,18 @@ def _loaded() -> Any:
         built = find_spec("robust_filterpy.kernel._extension") is not None
         why = f"cannot be loaded ({error})" if built else "is not built"
         return f"the kernel in C {why}; install again where there is a C compiler"
+    if not _is_current(_extension):
+        return "the kernel in C is of other sources than these; python setup.py build_ext --inplace builds it again"
     return _extension
+
+
+def _is_current(built: Any) -> bool:
+    """Return whether it was built from the sources of a checkout; elsewhere there are none."""
+    room = Path(__file__).parent
+    if not (room / "module.c").exists():
+        return True
+    sources = b"".join(path.read_bytes() for path in sorted(room.glob("*.[ch]")))
+    return getattr(built, "built_from", None) == zlib.crc32(sources) >> 1
 
 
 def available() -> bool:

@@ -38,5 +38,6 @@ PyMODINIT_FUNC PyInit__extension(void) {
     module = PyModule_Create(&definition);
     for (size_t i = 0; module && i < sizeof groups / sizeof *groups; i++)
         if (PyModule_AddFunctions(module, groups[i]) < 0) Py_CLEAR(module);
+    if (module && PyModule_AddIntConstant(module, "built_from", ROBUST_FILTERPY_BUILT_FROM) < 0) Py_CLEAR(module);
     return module;
 }
