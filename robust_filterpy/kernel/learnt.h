@@ -1259,7 +1259,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
                         const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R, const real *M,
                         const real *RESTRICT logs, real *RESTRICT work) {
     static const correction_rule huber = {{PSI_HUBER, REAL(1.345), 0, 0, NULL, NULL}, SCALING_LEARNT,
-                                          INFORMATION_REALIZED, 1, 0, NULL};
+                                          INFORMATION_REALIZED, 1, 0, NULL, 0};
     const int models = learnt_models(rule), width = learnt_width(rule->K);
     const real *const part = learnt_part(n, rule, s);
     real *const for_factor = learnt_given(n, rule, s, LEARNT_FOR_FACTOR), *const x = s->x + models * n;
