@@ -1337,7 +1337,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
 
 /* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the sensors said, where z is only
    how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and
-   0 where a component told nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
+   0 where a component says nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
    -1 if the step is out of the ordinary; the state is spoiled then. */
 INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
                           const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,

@@ -140,7 +140,7 @@ static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, np
             c->key[i] = hold(h, PyBytes_FromStringAndSize((const char *)(H + i * n), (Py_ssize_t)size));
             if (!c->key[i]) return -1;
         }
-        /* Sensors that see exactly the same are told apart by their places. */
+        /* Sensors that see exactly the same are distinguished by their places. */
         if (same || c->key[i]) c->place[i] = i;
     }
     return 1;

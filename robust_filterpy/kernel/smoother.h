@@ -23,7 +23,7 @@ typedef struct {
     real *spread;                          /* (series, steps, m, m) H P_s H', or NULL */
     real *score, *information;             /* (series, steps, r), (.., r, r) G's, G'L G, or NULL; wants spread */
     real *x, *P, *x_first, *P_first;       /* smoothed states, those before the first step; or NULL; want spread */
-    real *sharpest;                        /* the most that a measurement told next to what was known: d H P H' */
+    real *sharpest;                        /* the most that a measurement says against what was known: d H P H' */
 } smoother_job;
 
 /* What a pass works on: one series' filtered h x and P h, and scratch. */

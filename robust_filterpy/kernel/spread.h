@@ -3,7 +3,7 @@
    The spread is a median by recursion of |e|, e = y / sqrt(S_ii), without the far ones. What a sensor is noisier than
    those that see the same is added to its R; a run of clipped innovations is a jump
    of the state, unless noise is added, and P grows until it is plausible. How
-   long a run must be is learned from those that lasted and those that came to nothing. Beside other sensors a far
+   long a run must be is learned from those that lasted and those that came to nothing. With other sensors a far
    reading that repeats the one before counts only as far as that is usual: one that is stuck says nothing new. Where
    readings repeat, one smallest step between them is never clipped. */
 #ifndef ROBUST_FILTERPY_SPREAD_H

@@ -97,7 +97,7 @@ INLINE int tracker_is_far(const int n, const real nu, const real *RESTRICT phi, 
 
 /* Note a reading that was not left out and what was not foreseen of it. */
 INLINE void tracker_note(const real y, const real nu, tracker_readings *const readings) {
-    /* While a sensor was stuck it has told nothing of its habits. */
+    /* While a sensor was stuck it says nothing of its habits. */
     if (readings->stuck > 0) readings->repeats.seldom = real_abs(readings->repeats.seldom);
     readings->stuck = 0;
     repeats_note_reading(y, &readings->repeats);
@@ -340,7 +340,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         if (!tracker_correct(n, rule, tempered * nu, tempered * tempered * own + r, r, x, P, C,
                              sharp ? (tempered < 1 ? rest : g) : NULL, sample, W))
             return 0;
-        /* What vanishes beside R brings no information, as while input and output rest, and teaches no noise either. */
+        /* What vanishes next to R brings no information, as while input and output rest, and teaches no noise either. */
         if (given != given && scale.memory > 0 && S + nu * nu != r) {
             tracker_follow(&scale, nu, S);
             if (s->scale->samples < TRACKER_EARLY && scale.R > r) grown = scale.R / r;

@@ -34,7 +34,7 @@ from robust_filterpy.kernel.series import plain
 
 # From this d H P H' on V is no more than rounding, unless it is that of the smoothed states.
 _SHARP = 1e6
-# Nothing is told apart that is so many standard deviations away, and what is squared there stays finite.
+# Nothing is distinguished that is so many standard deviations away, and what is squared there stays finite.
 _FURTHEST = 1e30
 
 

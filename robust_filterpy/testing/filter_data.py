@@ -379,7 +379,7 @@ def outliers_cost_little(subject: FilterSubject) -> None:
 
 
 def _require_efficient(subject: FilterSubject, contamination: Kinds, count: int, at_least: float) -> None:
-    """Compare with the filter that is told every label, over many recordings."""
+    """Compare with the filter that knows every label, over many recordings."""
     assert_tracks(subject.many(contamination, count), at_least=at_least, false_alarm=subject.false_alarm)
 
 

@@ -22,7 +22,7 @@ typedef $real ${name}_real;
 typedef enum {
     ${NAME}_OK = 0,
     ${NAME}_BAD_ARGUMENT = 1, /* a null pointer, an input that is not finite, a measurement of $largest or more */
-    ${NAME}_SINGULAR = 2,     /* S = H P H' + R has no inverse, or a sensor is told by the others to the last digit */
+    ${NAME}_SINGULAR = 2,     /* S = H P H' + R has no inverse, or a sensor follows from the others to the last digit */
     ${NAME}_INDEFINITE = 3,   /* scaling "unit" would make P indefinite, or singular */
 $!extended     ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding */
 $?extended     ${NAME}_NOT_FINITE = 4    /* x or P would overflow, or P lose a variance in rounding;
