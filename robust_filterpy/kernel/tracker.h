@@ -340,7 +340,7 @@ INLINE int tracker_step(const tracker_layout *const l, const int n, const tracke
         if (!tracker_correct(n, rule, tempered * nu, tempered * tempered * own + r, r, x, P, C,
                              sharp ? (tempered < 1 ? rest : g) : NULL, sample, W))
             return 0;
-        /* What vanishes next to R brings no information, as while input and output rest, and teaches no noise either. */
+        /* What vanishes against R says nothing, as while input and output rest, and teaches no noise either. */
         if (given != given && scale.memory > 0 && S + nu * nu != r) {
             tracker_follow(&scale, nu, S);
             if (s->scale->samples < TRACKER_EARLY && scale.R > r) grown = scale.R / r;
