@@ -1,31 +1,39 @@
-"""Every number of the rules stands in one table, docs/equations.md, with its value. Run as a program it counts them."""
+"""Every tuned number stands in the table of its room, with its value. Run as a program it counts those of the rules."""
 
+import ast
 import math
 import re
 from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
 
+import numpy as np
 import pytest
 
-import robust_filterpy.correction
+import robust_filterpy
 from robust_filterpy.correction import factor, learning, learnt, repeats, side_by_side, spread
 
-PAGE = Path(__file__).parents[2] / "docs/equations.md"
+#: The table of each room: page and heading.
+TABLES = {
+    "correction": ("equations.md", "All numbers of the rules"),
+    "fusion": ("tuned_numbers.md", "Fusion"),
+    "identification.estimation": ("tuned_numbers.md", "Estimation of models"),
+}
 #: What mathematics says and nobody chooses: quantiles, logarithms of 2 pi, the largest float, twice another number.
 MATHEMATICS = re.compile(r"(QUA\w+|LOG_ROOT|LOG_2PI|LOG_SQRT_2PI|DECIDED)$")
 MOST = 50
 ROW = re.compile(r"^\| `(\S+)` \| ([^|]+) \|", re.M)
 
 
-def stated():
+def stated(room="correction"):
     """Return the numbers of the page, of the rules and of the arithmetic, by module and name."""
-    section = PAGE.read_text(encoding="utf-8").partition("## All numbers of the rules")[2].partition("\n## ")[0]
-    rules, arithmetic = (
+    page, heading = TABLES[room]
+    text = Path(__file__).parents[2].joinpath("docs", page).read_text(encoding="utf-8")
+    section = text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    rules, _, arithmetic = section.partition("These guard the arithmetic")
+    return tuple(
         {name: tuple(_number(text) for text in values.split(",")) for name, values in ROW.findall(part)}
-        for part in section.split("These guard the arithmetic")
+        for part in (rules, arithmetic)
     )
-    return rules, arithmetic
 
 
 def _number(text):
@@ -34,31 +42,38 @@ def _number(text):
     return math.log(float(value)) if "log" in text else float(value) / float(over or 1)
 
 
-def in_modules():
+def _flat(value):
+    """Return the numbers of a number or of a tuple, None if it holds anything else."""
+    if not isinstance(value, tuple):
+        return (value,) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+    parts = [_flat(part) for part in value]
+    return None if not parts or None in parts else sum(parts, ())
+
+
+def in_modules(room="correction"):
     """Return the numbers at the head of each module; a whole number is one where the page has it, else a place."""
-    page, found = stated()[0] | stated()[1], {}
-    for module in iter_modules(robust_filterpy.correction.__path__):
-        for name, value in vars(import_module(f"robust_filterpy.correction.{module.name}")).items():
-            parts, key = value if isinstance(value, tuple) else (value,), f"{module.name}.{name}"
-            numbers = parts and all(isinstance(part, (int, float)) and not isinstance(part, bool) for part in parts)
-            if not (numbers and name.isupper()) or MATHEMATICS.search(name) or max(parts) > 1e308:
+    page, found = stated(room)[0] | stated(room)[1], {}
+    for path in sorted(Path(robust_filterpy.__file__).parent.joinpath(*room.split(".")).glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        imported = {one.name for node in tree.body if isinstance(node, ast.ImportFrom) for one in node.names}
+        for name, value in vars(import_module(f"robust_filterpy.{room}.{path.stem}".removesuffix(".__init__"))).items():
+            key = f"{path.stem}.{name}"
+            # What is computed from other numbers is an array, and need not be there.
+            numbers = _flat(tuple(value.tolist()) if isinstance(value, np.ndarray) and key in page else value)
+            if not numbers or not name.isupper() or MATHEMATICS.search(name) or max(numbers) > 1e308:
                 continue
-            imported = any(re.search(rf"^from .* import .*\b{name}\b", line) for line in _source(module.name))
-            if not imported and (key in page or any(isinstance(part, float) for part in parts)):
-                found[key] = tuple(float(part) for part in parts)
+            if name not in imported and (key in page or any(isinstance(part, float) for part in numbers)):
+                found[key] = tuple(float(part) for part in numbers)
     return found
 
 
-def _source(module):
-    return Path(robust_filterpy.correction.__path__[0], f"{module}.py").read_text(encoding="utf-8").splitlines()
-
-
-def test_the_page_has_every_number_with_its_value():
-    rules, arithmetic = stated()
+@pytest.mark.parametrize("room", TABLES)
+def test_the_page_has_every_number_with_its_value(room):
+    rules, arithmetic = stated(room)
     assert not rules.keys() & arithmetic.keys()
-    found = in_modules()
-    assert (rules | arithmetic).keys() == found.keys(), (rules | arithmetic).keys() ^ found.keys()
-    wrong = {name: value for name, value in found.items() if (rules | arithmetic)[name] != value}
+    found = in_modules(room)
+    assert len(found) > 40 and (rules | arithmetic).keys() == found.keys(), (rules | arithmetic).keys() ^ found.keys()
+    wrong = {name: value for name, value in found.items() if (rules | arithmetic)[name] != pytest.approx(value, 1e-12)}
     assert not wrong, wrong
 
 
