@@ -229,6 +229,10 @@ def test_what_moves_for_a_while_is_no_outlier(structure, kind, digits, least):
     assert fresh_fit(model) > least
 
 
+def test_states_are_told_by_one_step_of_the_input():
+    assert fresh_fit(identify(*driven("step"), StateSpace(2))) > 99.9
+
+
 def test_steps_of_a_sensor_bound_its_noise():
     y, u = driven("step", 1)
     model = identify(y, u, OutputError(2, 2))

@@ -255,7 +255,8 @@ def predictor_start(model: StateSpaceResiduals, measured: list[Any], cleaned: li
     for (_, u), y in zip(model.recordings, cleaned, strict=True):
         if len(y) <= 2 * reach:
             continue
-        y = y - np.median(y, axis=0)
+        # As with a constant among the regressors.
+        y, u = y - y.mean(axis=0), u - u.mean(axis=0)
         rows = np.arange(reach, len(y) - reach + 1)
         past.append(np.hstack([np.hstack((y[rows - j], u[rows - j])) for j in range(1, reach + 1)]))
         now.append(np.hstack([y[rows + j] for j in range(reach)]))
