@@ -231,7 +231,10 @@ def _lasting(
     for i, c in enumerate(here):
         if counts[i]:
             own[i, c] += age[c]
-    said = dposv(S, d)[1]
+    said, failed = dposv(S, d)[1:]
+    if failed:
+        # To rounding these readings are one: they say nothing of what lasts.
+        d = said = np.zeros_like(d)
     response, evidence = watch.response + PH @ said, watch.evidence.copy()
     if min(counts) < 1.0:
         root = np.sqrt(counts)[:, None]

@@ -88,3 +88,10 @@ def test_score_and_information_are_those_of_the_likelihood_of_a_fault_since_each
                 assert score[c, kind, j] == pytest.approx(more - less, rel=1e-6, abs=1e-8)
                 assert information[c, kind, j] == pytest.approx(4.0 * (2.0 * none - more - less), rel=1e-5, abs=1e-6)
             assert watch.age[c, 1, j] == 2 * count - 1 - at
+
+
+def test_readings_that_are_one_to_rounding_say_nothing_of_what_lasts():
+    watch, H = _watch.fresh(2, 2, 2, np.ones(1)), np.tile([1.0, 0.0], (2, 1))
+    watch, statistics = watch._replace(age=np.ones(watch.age.shape)), np.ones(watch.statistics.shape)
+    after = _watch._lasting(watch, statistics, [0, 1], np.ones(2), H, H.T, np.ones((2, 2)), [1.0, 1.0], np.ones(2))
+    assert (after["evidence"] == 0.0).all() and np.isfinite(after["score"]).all()

@@ -469,6 +469,7 @@ class Identified(Estimated):
     findings: tuple[Finding, ...] = ()
     trends: tuple[tuple[int, Array], ...] = ()
     colour: float = 1.0
+
     @property
     def R(self) -> Any:
         """Variance of the ordinary noise of each output, shape (n_outputs,)."""
