@@ -80,8 +80,8 @@ class Choices:
         object.__setattr__(self, "grouping", checked_grouping(self.grouping))
         if self.patience is not None and _checks.count("patience", self.patience, 2) and not self.by_typical:
             raise ValueError(
-                "patience: expected none, or scaling='learnt' with a psi that bounds innovations, which believes a jump "
-                f"after so many readings; got scaling={self.scaling!r} and {self.influence!r}"
+                "patience: expected none, or scaling='learnt' with a psi that bounds innovations, which believes "
+                f"a jump after so many readings; got scaling={self.scaling!r} and {self.influence!r}"
             )
 
     def changed(self, **choice: Any) -> Choices:
