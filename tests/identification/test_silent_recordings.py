@@ -229,7 +229,7 @@ def test_what_moves_for_a_while_is_no_outlier(structure, kind, digits, least):
     assert fresh_fit(model) > least
 
 
-def test_states_are_told_by_one_step_of_the_input():
+def test_states_are_identified_from_one_step_of_the_input():
     assert fresh_fit(identify(*driven("step"), StateSpace(2))) > 99.9
 
 
