@@ -18,8 +18,7 @@ from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
 from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.identification import ParameterTracker
-from robust_filterpy.kernel.learnt import Head
-from robust_filterpy.kernel.series import JOINT_MOST, rule
+from robust_filterpy.kernel.series import JOINT_MOST, Head, rule
 
 # Rounding that a symmetric matrix may have gathered.
 _SLACK: Final = 1e-12

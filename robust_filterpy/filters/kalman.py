@@ -28,11 +28,10 @@ from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters._parts import Part, Parts
 from robust_filterpy.filters.driver import without_rounding
 from robust_filterpy.filters.policies import Bounded, Options, finite_product, with_options
 from robust_filterpy.filters.problem import RecordingMixin
-from robust_filterpy.filters.shell import is_own
+from robust_filterpy.filters.shell import Part, Parts, is_own
 from robust_filterpy.filters.snapshot import whole
 from robust_filterpy.kernel import moments
 

@@ -44,7 +44,6 @@ from robust_filterpy.correction.policies import (
 from robust_filterpy.correction.result import Correction, ordered_scaling
 from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.influence.functions import Huber, Influence
-from robust_filterpy.kernel import learnt as half_step
 from robust_filterpy.kernel import moments, series
 from robust_filterpy.kernel.series import Rows, State
 
@@ -234,7 +233,7 @@ class Mixture:
             ("choices", Choices(steady, "innovation", "realized", self.grouping)),
         ):
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "rule", half_step.rule(self.classes, self.scales))
+        object.__setattr__(self, "rule", series.mixture_rule(self.classes, self.scales))
         object.__setattr__(self, "record", partial(Mixed, together=self._named) if self._named else Mixed)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Mixture:
@@ -282,7 +281,7 @@ class Mixture:
         """Return x and P of all models after a prediction: mixed as the scale may have changed, then moved."""
         control = None if Bu is None else Bu.ravel()
         now = self.current(carried, x.ravel(), P).hypotheses
-        moved, *merged_to = half_step.predict(now, F, Q, self.scales, control, alpha_sq)
+        moved, *merged_to = series.predict_models(now, F, Q, self.scales, control, alpha_sq)
         after = Carried(*moved.packed, *merged_to)
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if carried is None else after
 
@@ -293,7 +292,7 @@ class Mixture:
         prior = self.current(before.carried, x, P)
         # Raises where H x is not finite.
         finite_product(H, x)
-        last, *merged = half_step.correct(prior.hypotheses, before.memory, z, H, R, self.classes, self.scales, M)
+        last, *merged = series.correct_models(prior.hypotheses, before.memory, z, H, R, self.classes, self.scales, M)
         after = Carried(*last.models.packed, *merged)
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory)
@@ -321,7 +320,7 @@ class Mixture:
         y = np.where(H.any(axis=1), y, np.nan)
         whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
         prior = side_by_side.start(np.zeros(n + len(curvature)), states, process_scales(None))
-        last, *_ = half_step.correct(prior, before.memory, y, whole, R, self.classes, self.scales, None, readings)
+        last, *_ = series.correct_models(prior, before.memory, y, whole, R, self.classes, self.scales, None, readings)
         unexplained = curvature if curvature.size else np.zeros((m, m))
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory) + unexplained
@@ -337,7 +336,7 @@ class Mixture:
 
     def standing(self, carried: Carried | None, x: Array, P: Array, memory: Array) -> State:
         """Return where a recording begins, in arrays of its own."""
-        return half_step.begin(self.current(carried, x, P).hypotheses, memory)._replace(x=x.copy(), P=P.copy())
+        return series.begin_models(self.current(carried, x, P).hypotheses, memory)._replace(x=x.copy(), P=P.copy())
 
     def carried_of(self, carried: Carried | None, state: State) -> Carried | None:
         """Return what is kept besides where a recording has come to."""

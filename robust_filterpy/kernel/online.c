@@ -21,7 +21,7 @@ int hold_all(held *h, PyObject *filter, const enum attribute *which, int count) 
     return 1;
 }
 
-/* The rule from the array that robust_filterpy.kernel.learnt makes of it; return whether it is that. */
+/* The rule from the array that robust_filterpy.kernel.series makes of it; return whether it is that. */
 int take_rule(learnt_rule *rule, PyObject *object) {
     /* `Head` there. */
     typedef struct {

@@ -77,7 +77,7 @@ int set_measured(held *h, PyObject *filter, PyObject *z, PyObject *record, const
         PyErr_SetString(PyExc_TypeError, expected); \
         return NULL; \
     }
-int take_rule(learnt_rule *rule, PyObject *object); /* from the array of robust_filterpy.kernel.learnt.rule */
+int take_rule(learnt_rule *rule, PyObject *object); /* from the array of robust_filterpy.kernel.series.mixture_rule */
 size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m); /* of learnt_correct under this rule */
 npy_intp memory_rows(const learnt_rule *rule, npy_intp m);             /* of m sensors */
 

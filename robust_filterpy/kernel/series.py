@@ -1,17 +1,25 @@
-"""Series and recordings by the kernel: the options of a filter as numbers, and one call for many steps."""
+"""Series and recordings by the kernel: the options of a filter as numbers, one call for many steps or half a step."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
+from robust_filterpy.correction import learning, learnt, side_by_side
+from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.correction.learnt import Corrected
 from robust_filterpy.correction.options import GROUPINGS, Choices
+from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.influence.functions import Linear
 
-__all__ = ["JOINT_MOST", "filter_series", "options", "plain", "rule", "run", "serves"]
+__all__ = [
+    "JOINT_MOST", "Head", "begin_models", "correct_models", "filter_series", "mixture_rule", "options", "plain",
+    "predict_models", "rule", "run", "serves",
+]  # fmt: skip
 
 #: Which half of a step is taken.
 PREDICTION, CORRECTION, BOTH = 1, 2, 3
@@ -154,7 +162,7 @@ def run(
 ) -> int:  # fmt: skip
     """Take the steps of one recording as far as the kernel can, in place, and return the first that was not taken.
 
-    rule: of psi, or of `robust_filterpy.kernel.learnt`; M has no axis of steps.
+    rule: of psi, or of a mixture; M has no axis of steps.
     """
     if rule is None or not kernel.available():
         return first
@@ -187,3 +195,97 @@ def _taken(
 def plain(array: Array) -> Array:
     """Return an array as the kernel takes it."""
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+# Learned noise: its rule, and half a step of a filter's models, by the definition where the kernel declines.
+
+
+class Head(NamedTuple):
+    """How the numbers of a rule begin, in the order of `rule_head` in online.c."""
+
+    models: float
+    """Scales of Q; they follow, and the scales of R."""
+    classes: float
+    stay: float
+    jump: float
+    memory: float
+    r_memory: float
+    learns: float
+    draws: float
+    """Whether the scale of Q is drawn anew in each step."""
+    grouped: float
+    """So many sensors fail with the first one of their group; -1: all with each other."""
+
+
+@lru_cache(maxsize=64)
+def mixture_rule(noise: NoiseClasses, process: Scales) -> Array:
+    """Return what the kernel takes: sizes and options, scales of Q, scales of R, the memory at first, and who fails
+    with whom.
+    """
+    drawn = () if process.probabilities is None else process.probabilities
+    groups: Any = () if isinstance(noise.grouping, str) else noise.grouping
+    leads = {i: min(group) for group in groups for i in group}
+    named = -1 if noise.grouping == "joint" else max(leads, default=-1) + 1
+    head = Head(
+        len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,
+        len(drawn) > 0, named,
+    )  # fmt: skip
+    start = learning.start(len(noise.scales), noise.probabilities)
+    return np.array([*head, *process.scales, *noise.scales, *start, *drawn, *(leads.get(i, i) for i in range(named))])
+
+
+def begin_models(models: Models, memory: Array) -> State:
+    """Return copies of the arrays as a state, with room for the mean and the covariance of all."""
+    n = models.x.shape[1]
+    x, P, belief = models.packed
+    return State(x.copy(), P.copy(), belief.copy(), memory.copy(), np.zeros(n), np.zeros((n, n)))
+
+
+def predict_models(
+    models: Models, F: Array, Q: Array, process: Scales, Bu: Array | None = None, alpha_sq: float = 1.0
+) -> tuple[Models, Array, Array]:
+    """Predict models of a filter: `robust_filterpy.correction.side_by_side.predict`."""
+    n = len(F)
+    state = begin_models(models, _SENSOR)
+    model = (F[None], Q[None], np.zeros((1, 1, n)), np.ones((1, 1, 1)), None if Bu is None else Bu[None])
+    rule, none = mixture_rule(_NOISE, process), np.full((1, 1), np.nan)
+    if run(rule, state, none, model, Rows(), alpha_sq=alpha_sq, which=PREDICTION):
+        return Models.unpacked(*state[:3]), state.x, state.P
+    moved = side_by_side.predict(models, F, Q, process, Bu, alpha_sq)
+    return moved, *side_by_side.merged(moved, process)
+
+
+def correct_models(
+    models: Models,
+    memory: Array,
+    z: Array,
+    H: Array,
+    R: Array,
+    noise: NoiseClasses,
+    process: Scales,
+    M: Array | None = None,
+    readings: Array | None = None,
+) -> tuple[Corrected, Array, Array]:
+    """Correct models of a filter by one measurement: `robust_filterpy.correction.learnt.correct`."""
+    (m, n), state = H.shape, begin_models(models, memory)
+    weights, outlying, likelihood = np.full((1, m), np.nan), np.zeros((1, m)), np.zeros(1)
+    model = (_nothing(n), _nothing(n), H[None], R[None], None)
+    into = Rows(weights=weights, outlying=outlying, log_likelihood=likelihood)
+    said = None if readings is None else readings[None]
+    if run(mixture_rule(noise, process), state, z[None], model, into, which=CORRECTION, readings=said, M=M):
+        after = Models.unpacked(*state[:3])
+        corrected = Corrected(after, state.learnt, float(likelihood[0]), weights[0], outlying[0])
+        return corrected, state.x, state.P
+    corrected = learnt.correct(models, memory, z, H, R, noise, process, M, readings)
+    return corrected, *side_by_side.merged(corrected.models, process)
+
+
+#: A prediction tells nothing of noise.
+_NOISE = NoiseClasses((1.0,))
+_SENSOR = _NOISE.start(1)
+
+
+@lru_cache(maxsize=64)
+def _nothing(n: int) -> Array:
+    """Return F and Q of a half step that has none."""
+    return np.zeros((1, n, n))

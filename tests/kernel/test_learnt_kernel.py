@@ -11,8 +11,7 @@ from robust_filterpy.correction import side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import correct
 from robust_filterpy.correction.side_by_side import Scales
-from robust_filterpy.kernel.learnt import begin, rule
-from robust_filterpy.kernel.series import Rows, run
+from robust_filterpy.kernel.series import Rows, begin_models, mixture_rule, run
 
 pytestmark = pytest.mark.skipif(not hasattr(kernel.extension(), "filter_series"), reason="the kernel is not built")
 OPTIONS = [
@@ -56,7 +55,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
     """Take every step by both, some with an H of its own; return the weights, and what is known at the end."""
     F, Q, R, m = problem.F, problem.Q, problem.R, zs.shape[1]
     models, memory = side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(m)
-    state = begin(models, memory)
+    state = begin_models(models, memory)
     rows = Rows(weights=np.empty((len(zs), m)), outlying=np.empty((len(zs), m)), log_likelihood=np.zeros(1))
     total = 0.0
     for k, z in enumerate(zs):
@@ -65,7 +64,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
         found = correct(models, memory, z, H, R, noise, process, M)
         models, memory, total = found.models, found.memory, total + found.log_density
         model = F[None], Q[None], H[None], R[None], None
-        assert run(rule(noise, process), state, zs, model, rows, first=k, last=k + 1, M=M)
+        assert run(mixture_rule(noise, process), state, zs, model, rows, first=k, last=k + 1, M=M)
         ours = side_by_side.Models.unpacked(*state[:3])
         pairs = [
             *zip(alive(models), alive(ours), strict=True), (memory, state.learnt), (total, rows.log_likelihood[0]),
@@ -143,10 +142,10 @@ def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
         {"F": np.full((3, 3), np.nan)}, {"zs": np.full_like(zs, np.inf)},
     ):  # fmt: skip
         models = side_by_side.start(problem.x[:, 0], spoilt.get("P", problem.P), process)
-        state = begin(models, noise.start(2))
+        state = begin_models(models, noise.start(2))
         before = [a.copy() for a in state]
         model = tuple(spoilt.get(name, getattr(problem, name))[None] for name in "FQHR")
-        assert run(rule(noise, process), state, spoilt.get("zs", zs), (*model, None), Rows()) == 0
+        assert run(mixture_rule(noise, process), state, spoilt.get("zs", zs), (*model, None), Rows()) == 0
         for was, now in zip(before, state, strict=True):
             np.testing.assert_array_equal(was, now)
 
@@ -154,12 +153,12 @@ def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
 def test_arrays_that_do_not_fit_are_refused():
     problem, zs = recording(3, (3, 2))
     noise, process = NoiseClasses(), Scales()
-    state = begin(side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2))
+    state = begin_models(side_by_side.start(problem.x[:, 0], problem.P, process), noise.start(2))
     model = (problem.F[None], problem.Q[None], problem.H[None], problem.R[None], None)
     for wrong in (state._replace(learnt=noise.start(1)), state._replace(means=state.means[:-1]),
                   state._replace(P=state.P[:, ::-1])):  # fmt: skip
         with pytest.raises(ValueError, match="matching shapes"):
-            run(rule(noise, process), wrong, zs, model, Rows())
+            run(mixture_rule(noise, process), wrong, zs, model, Rows())
 
 
 @pytest.mark.pairwise(1)
