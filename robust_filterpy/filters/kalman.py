@@ -31,7 +31,7 @@ from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters.driver import without_rounding
 from robust_filterpy.filters.policies import Bounded, Options, finite_product, with_options
 from robust_filterpy.filters.problem import RecordingMixin
-from robust_filterpy.filters.shell import Part, Parts, is_own
+from robust_filterpy.filters.shell import Parts, is_own
 from robust_filterpy.filters.snapshot import whole
 from robust_filterpy.kernel import moments
 
@@ -500,32 +500,31 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         ``log_likelihood`` is that of all blocks, so that after the last one it is that of the whole measurement; under
         ``noise=`` that of the last block.
         """
-        m, k = self.dim_z, int(np.size(z_i))
+        m, k = self.dim_z, 1 if isinstance(z_i, float) else int(np.size(z_i))
         start = _checks.count("start", start)
         part = slice(start, start + k)
         if k < 1 or start + k > m:
             raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
-        shown, S, SI, z = self._record(), self._S, self._SI, np.ravel(self.z).tolist()
-        settings = None if self.noise is not None else (self._choices, self._whole_memory(), self._skips)
+        shown, S, SI, z = self._record(), self._S, self._SI, np.array(self.z).ravel()
+        settings = None if self._policy.noise is not None else (self._choices, self._memory, self._skips)
         if H_i is None and self._correct_part(z_i, R_i, part):
             correction, values = self._record(), self.z
         else:
             correction, values = self._corrected_part(z_i, R_i, H_i, part)
-        z = z if len(z) == m else [None] * m
-        z[part] = np.ravel(values).tolist()
-        self.z = np.array(z, dtype=object if None in z else float).reshape((m, 1) if np.ndim(self.x) == 2 else m)
+        if z.dtype != FLOAT or len(z) != m:
+            z = z.astype(object) if len(z) == m else np.full(m, None)
+        z[part] = np.ravel(values)
+        z = z if z.dtype == FLOAT or None in z.tolist() else z.astype(float)
+        self.z = z[:, None] if np.ndim(self.x) == 2 else z
         # S and SI stay what they were, as in filterpy.
-        self._last, self._S, self._SI = Parts.of(shown, m, Part(start, k, correction), settings), S, SI
+        self._last, self._S, self._SI = Parts.of(shown, m, (start, k, correction), settings), S, SI
 
     def _correct_part(self, z: Any, R: Any, part: slice) -> bool:
-        """Correct by a part of the measurement by the kernel, which tells sensors by their rows of H."""
-        H, own = self.H, np.asarray(self.R)
-        m, step = self.dim_z, self._linear_step()
-        if step is None or not (type(H) is np.ndarray and H.ndim == 2 and len(H) == m):
+        """Correct by a part of the measurement by the kernel."""
+        own, step = np.asarray(self.R), self._linear_step()
+        if step is None or (R is None and own.shape != (self.dim_z, self.dim_z)):
             return False
-        if len({row.tobytes() for row in H}) < m or (R is None and np.shape(own) != (m, m)):
-            return False
-        return bool(step(self, z, own[part, part] if R is None else R, H[part], None))
+        return bool(step(self, z, own[part, part] if R is None else R, part, None))
 
     def _corrected_part(self, z: Any, R: Any, H: Any, part: slice) -> tuple[Any, Array]:
         """Correct by a part of the measurement by the definition; return the correction and the readings."""
@@ -545,10 +544,6 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         self._y = self._K = None
         self._as_posterior()
         return last, values
-
-    def _whole_memory(self) -> Array | None:
-        """Return the memory of all sensors of z under scaling "learnt", None where nothing is learned."""
-        return self._prior(self.dim_z).memory if self._learns_spread else None
 
     def batch_filter(
         self,

@@ -17,7 +17,7 @@ from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.definition import correct, embed_block
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.correction.spread import settled
+from robust_filterpy.correction.spread import begin, settled
 from robust_filterpy.filters.driver import require_finite_correction
 from robust_filterpy.filters.notices import FIRST, LOOKS, PERIOD, look, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
@@ -333,8 +333,7 @@ class Shell(StateMixin):
 
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""
-        memory = self._prior(len(y)).memory if self._learns_spread else None
-        return log_density(y, S, self._choices, memory, self._skips)
+        return log_density(y, S, self._choices, self._memory, self._skips)
 
     def _record(self) -> Any:
         """Return the last correction, or what makes one by `as_arrays`; x_post and P_post belong to it no longer."""
@@ -427,16 +426,6 @@ def _judgement(kf: Any) -> dict[str, Any]:
 # A measurement that `update_sequential` takes up part by part, shown as one correction when that is asked for.
 
 
-class Part(NamedTuple):
-    """A correction by some of the sensors."""
-
-    start: int
-    """Place of the first sensor."""
-    number: int
-    correction: Any
-    """A correction, or what makes one by ``as_arrays``."""
-
-
 class Parts(NamedTuple):
     """Corrections by parts of a measurement, the last one last."""
 
@@ -444,19 +433,19 @@ class Parts(NamedTuple):
     """The correction before the first, or None."""
     sensors: int
     """How many there are in all."""
-    parts: tuple[Part, ...]
-    settings: tuple[Choices, Array | None, bool] | None
+    parts: tuple[tuple[int, int, Any], ...]
+    """Place of the first sensor, how many, and their correction or what makes one by ``as_arrays``."""
+    settings: tuple[Choices, Array, bool] | None
     """What the density of the whole follows from; None where that of the last part is shown."""
 
     @classmethod
-    def of(cls, before: Any, sensors: int, part: Part, settings: Any) -> Parts:
+    def of(cls, before: Any, sensors: int, part: tuple[int, int, Any], settings: Any) -> Parts:
         """Return these with one more; a part that it covers shows nothing any more."""
-        earlier: tuple[Part, ...] = ()
-        if type(before) is cls and before.sensors == sensors:
-            before, earlier = before.before, before.parts
-        end = part.start + part.number
-        left = tuple(p for p in earlier if p.start < part.start or p.start + p.number > end)
-        return cls(before, sensors, (*left, part), settings)
+        if type(before) is not cls or before.sensors != sensors:
+            return cls(before, sensors, (part,), settings)
+        start, end = part[0], part[0] + part[1]
+        left = [p for p in before.parts if p[0] < start or p[0] + p[1] > end]
+        return cls(before.before, sensors, (*left, part), settings)
 
     @property
     def first(self) -> Any:
@@ -466,8 +455,8 @@ class Parts(NamedTuple):
     def as_arrays(self) -> Correction:
         """Return them next to each other."""
         last: Any = as_arrays(self.before)
-        for part in self.parts:
-            last = embed_block(last, as_arrays(part.correction), part.start, self.sensors)
+        for start, _, correction in self.parts:
+            last = embed_block(last, as_arrays(correction), start, self.sensors)
         if self.settings is None:
             return last  # type: ignore[no-any-return]
         seen = np.where(np.isnan(last.weights), np.nan, last.y)
@@ -476,7 +465,7 @@ class Parts(NamedTuple):
     @property
     def outlier_probability(self) -> float:
         """That of the last part."""
-        return getattr(self.parts[-1].correction, "outlier_probability", 0.0)
+        return getattr(self.parts[-1][2], "outlier_probability", 0.0)
 
     @property
     def log_density(self) -> float:
@@ -484,10 +473,11 @@ class Parts(NamedTuple):
         return self.as_arrays().log_density
 
 
-def log_density(y: Array, S: Array, choices: Choices, memory: Array | None, skip: bool) -> float:
+def log_density(y: Array, S: Array, choices: Choices, memory: Array, skip: bool) -> float:
     """Return the log-likelihood of an innovation: the correction of a state without components."""
     nothing, none = np.zeros((0, 0)), np.zeros((0, len(y)))
-    widths = None if memory is None else settled(memory)
+    # Sensors may have joined since.
+    widths = settled(np.concatenate((memory, begin(len(y))))[: len(y)]) if choices.by_typical else None
     return correct(nothing.ravel(), nothing, y, none, S, choices, widths, skip).log_density
 
 

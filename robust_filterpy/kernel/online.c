@@ -121,8 +121,9 @@ int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) {
 
 PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
 
-/* Say which sensors the rows of an H are; 1, 0, or -1 with an exception. */
-static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n) {
+/* Say which sensors the rows of an H are, those from place `first` on or, below 0, the ones with such rows; 1, 0, or -1 with
+   an exception. */
+static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n, npy_intp first) {
     const npy_intp m = c->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0;
     const double *const ours = rows > 0 ? matrix_of(own, rows, n) : NULL;
     const size_t size = (size_t)n * sizeof(double);
@@ -131,9 +132,9 @@ static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, np
         !matrix_of(c->places, PyArray_DIM((PyArrayObject *)c->places, 0), c->width))
         return 0;
     for (npy_intp i = 0; i < m; i++) {
-        c->place[i] = 0, c->key[i] = NULL;
-        while (c->place[i] < rows && memcmp(H + i * n, ours + c->place[i] * n, size)) c->place[i]++;
-        for (npy_intp j = 0; j < i; j++) same |= !memcmp(H + i * n, H + j * n, size);
+        c->place[i] = first < 0 ? 0 : first + i, c->key[i] = NULL;
+        while (first < 0 && c->place[i] < rows && memcmp(H + i * n, ours + c->place[i] * n, size)) c->place[i]++;
+        for (npy_intp j = 0; first < 0 && j < i; j++) same |= !memcmp(H + i * n, H + j * n, size);
     }
     for (npy_intp i = 0; i < m; i++) {
         if (!same && c->place[i] == rows) {
@@ -249,20 +250,25 @@ int take_memory(const correction_rule *rule, sensors *s, PyObject *memory) {
 }
 
 int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s) {
-    PyObject *const R = given_or(h, given[0], own[2]), *const H = R ? given_or(h, given[1], own[3]) : NULL;
+    const int part = PySlice_Check(given[1]), whole = part || given[1] == Py_None;
+    PyObject *const R = given_or(h, given[0], own[2]), *const H = R ? given_or(h, whole ? Py_None : given[1], own[3]) : NULL;
     sensor_rows *const rows = &s->rows;
+    Py_ssize_t first = -1, last, step;
     int outcome;
-    if (!H) return -1;
+    if (!H || (part && PySlice_Unpack(given[1], &first, &last, &step) < 0)) return -1;
     if (own[1] != numpy_inverse || !is_array(H, 2)) return 0;
     s->m = PyArray_DIM((PyArrayObject *)H, 0);
-    if (s->m < 1 || s->m > 10000 || (given[1] == Py_None && s->m != whole_number(own[0]))) return 0;
-    s->H = matrix_of(H, s->m, n), s->R = covariance_of(h, R, s->m);
+    if (s->m < 1 || s->m > 10000 || (whole && s->m != whole_number(own[0]))) return 0;
+    s->H = matrix_of(H, s->m, n);
+    if (part && !(s->H && first >= 0 && first < last && last <= s->m)) return 0;
+    if (part) s->H += first * n, s->m = last - first;
+    s->R = covariance_of(h, R, s->m);
     if (!s->R && PyErr_Occurred()) return -1;
     if (!s->H || !s->R || !take_cross(s, n, given[2])) return 0;
     rows->m = 0;
-    if (rows->width == 0 || H == own[3]) return 1;
+    if (rows->width == 0 || (H == own[3] && !part)) return 1;
     rows->m = s->m, rows->places = own[4], rows->rows = own[5];
-    outcome = take_rows(h, rows, s->H, own[3], n);
+    outcome = take_rows(h, rows, s->H, own[3], n, first);
     if (outcome <= 0) return outcome;
     s->memory = array_of(h, NULL, 2, s->m, rows->width, 0);
     if (!s->memory) return -1;

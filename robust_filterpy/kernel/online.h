@@ -45,7 +45,7 @@ typedef struct {
     const double *learned;   /* its numbers, where it is bounded by psi */
     sensor_rows rows;        /* width and begin are given, width 0 where nothing is learned by rows */
 } sensors;
-/* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors, the last two where
+/* given: R, H and M, or None for the filter's and for none; a slice for H: those rows of the filter's; own: dim_z, inv, R, H, memory, other sensors, the last two where
    something is learned. 1, 0, or -1 with an exception. */
 int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s);
 /* Plain, own where given is None; NULL with an exception. */

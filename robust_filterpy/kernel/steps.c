@@ -547,7 +547,7 @@ PyMethodDef step_functions[] = {
     {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u, B, F, Q), None for its own."},
     {"predict_covariance", covariance_step, METH_O, "Predict a filter's P, and leave x where it is."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
-     "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
+     "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M; a slice for H: those rows."},
     {"correct_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,
      "Correct a filter's state by an innovation: (filter, z, its prediction or None, y or None, C, S, R or None); the "
      "Jacobian for C, and then None for S."},
