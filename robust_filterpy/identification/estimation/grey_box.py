@@ -21,7 +21,7 @@ from robust_filterpy.identification.models.grey_box import (
     GreyBoxModel,
     GreyRecording,
     GreyResiduals,
-    require_inputs,
+    require_functions,
 )
 from robust_filterpy.identification.models.noise import ROUNDING, Noise, Noises
 from robust_filterpy.identification.models.recording import ANY_TIMES, recorded, require_motion
@@ -48,13 +48,13 @@ def identified_grey_box(
     require_motion(outputs, inputs)
     measured = [~np.isnan(outputs[part]) for part in spans]
     recordings = [GreyRecording(recording.times[part], np.nan_to_num(outputs[part]), inputs[part]) for part in spans]
-    _require_functions(structure, recordings[0])
+    require_functions(structure, recordings[0], structure.values)
 
     def of(y: Array, u: Array) -> list[GreyRecording]:
         return [one._replace(y=np.nan_to_num(y[part]), u=u[part]) for one, part in zip(recordings, spans, strict=True)]
 
     def alone(model: GreyBoxModel, y: Array, u: Array) -> Array:
-        equations = structure.residuals_of(of(y, u), model.starts, False)
+        equations = GreyResiduals(structure, of(y, u), model.starts, False)
         equations.settled(model.theta)
         left = equations.residuals(model.theta).reshape(y.shape)
         return np.concatenate([one.y for one in equations.recordings]) - left
@@ -86,7 +86,7 @@ def _modelled(
 ) -> tuple[GreyBoxModel, Array]:
     """Return the model of recordings as they are, and its residuals, NaN where an output is missing, shape (N, p)."""
     starts = np.repeat(structure.x0[None], len(recordings), axis=0)
-    model = structure.residuals_of(recordings, starts, structure.start == "free")
+    model = GreyResiduals(structure, recordings, starts, structure.start == "free")
     if not model.settled(model.first):
         raise ValueError(
             "p0: expected first guesses with which f has finite outputs; the equations are unstable there, or too "
@@ -113,19 +113,6 @@ def _modelled(
     return _as_model(structure, model, end, rows, limits), np.where(good, end.residual.reshape(good.shape), np.nan)
 
 
-def _require_functions(structure: GreyBox, one: GreyRecording) -> None:
-    """Raise unless f and h return what they should."""
-    p = np.array([*structure.p0.values()])
-    require_inputs(structure, one, p)
-    for name, function, size in (("f", structure.f, structure.x0.size), ("h", structure.h, one.y.shape[1])):
-        value = structure.x0 if function is None else np.asarray(function(structure.x0, one.u[0], p), dtype=float)
-        if np.size(value) != size:
-            what = "one derivative for each state" if name == "f" else "one number for each output"
-            raise ValueError(f"{name}: expected {what}, {size} of them, got {np.size(value)}")
-        if not np.isfinite(value).all():
-            raise ValueError(f"{name}: expected finite numbers with p0 and x0, got {value}")
-
-
 def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, limits: Limits) -> GreyBoxModel:
     """Return what was found, with what the recording cannot tell."""
     z, noise, k = end.p, end.noise, model.k
@@ -139,7 +126,6 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, lim
     P[unseen, unseen] = np.inf
     total = rows.sum() / max(rows.sum() - model.n, 1)
     values = structure.p0 | dict(zip(structure.free_names, theta.tolist(), strict=True))
-    starts = np.array([model.start(z, i) for i in range(len(model.recordings))])
     doubt = [
         f"the recording cannot tell {' and '.join(names)}" + (" apart" if len(names) > 1 else "")
         for names in unidentifiable
@@ -151,9 +137,10 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, lim
         if name in structure.free_names and not low + near < values[name] < high - near:
             doubt.append(f"{name} is at its bound, {values[name]:.4g}")
     return GreyBoxModel(
-        structure=structure, p=values, theta=theta, P=P, starts=starts, unidentifiable=unidentifiable, colour=colour,
+        structure=structure, p=values, theta=theta, P=P, starts=model.starts_of(z), colour=colour,
         noise=tuple(replace(one, R=one.R * total) for one in noise.parts), warning="; ".join(doubt),
         weights=weights.reshape(-1, len(noise.parts)), log_likelihood=noise.log_likelihood(residual),
+        unidentifiable=unidentifiable,
     )  # fmt: skip
 
 

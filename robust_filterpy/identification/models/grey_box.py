@@ -62,33 +62,25 @@ class GreyResiduals:
 
     Parameters
     ----------
-    f, h : function
-        As of a `GreyBox`, of the free parameters; h gives the outputs.
+    structure : GreyBox
+        The equations.
     recordings : list of GreyRecording
         What was recorded.
-    p : ndarray, shape (k,)
-        First guesses.
-    bounds : ndarray, shape (k, 2)
-        Least and largest values.
     starts : ndarray, shape (n_recordings, n)
         States in the first samples.
     free_start : bool
         Whether these are free.
-    linear : bool
-        Whether inputs go in straight lines from sample to sample; else they are held.
     """
 
-    def __init__(
-        self, f: Callable[..., Any], h: Callable[..., Any], recordings: list[GreyRecording], p: Array, bounds: Array,
-        starts: Array, free_start: bool, linear: bool,
-    ) -> None:  # fmt: skip
-        """Find out whether f takes columns, and how many steps it needs."""
-        self._f, self._h, self.recordings, self.linear = f, h, recordings, linear
-        self.starts, self.free_start, self.k = starts, free_start, p.size
-        self.first = np.concatenate((p, starts.ravel() if free_start else []))
+    def __init__(self, structure: GreyBox, recordings: list[GreyRecording], starts: Array, free_start: bool) -> None:
+        """Find out whether f takes columns."""
+        self.structure, self.recordings, self.starts, self.free_start = structure, recordings, starts, free_start
+        self._at, self._values = [structure.names.index(name) for name in structure.free_names], structure.values
+        self.k = len(self._at)
+        self.first = np.concatenate((self._values[self._at], starts.ravel() if free_start else []))
         self.size, self.n = np.where(self.first == 0.0, 1.0, np.abs(self.first)), self.first.size
-        wide = np.full(self.n - self.k, np.inf)
-        self.lower, self.upper = np.append(bounds[:, 0], -wide), np.append(bounds[:, 1], wide)
+        bounds = [structure.limits.get(name, (-np.inf, np.inf)) for name in structure.free_names]
+        self.lower, self.upper = np.array([*bounds, *[(-np.inf, np.inf)] * (self.n - self.k)]).T
         self.steps, self._columns = 1, False
         self._columns = self._takes_columns()
 
@@ -127,29 +119,33 @@ class GreyResiduals:
         """Tell whether there are outputs at all: a trial that overflows is no step."""
         return bool(np.isfinite(z).all())
 
-    def start(self, z: Array, i: int) -> Array:
-        """Return the state in the first sample of a recording."""
-        if not self.free_start:
-            own = self.starts[i]
-            return np.repeat(own[:, None], z.shape[1], axis=1) if z.ndim == 2 else own
-        n = self.starts.shape[1]
-        return z[self.k + i * n : self.k + (i + 1) * n]
+    def starts_of(self, z: Array) -> Array:
+        """Return the states in which the recordings begin, shape (n_recordings, n) or, for columns, (.., m)."""
+        if self.free_start:
+            return z[self.k :].reshape(*self.starts.shape, *z.shape[1:])
+        return np.repeat(self.starts[..., None], z.shape[1], axis=2) if z.ndim == 2 else self.starts
 
     def _outputs(self, z: Array, i: int) -> Array:
         """Return the outputs of a recording, shape (N, p, m), for columns of free parameters."""
         if not self._columns and z.shape[1] > 1:
             return np.concatenate([self._outputs(z[:, j : j + 1], i) for j in range(z.shape[1])], axis=2)
-        t, y, u = self.recordings[i]
-        p, x = z[: self.k], self.start(z, i)
+        (t, y, u), linear = self.recordings[i], self.structure.between == "lines"
+        p, x = self._whole(z[: self.k]), self.starts_of(z)[i]
         if not self._columns:
             p, x = p[:, 0], x[:, 0]
         outputs = np.empty((*y.shape, z.shape[1]))
         with np.errstate(all="ignore"):
             for k in range(len(t)):
-                outputs[k] = np.reshape(self._of(self._h, x, u[k], p), (y.shape[1], -1))
+                outputs[k] = np.reshape(self._of(self.structure.h, x, u[k], p), (y.shape[1], -1))
                 if k + 1 < len(t):
-                    x = self._moved(x, u[k], u[k + 1] if self.linear else u[k], p, t[k + 1] - t[k])
+                    x = self._moved(x, u[k], u[k + 1] if linear else u[k], p, t[k + 1] - t[k])
         return outputs
+
+    def _whole(self, p: Array) -> Array:
+        """Return all parameters of the equations, or columns of them, for those that are free."""
+        whole = np.broadcast_to(self._values.reshape(-1, *[1] * (p.ndim - 1)), (self._values.size, *p.shape[1:])).copy()
+        whole[self._at] = p
+        return whole
 
     def _moved(self, x: Array, u: Array, then: Array, p: Array, span: float) -> Array:
         """Return the state at the next sample."""
@@ -157,17 +153,17 @@ class GreyResiduals:
         for j in range(self.steps):
             a, b = (u + (then - u) * ((j + at) / self.steps) for at in (0.0, 1.0))
             middle = 0.5 * (a + b)
-            k1 = self._of(self._f, x, a, p)
-            k2 = self._of(self._f, x + 0.5 * step * k1, middle, p)
-            k3 = self._of(self._f, x + 0.5 * step * k2, middle, p)
-            k4 = self._of(self._f, x + step * k3, b, p)
+            k1 = self._of(self.structure.f, x, a, p)
+            k2 = self._of(self.structure.f, x + 0.5 * step * k1, middle, p)
+            k3 = self._of(self.structure.f, x + 0.5 * step * k2, middle, p)
+            k4 = self._of(self.structure.f, x + step * k3, b, p)
             x = x + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         return x
 
-    def _of(self, function: Callable[..., Any], x: Array, u: Array, p: Array) -> Array:
-        """Return what a function of the user's says, one row a state or output."""
+    def _of(self, function: Callable[..., Any] | None, x: Array, u: Array, p: Array) -> Array:
+        """Return what a function of the user's says, one row a state or output; without h outputs are the states."""
         try:
-            values = function(x, u, p)
+            values = x if function is None else function(x, u, p)
             if x.ndim == 1:
                 return np.asarray(values, dtype=float).ravel()
             return np.stack([np.broadcast_to(np.asarray(row, dtype=float), x.shape[1:]) for row in values])
@@ -177,10 +173,9 @@ class GreyResiduals:
 
     def _takes_columns(self) -> bool:
         """Tell whether f and h do with columns what they do one by one."""
-        one = self.recordings[0]
-        p, x, u = self.first[: self.k], self.starts[0], one.u[0]
+        p, x, u = self._whole(self.first[: self.k]), self.starts[0], self.recordings[0].u[0]
         columns = [np.stack((v, 1.01 * v, v), axis=1) for v in (x, p)]
-        for function in (self._f, self._h):
+        for function in (self.structure.f, self.structure.h):
             single = self._of(function, x, u, p)
             other = self._of(function, 1.01 * x, u, 1.01 * p)
             try:
@@ -194,16 +189,18 @@ class GreyResiduals:
         return True
 
 
-def require_inputs(structure: Any, one: GreyRecording, p: Array) -> None:
-    """Raise unless equations take the inputs of a recording."""
-    for name, function in (("f", structure.f), ("h", structure.h)):
+def require_functions(structure: GreyBox, one: GreyRecording, p: Array) -> None:
+    """Raise unless f and h take the inputs of a recording and return what they should."""
+    for name, function, size in (("f", structure.f, structure.x0.size), ("h", structure.h, one.y.shape[1])):
         try:
-            if function is not None:
-                function(structure.x0, one.u[0], p)
+            value: Any = structure.x0 if function is None else function(structure.x0, one.u[0], p)
         except (IndexError, ValueError, TypeError) as error:
             raise ValueError(
                 f"u: expected the inputs that {name} takes, got {one.u.shape[1]} of them ({error})"
             ) from None
+        if np.size(value) != size:
+            what = "one derivative for each state" if name == "f" else "one number for each output"
+            raise ValueError(f"{name}: expected {what}, {size} of them, got {np.size(value)}")
 
 
 _UNSETTLED: Final = "f: expected outputs that are finite; the equations are unstable or too stiff between samples"
@@ -279,8 +276,7 @@ class GreyBox:
                 raise ValueError(f"p0: expected a parameter {name!r}, got {', '.join(self.p0)}")
         if not self.free_names:
             raise ValueError("fixed: expected at least one parameter that is free, got all of them")
-        values = np.array([*self.p0.values(), *self.x0])
-        if not np.isfinite(values).all():
+        if not np.isfinite([*self.values, *self.x0]).all():
             raise ValueError("p0: expected finite first guesses, got NaN or inf")
         for name, (low, high) in self.limits.items():
             if not low < self.p0[name] < high:
@@ -308,38 +304,10 @@ class GreyBox:
             limits[name] = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
         return limits
 
-    def residuals_of(self, recordings: list[GreyRecording], starts: Array, free_start: bool) -> GreyResiduals:
-        """Return what gives the residuals of recordings.
-
-        Parameters
-        ----------
-        recordings : list of GreyRecording
-            What was recorded.
-        starts : ndarray, shape (n_recordings, n)
-            States in the first samples.
-        free_start : bool
-            Whether these are free.
-
-        Returns
-        -------
-        GreyResiduals
-        """
-        at = [self.names.index(name) for name in self.free_names]
-        values, h = np.array([*self.p0.values()]), self.h
-        bounds = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.free_names])
-
-        def whole(p: Array) -> Array:
-            parameters = np.repeat(values[:, None], p.shape[1], axis=1) if p.ndim == 2 else values.copy()
-            parameters[at] = p
-            return parameters
-
-        def f(x: Array, u: Array, p: Array) -> Any:
-            return self.f(x, u, whole(p))
-
-        def outputs(x: Array, u: Array, p: Array) -> Any:
-            return x if h is None else h(x, u, whole(p))
-
-        return GreyResiduals(f, outputs, recordings, values[at], bounds, starts, free_start, self.between == "lines")
+    @property
+    def values(self) -> Array:
+        """First guesses of all parameters."""
+        return np.array([*self.p0.values()])
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -418,8 +386,8 @@ class GreyBoxModel(Identified):
         if start.shape != self.structure.x0.shape:
             raise ValueError(f"x0: expected {self.structure.x0.size} states, got shape {start.shape}")
         recording = GreyRecording(given.times, samples, given.u)
-        require_inputs(self.structure, recording, np.array([*self.p.values()]))
-        model = self.structure.residuals_of([recording], start[None], False)
+        require_functions(self.structure, recording, np.array([*self.p.values()]))
+        model = GreyResiduals(self.structure, [recording], start[None], False)
         if not model.settled(self.theta):
             raise ValueError(_UNSETTLED)
         return -model.residuals(self.theta).reshape(samples.shape)
@@ -459,12 +427,12 @@ class GreyBoxModel(Identified):
         if shape[1] != len(self.noise):
             raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
         recording = GreyRecording(given.times, np.nan_to_num(given.y - trend_of(self.trends, given.y)), given.u)
-        require_inputs(self.structure, recording, p)
+        require_functions(self.structure, recording, p)
         rows, free = ~np.isnan(given.y).ravel(), self.structure.start == "free"
         noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
-            model = self.structure.residuals_of([recording], start[None], free)
+            model = GreyResiduals(self.structure, [recording], start[None], free)
             z = np.concatenate((self.theta, start if free else []))
             if model.settled(z):
                 z = _likeliest(model, z, noise, rows) if free else z
