@@ -51,7 +51,7 @@ def steps(A, B, C):
 def label_knowing(A, B, C, y, u, wrong):
     """Return the step responses of the least squares of what is no outlier, from the truth."""
     model = StateSpaceResiduals(ORDER, [(y, u)], False, False)
-    q = model.packed(Matrices(A, B, C, 0, 0, 0, 0), np.median(y, axis=0)[None] * 0.0, np.zeros((1, ORDER)))
+    q = model.packed(Matrices(A, B, C, 0, 0, 0, 0), np.zeros(OUTPUTS + ORDER))
     rows = ~wrong.ravel()
     which = np.tile(np.arange(OUTPUTS), len(y))[rows]
     noise = Noises(tuple(Noise(Linear(), 1.0) for _ in range(OUTPUTS)), which)

@@ -220,7 +220,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     units = Units.of(y[:, None], signal, problem.spans, offset)
     units = units._replace(y=np.where(units.y > 0.0, units.y, 1.0))
     unit = float(units.y[0])
-    model = problem.residuals_of(units.normal(y[:, None])[:, 0], signal / units.u)
+    model = problem.residuals_of(np.nan_to_num(units.normal(y[:, None])[:, 0]), signal / units.u)
     _require_samples(problem, missing, model.first)
     require_informative(model, missing)
     with one_thread():
@@ -294,8 +294,8 @@ class Units(NamedTuple):
         return cls(centre, np.array(sizes), np.where(rms > 0.0, rms, 1.0), tuple(part.start for part in spans))
 
     def normal(self, y: Array) -> Array:
-        """Return outputs from their centers in their scales, 0 where they are missing."""
-        return np.clip(np.nan_to_num((y - self.centre) / self.y, nan=0.0), -_LARGEST, _LARGEST)
+        """Return outputs from their centers in their scales."""
+        return np.clip((y - self.centre) / self.y, -_LARGEST, _LARGEST)
 
     def levels(self) -> Array:
         """Return the centers of each recording, shape (k, p)."""

@@ -246,10 +246,9 @@ def _refitted(model: PolynomialModel, rows: Any, f: Array) -> Array:
     return _with_linear(model, p, free, rows)
 
 
-def predictor_start(model: StateSpaceResiduals, measured: list[Any], cleaned: list[Array], reach: int) -> Array | None:
+def predictor_start(model: StateSpaceResiduals, cleaned: list[Array], reach: int) -> Array | None:
     """Return the start from a long autoregression of cleaned outputs."""
-    p, m, n = model.outputs, model.inputs, model.order
-    feeds = bool(model.shapes["D"][1])
+    p, m, n, feeds = model.outputs, model.inputs, model.order, model.feedthrough
     reach = max(reach, n // p + 1)
     past, now, ahead = [], [], []
     for (_, u), y in zip(model.recordings, cleaned, strict=True):
@@ -289,20 +288,19 @@ def predictor_start(model: StateSpaceResiduals, measured: list[Any], cleaned: li
     C = lstsq(direct, F[:, :p])[0]
     e = F[:, :p] - direct @ C
     moved = lstsq(np.hstack((states, U[:, :m], e))[inside], states[inside + 1])[0].T
-    K = moved[:, n + m :] if model.shapes["K"][1] else None
-    return _from(model, measured, moved[:, :n], C[:n].T, K)
+    K = moved[:, n + m :] if model.disturbance else None
+    return _from(model, moved[:, :n], C[:n].T, K)
 
 
-def _from(model: StateSpaceResiduals, measured: list[Any], A: Array, C: Array, K: Array | None) -> Array:
+def _from(model: StateSpaceResiduals, A: Array, C: Array, K: Array | None) -> Array:
     """Return the start with these matrices, and all else by robust regression."""
     n, p, m, zero = model.order, model.outputs, model.inputs, np.zeros
-    count = len(model.recordings)
     one = Matrices(_inside(A), zero((n, m)), C, zero((p, m)), zero((n, p)) if K is None else K, zero(n), zero(p))
-    q, free = model.packed(one, zero((count, p)), zero((count, n))), np.ones(model.n, dtype=bool)
+    q, free = model.packed(one, zero((len(model.recordings), p + n))), np.ones(model.n, dtype=bool)
     gain = q[model.places["K"]].copy() if model.is_stable(q) else 0.0
     q[model.places["K"]] = 0.0
     for name in ("A", "C", "K"):
         free[model.places[name]] = False
-    _with_linear(model, q, free, np.concatenate([part.ravel() for part in measured]))
+    _with_linear(model, q, free, model.rows)
     q[model.places["K"]] = gain
     return q

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -13,7 +14,6 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.disturbances import Explanation, Search, of_impulses
 from robust_filterpy.identification.estimation.estimate import Units
 from robust_filterpy.identification.estimation.prediction_error import (
-    Limits,
     evidence_of_outputs,
     minimised,
     one_thread,
@@ -42,13 +42,17 @@ class _Found(NamedTuple):
     model: StateSpaceResiduals
     q: Array
     noise: Noises
-    rows: Any
-    converged: bool
+    converged: bool = False
+
+    @property
+    def residual(self) -> Array:
+        """Of the outputs that are measured."""
+        return self.model.residuals(self.q)[self.model.rows]
 
     @property
     def log_likelihood(self) -> float:
         """Of the outputs that are measured."""
-        return self.noise.log_likelihood(self.model.residuals(self.q)[self.rows])
+        return self.noise.log_likelihood(self.residual)
 
     @property
     def free(self) -> int:
@@ -58,7 +62,28 @@ class _Found(NamedTuple):
     @property
     def criterion(self) -> float:
         """Its information criterion."""
-        return -2.0 * self.log_likelihood + np.log(self.rows.sum()) * self.free
+        return -2.0 * self.log_likelihood + np.log(self.model.rows.sum()) * self.free
+
+    def descended(self, *most_steps: int) -> _Found:
+        """Return where the search goes on to."""
+        rows = self.model.rows
+        end = minimised(self.model, self.q, self.noise, rows, rows, *most_steps)
+        return self._replace(q=end.p, noise=end.noise, converged=end.converged)
+
+    def reweighed(self) -> _Found:
+        """Return the same with a model in whose states no outlier and no gap enters."""
+        one = self._replace(model=copy(self.model))
+        for _ in range(2):
+            one.model.weights = one.model.believed(one.q, one.noise)
+        return one
+
+    def cleaned(self) -> list[Array]:
+        """Return outputs with what the model says in the place of outliers and gaps."""
+        each = zip(
+            self.model.recordings, self.model.believed(self.q, self.noise),
+            self.model.split(self.model.residuals(self.q)), strict=True,
+        )  # fmt: skip
+        return [np.where(weights > _BELIEVED, y, y - left) for (y, _), weights, left in each]
 
 
 def identified_state_space(
@@ -75,7 +100,7 @@ def identified_state_space(
         return np.concatenate([of(y[part], u[part]) for part in spans])
 
     def find(u: Array, levels: Array, columns: Any, end: Any) -> Explanation:
-        model = _modelled(recording._replace(y=recording.y - levels, u=u), spans, structure, influence)
+        model = _modelled(recording._replace(y=recording.y - levels, u=u), structure, influence)
         left = each(recording.y - levels, u, model.residuals)
         return Explanation(model, levels, u, evidence_of_outputs(model.noise, left, spans))
 
@@ -97,24 +122,21 @@ def identified_state_space(
     return replace(model, findings=(*recording.findings, *best.findings, *left), trends=trends)
 
 
-def _modelled(
-    recording: Recording, spans: tuple[slice, ...], structure: StateSpace, influence: Influence | None
-) -> StateSpaceModel:
+def _modelled(recording: Recording, structure: StateSpace, influence: Influence | None) -> StateSpaceModel:
     """Return the model of recordings as they are."""
-    rest, units, parts, measured = _scaled(recording, spans)
+    rest, units, parts = _scaled(recording)
     orders = structure.orders
-    _require_informative(structure, parts, measured, min(orders))
+    models = [StateSpaceResiduals(n, parts, structure.feedthrough, structure.disturbance) for n in orders]
+    _require_informative(structure, models[0])
     tried: list[_Found] = []
-    for n in orders:
-        if tried and not _enough(structure, parts, measured, n):
+    for model in models:
+        if tried and not _enough(model):
             break
-        tried.append(_searched(structure, n, parts, measured, influence))
+        tried.append(_searched(model, parts, influence))
         best = int(np.argmin([fit.criterion for fit in tried]))
         if len(tried) - 1 - best == _PATIENCE:
             break
-    one = tried[best].model.matrices(tried[best].q)
-    T = balancing(one.A, one.B, one.C)
-    model = _in_units(tried[best], T, units, recording, spans, measured, rest, structure)
+    model = _in_units(tried[best], units, recording, rest, structure)
     return replace(model, orders=tuple((n, fit.criterion) for n, fit in zip(orders, tried, strict=False)))
 
 
@@ -127,9 +149,9 @@ def _driven(model: StateSpaceModel, output: Array) -> Array:
     return np.asarray(dlsim(system, deviation)[1])
 
 
-def _scaled(recording: Recording, spans: Any) -> tuple[Array, Units, list[tuple[Array, Array]], list[Any]]:
-    """Return where inputs rest, the units, recordings in these, and what of them is measured; outputs must vary."""
-    rest = operating_point(recording.u)
+def _scaled(recording: Recording) -> tuple[Array, Units, list[tuple[Array, Array]]]:
+    """Return where inputs rest, the units, and recordings in these; outputs must vary."""
+    rest, spans = operating_point(recording.u), recording.spans
     for i, part in enumerate(spans):
         for j in np.flatnonzero(np.isnan(recording.y[part]).all(axis=0)):
             raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
@@ -137,40 +159,30 @@ def _scaled(recording: Recording, spans: Any) -> tuple[Array, Units, list[tuple[
     for j in np.flatnonzero(units.y <= 1e-12 * np.abs(units.centre).max(axis=0)):
         raise ValueError(f"y: expected outputs that vary, got the same value throughout in output {j}")
     y, u = units.normal(recording.y), (recording.u - rest) / units.u
-    return rest, units, [(y[part], u[part]) for part in spans], [~np.isnan(recording.y[part]) for part in spans]
+    return rest, units, [(y[part], u[part]) for part in spans]
 
 
-def _first_noise(model: StateSpaceResiduals, rows: Any, influence: Influence | None) -> Noises:
-    """Return the noise of each residual that counts to begin with."""
-    which = np.concatenate([np.tile(np.arange(model.outputs), len(y)) for y, _ in model.recordings])[rows]
-    outputs = np.concatenate([y for y, _ in model.recordings]).T
-    return Noises(tuple(Noise(influence or Huber(), 1.0, False, least_variance(y, 1.0)) for y in outputs), which)
-
-
-def _enough(structure: StateSpace, parts: Any, measured: Any, n: int) -> bool:
+def _enough(model: StateSpaceResiduals) -> bool:
     """Tell whether there are twice as many measured outputs as free parameters."""
-    p, m = parts[0][0].shape[1], parts[0][1].shape[1]
-    free = n * (m + p + p * structure.disturbance) + p * m * structure.feedthrough + len(parts) * (p + n)
-    return min(sum(int(good[:, j].sum()) for good in measured) for j in range(p)) * p >= 2 * free
+    return int(np.bincount(model.which).min()) * model.outputs >= 2 * (model.n - model.order**2)
 
 
-def _require_informative(structure: StateSpace, parts: Any, measured: Any, n: int) -> None:
+def _require_informative(structure: StateSpace, model: StateSpaceResiduals) -> None:
     """Raise unless the recordings are long enough and the inputs excite them."""
-    samples = sum(len(y) for y, _ in parts)
-    if not _enough(structure, parts, measured, n):
+    parts, n = model.recordings, model.order
+    if not _enough(model):
         raise ValueError(
-            f"y: expected more samples for {structure} with {parts[0][0].shape[1]} outputs and {parts[0][1].shape[1]} "
-            f"inputs, got {samples}; record more, or take a smaller order"
+            f"y: expected more samples for {structure} with {model.outputs} outputs and {model.inputs} inputs, got "
+            f"{sum(len(y) for y, _ in parts)}; record more, or take a smaller order"
         )
     for i, (y, _) in enumerate(parts):
         if len(y) <= n + 1:
             raise ValueError(f"y: expected more than {n + 1} samples in each recording, got {len(y)} in recording {i}")
+    for i, columns in enumerate(zip(*(u.T for _, u in parts), strict=True)):
+        if not any(one.any() for one in columns) or all(np.ptp(one) == 0.0 for one in columns):
+            raise ValueError(f"u: expected inputs that move the outputs, got input {i} constant: {columns[0][0]:.6g}")
     lags = n + 1
-    rows = [np.hstack([u[lags - 1 - j : len(u) - j] for j in range(lags)]) for _, u in parts if len(u) > lags]
-    X = np.concatenate(rows)
-    for i, column in enumerate(parts[0][1].T):
-        if not any(part[1][:, i].any() for part in parts) or all(np.ptp(part[1][:, i]) == 0.0 for part in parts):
-            raise ValueError(f"u: expected inputs that move the outputs, got input {i} constant: {column[0]:.6g}")
+    X = np.concatenate([np.hstack([u[lags - 1 - j : len(u) - j] for j in range(lags)]) for _, u in parts])
     X = X - X.mean(axis=0)
     values = np.linalg.svd(X / np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny), compute_uv=False)
     if values[-1] <= _RANK * values[0] or values.size < X.shape[1]:
@@ -180,138 +192,89 @@ def _require_informative(structure: StateSpace, parts: Any, measured: Any, n: in
         )
 
 
-def _searched(structure: StateSpace, n: int, parts: Any, measured: Any, influence: Influence | None) -> _Found:
-    """Search from every start."""
-    model = StateSpaceResiduals(n, parts, structure.feedthrough, False)
-    rows = np.concatenate([good.ravel() for good in measured])
-    first = _first_noise(model, rows, influence)
+def _searched(whole: StateSpaceResiduals, parts: list[tuple[Array, Array]], influence: Influence | None) -> _Found:
+    """Search from every start, without a K first."""
+    model = StateSpaceResiduals(whole.order, parts, whole.feedthrough, False)
+    outputs = np.concatenate([y for y, _ in model.recordings]).T
+    first = Noises(tuple(Noise(influence or Huber(), 1.0, False, least_variance(y, 1.0)) for y in outputs), model.which)
     ends: list[_Found] = []
-    cleaned = [y for y, _ in parts]
+    cleaned = [y for y, _ in model.recordings]
     for turn in ("as they are", "without outliers"):
-        stage(f"{n} states, search from long autoregressions, outputs {turn}")
-        starts = [predictor_start(model, measured, cleaned, reach) for reach in _REACHES]
-        ends += [_descended(model, start, first, rows) for start in starts if start is not None]
+        stage(f"{model.order} states, search from long autoregressions, outputs {turn}")
+        for start in _starts(model, cleaned):
+            end = _Found(model, start, first).descended(_FIRST_STEPS)
+            ends.append(end._replace(noise=end.noise.learnt().refitted(end.residual, 30)))
         if not ends:
-            raise ValueError(f"y: expected a recording long enough for a start of order {n}; record more")
-        cleaned = _cleaned(max(ends, key=lambda end: end.log_likelihood), measured)
-    best = max(ends, key=lambda end: end.log_likelihood)
-    fit = _settled(best, influence)
-    if not structure.disturbance:
-        return fit
-    return _with_disturbance(structure, fit, measured, influence)
-
-
-def _descended(
-    model: StateSpaceResiduals, start: Array, noise: Noises, rows: Any, limits: Limits | None = None
-) -> _Found:
-    """Return where a few steps from a start lead."""
-    end = minimised(model, start, noise, rows, rows, _FIRST_STEPS, limits)
-    return _Found(model, end.p, end.noise.learnt().refitted(end.residual[rows], 30), rows, end.converged)
-
-
-def _settled(fit: _Found, influence: Influence | None, limits: Limits | None = None) -> _Found:
-    """Return where the search ends with the noise learned, or with the loss that was asked for."""
-    noise = fit.noise
+            raise ValueError(f"y: expected a recording long enough for a start of order {model.order}; record more")
+        best = max(ends, key=lambda end: end.log_likelihood)
+        cleaned = best.cleaned()
     if influence is not None:
-        noise = noise._replace(parts=tuple(replace(one, influence=influence) for one in noise.parts))
-    end = minimised(fit.model, fit.q, noise, fit.rows, fit.rows, limits=limits)
-    return fit._replace(q=end.p, noise=end.noise, converged=end.converged)
+        asked = tuple(replace(one, influence=influence) for one in best.noise.parts)
+        best = best._replace(noise=best.noise._replace(parts=asked))
+    best = best.descended()
+    return _with_disturbance(whole, best) if whole.disturbance else best
 
 
-def _cleaned(fit: _Found, measured: Any) -> list[Array]:
-    """Return outputs with what the model says in the place of outliers and gaps."""
-    residual, outputs, begin = fit.model.residuals(fit.q), [], 0
-    weights = np.zeros(residual.size)
-    weights[fit.rows] = fit.noise.weights(residual[fit.rows])
-    for y, _ in fit.model.recordings:
-        part = slice(begin, begin + y.size)
-        begin += y.size
-        own = residual[part].reshape(y.shape)
-        outputs.append(np.where(weights[part].reshape(y.shape) > _BELIEVED, y, y - own))
-    return outputs
+def _starts(model: StateSpaceResiduals, cleaned: list[Array]) -> list[Array]:
+    """Return the starts from long autoregressions that there are."""
+    starts = [predictor_start(model, cleaned, reach) for reach in _REACHES]
+    return [start for start in starts if start is not None]
 
 
-def _with_disturbance(structure: StateSpace, fit: _Found, measured: Any, influence: Influence | None) -> _Found:
+def _with_disturbance(model: StateSpaceResiduals, fit: _Found) -> _Found:
     """Return the end of the search with a K, the weights of the innovations in turns with the parameters."""
-    n, parts = fit.model.order, fit.model.recordings
-    model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
-    one = fit.model.matrices(fit.q)
-    own = fit.q[fit.model.shared :].reshape(len(parts), -1)
-    zero = model.packed(one, own[:, : model.outputs], own[:, model.outputs :])
-    cleaned = _cleaned(fit, measured)
-    starts = [zero] + [s for reach in _REACHES if (s := predictor_start(model, measured, cleaned, reach)) is not None]
+    zero = model.packed(fit.model.matrices(fit.q), fit.q[fit.model.shared :])
     ends = []
-    for start in starts:
-        model = StateSpaceResiduals(n, parts, structure.feedthrough, True)
-        model.weights = [good.astype(float) for good in measured]
+    for start in (zero, *_starts(model, fit.cleaned())):
         end = fit._replace(model=model, q=start)
         for _ in range(_TURNS):
-            _weigh(end, measured)
-            done = minimised(model, end.q, end.noise, end.rows, end.rows, _FIRST_STEPS)
-            end = end._replace(q=done.p, noise=done.noise, converged=done.converged)
+            end = end.reweighed().descended(_FIRST_STEPS)
         ends.append(end)
     best = max(ends, key=lambda end: end.log_likelihood)
     for _ in range(2 * _TURNS):
-        _weigh(best, measured)
-        before = best.log_likelihood
-        done = minimised(best.model, best.q, best.noise, best.rows, best.rows)
-        best = best._replace(q=done.p, noise=done.noise, converged=done.converged)
+        best = best.reweighed()
+        before, best = best.log_likelihood, best.descended()
         if abs(best.log_likelihood - before) < 1e-3:
             break
     return best
 
 
-def _weigh(fit: _Found, measured: Any) -> None:
-    """Let outliers and gaps not enter the states."""
-    for _ in range(2):
-        residual = fit.model.residuals(fit.q)
-        weights = np.zeros(residual.size)
-        weights[fit.rows] = fit.noise.weights(residual[fit.rows])
-        ends = np.cumsum([good.size for good in measured])[:-1]
-        fit.model.weights = [w.reshape(good.shape) for w, good in zip(np.split(weights, ends), measured, strict=True)]
-
-
-def _in_units(
-    fit: _Found, T: Array, units: Units, recording: Recording, spans: Any, measured: Any, rest: Array,
-    structure: StateSpace,
-) -> StateSpaceModel:  # fmt: skip
-    """Return the model in another basis, for the recordings as they were measured."""
-    one, n, p = fit.model.matrices(fit.q), fit.model.order, fit.model.outputs
+def _in_units(fit: _Found, units: Units, recording: Recording, rest: Array, structure: StateSpace) -> StateSpaceModel:
+    """Return the model in a balanced basis, for the recordings as they were measured."""
+    one, p = fit.model.matrices(fit.q), fit.model.outputs
+    T = balancing(one.A, one.B, one.C)
     inverse = np.linalg.inv(T)
-    own = fit.q[fit.model.shared :].reshape(len(spans), -1)
+    own = fit.q[fit.model.shared :].reshape(len(recording.spans), -1)
     Sy, Su = units.y, 1.0 / units.u
     matrices = Matrices(
         inverse @ one.A @ T, inverse @ one.B * Su, Sy[:, None] * (one.C @ T), Sy[:, None] * one.D * Su,
         inverse @ one.K / Sy, one.start, one.level,
     )  # fmt: skip
     levels = own[:, :p] * Sy + units.levels()
-    starts = own[:, p:] @ inverse.T
-    parts = [(np.nan_to_num(recording.y[part]), recording.u[part] - rest) for part in spans]
-    model = StateSpaceResiduals(n, parts, structure.feedthrough, structure.disturbance)
+    parts = [(recording.y[part], recording.u[part] - rest) for part in recording.spans]
+    model = StateSpaceResiduals(fit.model.order, parts, structure.feedthrough, structure.disturbance)
     model.weights = fit.model.weights
-    q, rows = model.packed(matrices, levels, starts), fit.rows
-    residual = model.residuals(q)
+    q, rows = model.packed(matrices, np.hstack((levels, own[:, p:] @ inverse.T))), model.rows
     scaled = tuple(one.times(size) for one, size in zip(fit.noise.parts, Sy, strict=True))
-    noise = fit.noise._replace(parts=scaled)
-    P, colour = sandwich(model.jacobian(q)[rows], residual[rows], noise, model.shared)
-    weights = np.full(residual.size, np.nan)
-    weights[rows] = noise.weights(residual[rows])
+    noise, residual = fit.noise._replace(parts=scaled), model.residuals(q)[rows]
+    P, colour = sandwich(model.jacobian(q)[rows], residual, noise, model.shared)
     total = rows.sum() / max(rows.sum() - fit.free, 1)
-    s, last = model.shared, slice(model.n - n - p, model.n - n)
+    s, last = model.shared, slice(model.n - model.order - p, model.n - model.order)
     final = model.matrices(q)
     return StateSpaceModel(
-        structure=replace(structure, n=n), A=final.A, B=final.B, C=final.C, D=final.D, K=final.K, level=final.level,
-        P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
-        noise=tuple(replace(one, R=one.R * total) for one in scaled), weights=weights.reshape(-1, p),
-        log_likelihood=noise.log_likelihood(residual[rows]), warning=_doubt(fit), end=model.states(q, -1)[-1],
+        structure=replace(structure, n=model.order), A=final.A, B=final.B, C=final.C, D=final.D, K=final.K,
+        level=final.level, P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
+        noise=tuple(replace(one, R=one.R * total) for one in scaled),
+        weights=np.where(np.isnan(recording.y), np.nan, np.vstack(model.believed(q, noise))),
+        log_likelihood=noise.log_likelihood(residual), warning=_doubt(fit), end=model.states(q, -1)[-1],
         operating_point=rest, dt=recording.axis.dt, levels=levels, colour=colour,
     )  # fmt: skip
 
 
 def _doubt(fit: _Found) -> str:
     """Say what makes the estimate doubtful, or nothing."""
-    root = np.sqrt(fit.noise.weights(fit.model.residuals(fit.q)[fit.rows]) / fit.noise.variance)
-    J = fit.model.jacobian(fit.q)[fit.rows] * root[:, None]
+    root = np.sqrt(fit.noise.weights(fit.residual) / fit.noise.variance)
+    J = fit.model.jacobian(fit.q)[fit.model.rows] * root[:, None]
     size = np.linalg.norm(J, axis=0)
     values = np.linalg.svd(J / np.where(size > 0.0, size, 1.0), compute_uv=False)
     rank = int((values > 1e-6 * values[0]).sum())

@@ -73,14 +73,15 @@ class StateSpaceResiduals:
     n : int
         Number of states.
     recordings : list of (ndarray, shape (N, p); ndarray, shape (N, m))
-        y, any number where it is missing, and u.
+        y, NaN where it is missing, and u.
     feedthrough, disturbance : bool
         Whether there is a D, and a K.
     """
 
     def __init__(self, n: int, recordings: list[tuple[Array, Array]], feedthrough: bool, disturbance: bool) -> None:
         """Find the place of each matrix among the parameters."""
-        self.recordings, self.order = recordings, n
+        self.recordings, self.order = [(np.nan_to_num(y), u) for y, u in recordings], n
+        self.feedthrough, self.disturbance = feedthrough, disturbance
         p, m = recordings[0][0].shape[1], recordings[0][1].shape[1]
         shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m * feedthrough), "K": (n, p * disturbance)}
         self.shapes, self.places, end = shapes, {}, 0
@@ -89,7 +90,10 @@ class StateSpaceResiduals:
             end += rows * columns
         self.outputs, self.inputs, self.shared = p, m, end
         self.n = end + len(recordings) * (p + n)
-        self.weights = [np.ones(y.shape) for y, _ in recordings]
+        self.weights = [(~np.isnan(y)).astype(float) for y, _ in recordings]
+        #: Which residuals are measured, and the output of each of these.
+        self.rows = np.concatenate([~np.isnan(y).ravel() for y, _ in recordings])
+        self.which = np.tile(np.arange(p), self.rows.size // p)[self.rows]
 
     def matrices(self, q: Array, i: int = -1) -> Matrices:
         """Return the matrices among free parameters, with level and start of one recording."""
@@ -101,10 +105,21 @@ class StateSpaceResiduals:
         own = q[self.shared :].reshape(len(self.recordings), -1)[i]
         return Matrices(**matrices, start=own[self.outputs :], level=own[: self.outputs])
 
-    def packed(self, matrices: Matrices, levels: Array, starts: Array) -> Array:
-        """Return free parameters."""
+    def packed(self, matrices: Matrices, own: Array) -> Array:
+        """Return free parameters, with level and start of each recording in a row."""
         parts = [getattr(matrices, name).ravel() for name, (r, c) in self.shapes.items() if r * c]
-        return np.concatenate((*parts, np.column_stack((levels, starts)).ravel()))
+        return np.concatenate((*parts, own.ravel()))
+
+    def split(self, signal: Array) -> list[Array]:
+        """Return what belongs to each recording of a signal like the residuals, shape (N, p)."""
+        ends = np.cumsum([len(y) for y, _ in self.recordings])[:-1]
+        return np.split(signal.reshape(-1, self.outputs), ends)
+
+    def believed(self, q: Array, noise: Noises) -> list[Array]:
+        """Return the weights of the residuals of each recording, 0 where an output is missing."""
+        weights = np.zeros(self.rows.size)
+        weights[self.rows] = noise.weights(self.residuals(q)[self.rows])
+        return self.split(weights)
 
     def is_stable(self, q: Array) -> bool:
         """Tell whether the prediction is stable; without disturbance it is the model."""
@@ -128,16 +143,12 @@ class StateSpaceResiduals:
         one, (y, u) = self.matrices(q, i), self.recordings[i]
         x, states = one.start, np.empty((len(y) + 1, self.order))
         forcing, measured = u @ one.B.T, y - u @ one.D.T - one.level
+        weights = self.weights[i] if one.K.any() else None
         with np.errstate(over="ignore", invalid="ignore"):
-            if one.K.any():
-                weights = self.weights[i]
-                for k in range(len(y)):
-                    states[k] = x
-                    x = one.A @ x + forcing[k] + one.K @ (weights[k] * (measured[k] - one.C @ x))
-            else:
-                for k in range(len(y)):
-                    states[k] = x
-                    x = one.A @ x + forcing[k]
+            for k in range(len(y)):
+                states[k] = x
+                moved = one.A @ x + forcing[k]
+                x = moved if weights is None else moved + one.K @ (weights[k] * (measured[k] - one.C @ x))
             states[-1] = x
             return states, measured - states[:-1] @ one.C.T
 
@@ -455,19 +466,19 @@ class StateSpaceModel(System, Identified):
         outputs = measured_outputs(y, len(self.C))
         u = recorded_input(self._signals, u, len(outputs))
         y, u = measurements(outputs, u)[0], u - self.operating_point
-        seen = ~np.isnan(y)
-        model = self._residuals(np.nan_to_num(y - trend_of(self.trends, y)), u)
-        noise = Noises(self.noise, np.tile(np.arange(len(self.C)), len(y)))
-        model.weights = [np.zeros(y.shape) if alone else seen.astype(float)]
-        q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), seen.ravel()
+        model = self._residuals(y - trend_of(self.trends, y), u)
+        q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), model.rows
+        noise = Noises(self.noise, model.which)
+        if alone:
+            model.weights = [np.zeros(y.shape)]
         for _ in range(1 if alone or not self.structure.disturbance else 3):
-            scale = np.sqrt(noise.variance[rows])
+            scale = np.sqrt(noise.variance)
             q[-n:] = 0.0
             J = -model.jacobian(q)[rows, -n:] / scale[:, None]
             if rows.any():
                 q[-n:] = robust_regression(J, model.residuals(q)[rows] / scale)
             if not alone and self.structure.disturbance:
-                model.weights = [noise.weights(model.residuals(q)).reshape(y.shape) * seen]
+                model.weights = model.believed(q, noise)
         return y, u, model, q
 
     # Helpers.
