@@ -160,3 +160,15 @@ def test_equations_have_no_constant_of_their_own_where_the_level_of_one_recordin
         model = identify(y, u, box, t=t)
     assert np.abs(model.theta - [3.0, 2.0]).max() < 0.05
     assert [one.kind for one in model.findings] == ["step"]
+
+
+def test_a_prediction_of_what_is_missing_has_the_level_too():
+    rng, a = np.random.default_rng(522), np.exp(-0.25)
+    u = np.repeat(rng.choice([-1.0, 1.0], 30), 8)
+    truth = lfilter([0.0, 3.0 * (1.0 - a)], [1.0, -a], u) + 4.0 * (np.arange(240) < 100)
+    y = truth + 0.1 * rng.normal(size=240)
+    y[50:55] = np.nan
+    box = GreyBox(lambda x, u, p: [(p[0] * u[0] - x[0]) / p[1]], {"gain": 2.0, "time": 1.0}, x0=[0.0])
+    with pytest.warns(UserWarning, match="the level of y steps by"):
+        model = identify(y, u, box, t=0.5 * np.arange(240))
+    assert np.abs(model.predict(y, u, 0.5 * np.arange(240))[:, 0] - truth).max() < 0.3

@@ -46,25 +46,23 @@ def identified_grey_box(
     recording = recorded(ANY_TIMES, y, u, t=t)
     outputs, inputs, spans = recording.y, recording.u, recording.spans
     require_motion(outputs, inputs)
-    measured = [~np.isnan(outputs[part]) for part in spans]
-    recordings = [GreyRecording(recording.times[part], np.nan_to_num(outputs[part]), inputs[part]) for part in spans]
+    recordings = [GreyRecording(recording.times[part], outputs[part], inputs[part]) for part in spans]
     require_functions(structure, recordings[0], structure.values)
 
     def of(y: Array, u: Array) -> list[GreyRecording]:
-        return [one._replace(y=np.nan_to_num(y[part]), u=u[part]) for one, part in zip(recordings, spans, strict=True)]
+        return [one._replace(y=y[part], u=u[part]) for one, part in zip(recordings, spans, strict=True)]
 
     def alone(model: GreyBoxModel, y: Array, u: Array) -> Array:
         equations = GreyResiduals(structure, of(y, u), model.starts, False)
         equations.settled(model.theta)
-        left = equations.residuals(model.theta).reshape(y.shape)
-        return np.concatenate([one.y for one in equations.recordings]) - left
+        return equations.simulated(model.theta)
 
     def find(u: Array, levels: Array, columns: Any, end: Any) -> Explanation:
         # Equations have no constant of their own: the level may be theirs before it breaks, or after.
         first = np.concatenate([np.broadcast_to(levels[part.start], levels[part].shape) for part in spans])
         models = []
         for own in (levels, levels - first) if levels.any() else (levels,):
-            model, residual = _modelled(structure, of(outputs - own, u), measured, influence)
+            model, residual = _modelled(structure, of(outputs - own, u), influence)
             models.append(Explanation(model, own, u, evidence_of_outputs(model.noise, residual, spans)))
         return max(models, key=lambda one: one.evidence)
 
@@ -82,7 +80,7 @@ def identified_grey_box(
 
 
 def _modelled(
-    structure: GreyBox, recordings: list[GreyRecording], measured: list[Any], influence: Influence | None
+    structure: GreyBox, recordings: list[GreyRecording], influence: Influence | None
 ) -> tuple[GreyBoxModel, Array]:
     """Return the model of recordings as they are, and its residuals, NaN where an output is missing, shape (N, p)."""
     starts = np.repeat(structure.x0[None], len(recordings), axis=0)
@@ -92,16 +90,13 @@ def _modelled(
             "p0: expected first guesses with which f has finite outputs; the equations are unstable there, or too "
             "stiff for 128 steps between samples"
         )
-    good = np.concatenate(measured)
-    rows = good.ravel()
+    rows = model.rows
     if rows.sum() < 2 * model.n:
         raise ValueError(f"y: expected at least {2 * model.n} measured samples, got {int(rows.sum())}")
-    p = recordings[0].y.shape[1]
-    which = np.concatenate([np.tile(np.arange(p), len(one.y)) for one in recordings])[rows]
     # Without noise R would end at 0.
-    outputs = np.where(good, np.concatenate([one.y for one in recordings]), np.nan)
+    outputs = np.concatenate([one.y for one in recordings])
     least = np.maximum(ROUNDING**2 * np.nanstd(outputs, 0) ** 2, np.finfo(float).tiny)
-    noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), which)
+    noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), model.which)
     stage("search from the first guesses")
     limits = Limits(model.lower, model.upper)
     end = minimised(model, model.first, noise, rows, rows, limits=limits, precision=_NEAR)
@@ -110,19 +105,18 @@ def _modelled(
     stage("noise learned, search again")
     learnt = end.noise if influence is not None else end.noise.learnt()
     end = minimised(model, end.p, learnt, rows, rows, limits=limits, precision=_NEARER)
-    return _as_model(structure, model, end, rows, limits), np.where(good, end.residual.reshape(good.shape), np.nan)
+    residual = np.where(rows, end.residual, np.nan).reshape(outputs.shape)
+    return _as_model(structure, model, end, limits), residual
 
 
-def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, limits: Limits) -> GreyBoxModel:
+def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, limits: Limits) -> GreyBoxModel:
     """Return what was found, with what the recording cannot tell."""
-    z, noise, k = end.p, end.noise, model.k
+    z, noise, k, rows = end.p, end.noise, model.k, model.rows
     theta, residual, J = z[:k], model.residuals(z)[rows], model.jacobian(z)[rows]
     unidentifiable, unseen = _unidentifiable(structure, model, J, noise, residual, theta)
     # As of a model of polynomials: what ended at a bound has no variance, and the others then have.
     P, colour = sandwich(np.where(limits.held(z, J.T @ noise.psi(residual)), 0.0, J), residual, noise, k)
     P = P[:k, :k]
-    weights = np.full(rows.size, np.nan)
-    weights[rows] = noise.weights(residual)
     P[unseen, unseen] = np.inf
     total = rows.sum() / max(rows.sum() - model.n, 1)
     values = structure.p0 | dict(zip(structure.free_names, theta.tolist(), strict=True))
@@ -139,7 +133,7 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, rows: Any, lim
     return GreyBoxModel(
         structure=structure, p=values, theta=theta, P=P, starts=model.starts_of(z), colour=colour,
         noise=tuple(replace(one, R=one.R * total) for one in noise.parts), warning="; ".join(doubt),
-        weights=weights.reshape(-1, len(noise.parts)), log_likelihood=noise.log_likelihood(residual),
+        weights=np.vstack(model.believed(z, noise, np.nan)), log_likelihood=noise.log_likelihood(residual),
         unidentifiable=unidentifiable,
     )  # fmt: skip
 

@@ -265,7 +265,7 @@ def _in_units(fit: _Found, units: Units, recording: Recording, rest: Array, stru
         structure=replace(structure, n=model.order), A=final.A, B=final.B, C=final.C, D=final.D, K=final.K,
         level=final.level, P=P[:s, :s], level_std=np.sqrt(np.maximum(P.diagonal()[last], 0.0)),
         noise=tuple(replace(one, R=one.R * total) for one in scaled),
-        weights=np.where(np.isnan(recording.y), np.nan, np.vstack(model.believed(q, noise))),
+        weights=np.vstack(model.believed(q, noise, np.nan)),
         log_likelihood=noise.log_likelihood(residual), warning=_doubt(fit), end=model.states(q, -1)[-1],
         operating_point=rest, dt=recording.axis.dt, levels=levels, colour=colour,
     )  # fmt: skip

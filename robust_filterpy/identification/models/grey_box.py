@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.noise import Noises
+from robust_filterpy.identification.models.noise import Noises, OutputResiduals
 from robust_filterpy.identification.models.recording import ANY_TIMES, columns_of, recorded
 from robust_filterpy.identification.models.results import Identified
 from robust_filterpy.identification.models.signals import Signals, TimeAxis, held_input, trend_of
@@ -39,7 +39,7 @@ class GreyRecording(NamedTuple):
     t : ndarray, shape (N,)
         Times in s.
     y : ndarray, shape (N, p)
-        Outputs, 0 where they are missing.
+        Outputs, NaN where they are missing.
     u : ndarray, shape (N, m)
         Inputs.
     """
@@ -55,7 +55,7 @@ class GreyRecording(NamedTuple):
         return bool(np.ptp(steps) <= _EQUAL * np.median(steps)) if steps.size else True
 
 
-class GreyResiduals:
+class GreyResiduals(OutputResiduals):
     """Residuals of recordings, one row of y after the other.
 
     The free parameters are those of the equations, then the start of each recording if it is free.
@@ -74,6 +74,7 @@ class GreyResiduals:
 
     def __init__(self, structure: GreyBox, recordings: list[GreyRecording], starts: Array, free_start: bool) -> None:
         """Find out whether f takes columns."""
+        super().__init__([one.y for one in recordings])
         self.structure, self.recordings, self.starts, self.free_start = structure, recordings, starts, free_start
         self._at, self._values = [structure.names.index(name) for name in structure.free_names], structure.values
         self.k = len(self._at)
@@ -81,6 +82,7 @@ class GreyResiduals:
         self.size, self.n = np.where(self.first == 0.0, 1.0, np.abs(self.first)), self.first.size
         bounds = [structure.limits.get(name, (-np.inf, np.inf)) for name in structure.free_names]
         self.lower, self.upper = np.array([*bounds, *[(-np.inf, np.inf)] * (self.n - self.k)]).T
+        self._measured = np.nan_to_num(np.concatenate([one.y for one in recordings]))
         self.steps, self._columns = 1, False
         self._columns = self._takes_columns()
 
@@ -88,23 +90,25 @@ class GreyResiduals:
         """Take as many steps as the equations need; False if they need too many."""
         before = None
         while self.steps <= _MOST_STEPS:
-            now = [self._outputs(z[:, None], i)[:, :, 0] for i in range(len(self.recordings))]
-            if before is not None and all(np.isfinite(one).all() for one in now):
-                change = [np.abs(a - b).max(axis=0) for a, b in zip(now, before, strict=True)]
+            now = self.simulated(z)
+            if before is not None and np.isfinite(now).all():
                 # Of what is computed too: a simulation has no measured outputs.
-                size = np.std([np.concatenate([one.y for one in self.recordings]), np.concatenate(now)], axis=1)
-                if (np.max(change, axis=0) <= _ACCURATE * size.max(axis=0)).all():
+                size = np.std([self._measured, now], axis=1)
+                if (np.abs(now - before).max(axis=0) <= _ACCURATE * size.max(axis=0)).all():
                     self.steps = max(self.steps // 2, 1)
                     return True
-            before = now if all(np.isfinite(one).all() for one in now) else None
+            before = now if np.isfinite(now).all() else None
             self.steps *= 2
         self.steps = _MOST_STEPS
         return before is not None
 
     def residuals(self, z: Array) -> Array:
-        """Return y less the outputs of all recordings."""
-        parts = [one.y - self._outputs(z[:, None], i)[:, :, 0] for i, one in enumerate(self.recordings)]
-        return np.concatenate([part.ravel() for part in parts])
+        """Return y less the outputs of all recordings, any number where an output is missing."""
+        return (self._measured - self.simulated(z)).ravel()
+
+    def simulated(self, z: Array) -> Array:
+        """Return the outputs of all recordings, shape (sum of N, p)."""
+        return np.concatenate([self._outputs(z[:, None], i)[:, :, 0] for i in range(len(self.recordings))])
 
     def jacobian(self, z: Array) -> Array:
         """Return the derivatives of the residuals by differences."""
@@ -390,7 +394,7 @@ class GreyBoxModel(Identified):
         model = GreyResiduals(self.structure, [recording], start[None], False)
         if not model.settled(self.theta):
             raise ValueError(_UNSETTLED)
-        return -model.residuals(self.theta).reshape(samples.shape)
+        return model.simulated(self.theta)
 
     def predict(  # type: ignore[override]
         self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None, steps: int = 1
@@ -418,33 +422,33 @@ class GreyBoxModel(Identified):
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return no time axis, measured outputs, and those from inputs alone, however far ahead."""
         measured, _, model, z = self.started(y, u, t)
-        return TimeAxis(), measured, np.nan_to_num(measured) - model.residuals(z).reshape(measured.shape)
+        return TimeAxis(), measured, model.simulated(z) + trend_of(self.trends, measured)
 
     def started(self, y: Any, u: Any, t: Any = None) -> tuple[Array, Array, GreyResiduals, Array]:
         """Return a checked recording, its residuals and free parameters, with the likeliest states to begin with."""
         given = recorded(ANY_TIMES, y, u, t=t)
-        shape, p = given.y.shape, np.array([*self.p.values()])
-        if shape[1] != len(self.noise):
-            raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {shape[1]}")
-        recording = GreyRecording(given.times, np.nan_to_num(given.y - trend_of(self.trends, given.y)), given.u)
-        require_functions(self.structure, recording, p)
-        rows, free = ~np.isnan(given.y).ravel(), self.structure.start == "free"
-        noise = Noises(self.noise, np.tile(np.arange(shape[1]), shape[0])[rows])
+        count, free = given.y.shape[1], self.structure.start == "free"
+        if count != len(self.noise):
+            raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {count}")
+        recording = GreyRecording(given.times, given.y - trend_of(self.trends, given.y), given.u)
+        require_functions(self.structure, recording, np.array([*self.p.values()]))
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
             model = GreyResiduals(self.structure, [recording], start[None], free)
             z = np.concatenate((self.theta, start if free else []))
             if model.settled(z):
-                z = _likeliest(model, z, noise, rows) if free else z
-                ends.append((noise.cost(model.residuals(z)[rows]), len(ends), model, z))
+                noise = Noises(self.noise, model.which)
+                z = _likeliest(model, z, noise) if free else z
+                ends.append((noise.cost(model.residuals(z)[model.rows]), len(ends), model, z))
         if not ends:
             raise ValueError(_UNSETTLED)
         return given.y, recording.u, *min(ends)[2:]
 
 
-def _likeliest(model: GreyResiduals, z: Array, noise: Noises, rows: Any) -> Array:
+def _likeliest(model: GreyResiduals, z: Array, noise: Noises) -> Array:
     """Return free parameters with the start at which the residuals are likeliest, the parameters as they are."""
-    size, cost = np.sqrt(noise.variance), noise.cost(model.residuals(z)[rows])
+    size, rows = np.sqrt(noise.variance), model.rows
+    cost = noise.cost(model.residuals(z)[rows])
     for _ in range(_START_STEPS):
         J = model.jacobian(z)[rows, model.k :] / size[:, None]
         step = np.zeros(z.size)

@@ -245,3 +245,38 @@ class Noises(NamedTuple):
         for j, noise in enumerate(self.parts):
             values[self.which == j] = of(noise, residual[self.which == j])
         return values
+
+
+class OutputResiduals:
+    """Residuals of recordings of several outputs, one row of y after the other, of which some are measured.
+
+    Parameters
+    ----------
+    outputs : list of ndarray, shape (N, p)
+        y of each recording, NaN where it is missing.
+
+    Attributes
+    ----------
+    rows : ndarray of bool, shape (sum of N p,)
+        Which residuals are measured.
+    which : ndarray of int
+        The output of each of these.
+    """
+
+    residuals: Callable[[Array], Array]
+
+    def __init__(self, outputs: list[Array]) -> None:
+        """Find out what is measured."""
+        self.outputs, self._ends = outputs[0].shape[1], np.cumsum([len(y) for y in outputs])
+        self.rows = ~np.isnan(np.concatenate(outputs)).ravel()
+        self.which = np.tile(np.arange(self.outputs), self._ends[-1])[self.rows]
+
+    def split(self, signal: Array) -> list[Array]:
+        """Return what belongs to each recording of a signal like the residuals, shape (N, p)."""
+        return np.split(signal.reshape(-1, self.outputs), self._ends[:-1])
+
+    def believed(self, p: Array, noise: Noises, missing: float = 0.0) -> list[Array]:
+        """Return the weights of the residuals of each recording, and a number where an output is missing."""
+        weights = np.full(self.rows.size, missing)
+        weights[self.rows] = noise.weights(self.residuals(p)[self.rows])
+        return self.split(weights)

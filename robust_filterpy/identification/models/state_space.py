@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.noise import Noises
+from robust_filterpy.identification.models.noise import Noises, OutputResiduals
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import period
 from robust_filterpy.identification.models.responses import System
@@ -63,7 +63,7 @@ class Matrices(NamedTuple):
     level: Array
 
 
-class StateSpaceResiduals:
+class StateSpaceResiduals(OutputResiduals):
     """Residuals of recordings of several outputs, one row of y after the other.
 
     The free parameters are [A, B, C, D if any, K if any, level of each recording, start of each].
@@ -80,6 +80,7 @@ class StateSpaceResiduals:
 
     def __init__(self, n: int, recordings: list[tuple[Array, Array]], feedthrough: bool, disturbance: bool) -> None:
         """Find the place of each matrix among the parameters."""
+        super().__init__([y for y, _ in recordings])
         self.recordings, self.order = [(np.nan_to_num(y), u) for y, u in recordings], n
         self.feedthrough, self.disturbance = feedthrough, disturbance
         p, m = recordings[0][0].shape[1], recordings[0][1].shape[1]
@@ -88,12 +89,9 @@ class StateSpaceResiduals:
         for name, (rows, columns) in shapes.items():
             self.places[name] = slice(end, end + rows * columns)
             end += rows * columns
-        self.outputs, self.inputs, self.shared = p, m, end
+        self.inputs, self.shared = m, end
         self.n = end + len(recordings) * (p + n)
         self.weights = [(~np.isnan(y)).astype(float) for y, _ in recordings]
-        #: Which residuals are measured, and the output of each of these.
-        self.rows = np.concatenate([~np.isnan(y).ravel() for y, _ in recordings])
-        self.which = np.tile(np.arange(p), self.rows.size // p)[self.rows]
 
     def matrices(self, q: Array, i: int = -1) -> Matrices:
         """Return the matrices among free parameters, with level and start of one recording."""
@@ -109,17 +107,6 @@ class StateSpaceResiduals:
         """Return free parameters, with level and start of each recording in a row."""
         parts = [getattr(matrices, name).ravel() for name, (r, c) in self.shapes.items() if r * c]
         return np.concatenate((*parts, own.ravel()))
-
-    def split(self, signal: Array) -> list[Array]:
-        """Return what belongs to each recording of a signal like the residuals, shape (N, p)."""
-        ends = np.cumsum([len(y) for y, _ in self.recordings])[:-1]
-        return np.split(signal.reshape(-1, self.outputs), ends)
-
-    def believed(self, q: Array, noise: Noises) -> list[Array]:
-        """Return the weights of the residuals of each recording, 0 where an output is missing."""
-        weights = np.zeros(self.rows.size)
-        weights[self.rows] = noise.weights(self.residuals(q)[self.rows])
-        return self.split(weights)
 
     def is_stable(self, q: Array) -> bool:
         """Tell whether the prediction is stable; without disturbance it is the model."""
