@@ -160,7 +160,7 @@ def _interval(name: str, value: Any) -> tuple[float, float]:
 
 # A step that would change the residuals by less than this share of them ends the search.
 _PRECISION: Final = 1e-9
-_MOST_STEPS: Final = 100
+MOST_STEPS: Final = 100
 _MOST_SHORTENINGS: Final = 12
 # The order of a color, and the least number of samples for each.
 _MOST: Final = 20
@@ -193,7 +193,7 @@ class Optimum(NamedTuple):
 
 
 def minimised(
-    model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, most_steps: int = _MOST_STEPS,
+    model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, most_steps: int = MOST_STEPS,
     limits: Limits | None = None, precision: float = 0.0,
 ) -> Optimum:  # fmt: skip
     """Minimise the loss of the residuals from p on."""

@@ -14,6 +14,7 @@ from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.disturbances import Explanation, Search, of_impulses
 from robust_filterpy.identification.estimation.estimate import Units
 from robust_filterpy.identification.estimation.prediction_error import (
+    MOST_STEPS,
     evidence_of_outputs,
     minimised,
     one_thread,
@@ -64,10 +65,10 @@ class _Found(NamedTuple):
         """Its information criterion."""
         return -2.0 * self.log_likelihood + np.log(self.model.rows.sum()) * self.free
 
-    def descended(self, *most_steps: int) -> _Found:
+    def descended(self, most_steps: int = MOST_STEPS) -> _Found:
         """Return where the search goes on to."""
         rows = self.model.rows
-        end = minimised(self.model, self.q, self.noise, rows, rows, *most_steps)
+        end = minimised(self.model, self.q, self.noise, rows, rows, most_steps)
         return self._replace(q=end.p, noise=end.noise, converged=end.converged)
 
     def reweighed(self) -> _Found:
@@ -136,8 +137,8 @@ def _modelled(recording: Recording, structure: StateSpace, influence: Influence 
         best = int(np.argmin([fit.criterion for fit in tried]))
         if len(tried) - 1 - best == _PATIENCE:
             break
-    model = _in_units(tried[best], units, recording, rest, structure)
-    return replace(model, orders=tuple((n, fit.criterion) for n, fit in zip(orders, tried, strict=False)))
+    chosen = _in_units(tried[best], units, recording, rest, structure)
+    return replace(chosen, orders=tuple((n, fit.criterion) for n, fit in zip(orders, tried, strict=False)))
 
 
 def _driven(model: StateSpaceModel, output: Array) -> Array:
