@@ -1,7 +1,8 @@
 """Models of the state and of some constants side by side: moved, and corrected under noise that is a mixture.
 
 `fusion._faults` has one for each fault from each onset, `fusion.reacquisition` one for each way in which readings and
-state can have come apart, `diagnostics` one for each repair of a model. All are advanced together, in place.
+state can have come apart, `diagnostics` one for each repair of a model. All are advanced together, in place;
+the first of these in C, too (``kernel/hypotheses.c``).
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.hypotheses import corrected, moved
 from robust_filterpy.fusion._watch import BIASED, DRIFTING, HEALTHY, MODEL, NOISIER, SPIKES, STUCK
+from robust_filterpy.kernel import extension
 
 __all__ = ["Found", "Stretch", "judged"]
 
@@ -149,45 +150,66 @@ def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
 def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Array]:
     """Return the log-density of all readings under each hypothesis, in the order of onsets, and b at the end."""
     (n,), K, N = stretch.x.shape, len(stretch.z), len(bank.fault)
-    logs, b = np.full(N, -np.inf), np.zeros(N)
-    owner, onset = bank.component.astype(int), bank.onset.astype(int)
-    root, began = np.sqrt(stretch.r)[np.maximum(owner, 0)], stretch.seconds[onset]
-    drifts, stuck = bank.fault == DRIFTING, bank.fault == STUCK
-    carries = drifts | stuck | (bank.fault == BIASED)
-    # A drift is as large as a bias would be when it has come to the end.
-    length = stretch.seconds[-1] - began
-    spread = _SIZE * root / np.where(drifts & (length > 0.0), length, 1.0)
-    able = np.flatnonzero(~left_out).tolist()
-    noise = {c: _reader(stretch, c, bank) for c in able}
-    starts = np.searchsorted(onset[1:], np.arange(K + 1)) + 1
+    logs, b, numbers = np.full(N, -np.inf), np.zeros(N), _numbers(stretch, bank)
+    able = stretch._replace(z=np.where(left_out, np.nan, stretch.z))
+    shared = tuple(np.array(part, dtype=float) for part in able[2:])
     # Before its onset a hypothesis is the healthy one, which comes first.
     who, x, P, sums = np.arange(1), np.append(stretch.x, 0.0)[None], np.zeros((1, n + 1, n + 1)), np.zeros(1)
-    P[0, :n, :n], starts[0] = stretch.P, 1
-    for k in range(K):
-        new = np.arange(starts[k], starts[k + 1])
-        stays = np.arange(len(who)) if k % _EVERY else np.flatnonzero(_hopeful(sums, bank, who))
-        if len(new) or len(stays) < len(who):
-            copies = np.append(stays, np.zeros(len(new), dtype=int))
-            who, x, P, sums = np.append(who[stays], new), x[copies], P[copies], sums[copies]
-            slack, readers = np.where(owner < 0, bank.factor, 1.0)[who, None, None], {}
-        moved(x, P, stretch.F[k], slack * stretch.Q[k], stretch.drift[k])
-        if len(new):
-            fresh = len(stays) + np.flatnonzero(carries[new])
-            P[fresh, n, n] = spread[who[fresh]] ** 2
-            fresh = fresh[stuck[who[fresh]]]
-            # It got stuck where it was: what the sensor should read there, give or take.
-            x[fresh, n] = (stretch.H[k, owner[who[fresh]]] * x[fresh, :n]).sum(axis=1)
-        for c in (c for c in able if stretch.z[k, c] == stretch.z[k, c]):
-            if c not in readers:
-                readers[c] = [part[..., who] for part in noise[c]]
-            still, off, since, variances, shares = readers[c]
-            h = np.empty(x.shape)
-            h[:, :n] = stretch.H[k, c]
-            h[still, :n] = 0.0
-            h[:, n] = off + since * stretch.seconds[k]
-            sums += stretch.worth[c] * corrected(x, P, stretch.z[k, c], h, variances, shares)
+    P[0, :n, :n] = stretch.P
+    starts = np.searchsorted(bank.onset[1:], np.arange(0, K + _EVERY, _EVERY)) + 1
+    for block, first in enumerate(range(0, K, _EVERY)):
+        stays, new = np.flatnonzero(_hopeful(sums, bank, who)), np.arange(starts[block], starts[block + 1])
+        copies = np.append(stays, np.zeros(len(new), dtype=int))
+        who, x, P, sums = np.append(who[stays], new), x[copies], P[copies], sums[copies]
+        _advance(numbers[who], (x, P, sums), shared, (first, min(first + _EVERY, K)))
     logs[who], b[who] = sums, x[:, n]
-    return logs, b / np.where(carries, root, 1.0)
+    return logs, b / np.sqrt(stretch.r[np.maximum(bank.component.astype(int), 0)])
+
+
+def _numbers(stretch: Stretch, bank: _Bank) -> Array:
+    """Return what sets each hypothesis apart from its onset on, of its component, and its classes' shares, (N, 8 + C).
+
+    Component, onset, factor of Q, whether it sees the state, b's part in what it reads, and how that grows with time,
+    factor of the variance of noise, variance of b to begin with.
+    """
+    owner, fault, factor = np.maximum(bank.component.astype(int), 0), bank.fault, bank.factor
+    drifts, stuck = fault == DRIFTING, fault == STUCK
+    constant = stuck | (fault == BIASED)
+    # A drift is as large as a bias would be when it has come to the end.
+    length = stretch.seconds[-1] - stretch.seconds[bank.onset.astype(int)]
+    spread = _SIZE**2 * stretch.r[owner] / np.where(drifts & (length > 0.0), length, 1.0) ** 2
+    usual = stretch.shares[owner]
+    more = np.maximum(_SPIKES, np.minimum(2.0 * (1.0 - usual[:, :1]), 0.9))
+    spikes = (1.0 - more) * usual + more * (stretch.scales == factor[:, None])
+    return np.column_stack([
+        bank.component, bank.onset, np.where(bank.component < 0, factor, 1.0), ~stuck, constant, drifts,
+        np.where(stuck | (fault == NOISIER), factor, 1.0), np.where(constant | drifts, spread, 0.0),
+        np.where((fault == SPIKES)[:, None], spikes, usual),
+    ])  # fmt: skip
+
+
+def _advance(numbers: Array, rows: tuple[Array, ...], shared: tuple[Array, ...], stamps: tuple[int, int]) -> None:
+    """Take x, P and the sums of log-densities of hypotheses through some stamps, in place; shared: of a `Stretch`."""
+    if (kernel := extension()) is not None:
+        kernel.advance_hypotheses(numbers, *rows, shared, *stamps)
+        return
+    (x, P, sums), (F, Q, drift, seconds, z, H, r, scales, shares, worth) = rows, shared
+    component, onset, slack, sees, offset, grows, noise, spread = numbers[:, :8].T
+    since, n = seconds[onset.astype(int)], H.shape[2]
+    for k in range(*stamps):
+        on, begins = onset <= k, onset == k
+        moved(x, P, F[k], np.where(on, slack, 1.0)[:, None, None] * Q[k], drift[k])
+        P[begins, n, n] = spread[begins]
+        # It got stuck where it was: what the sensor should read there, give or take.
+        at = (H[k, component[begins].astype(int)] * x[begins, :n]).sum(axis=1)
+        x[begins, n] = np.where(sees[begins] == 0.0, at, 0.0)
+        for c in np.flatnonzero(~np.isnan(z[k])):
+            mine, h = on & (component == c), np.zeros(x.shape)
+            h[:, :n] = np.where(mine, sees, 1.0)[:, None] * H[k, c]
+            h[mine, n] = (offset + grows * (seconds[k] - since))[mine]
+            variances = scales[:, None] * r[c] * np.where(mine, noise, 1.0)
+            logs = np.log(np.where(mine, numbers[:, 8:].T, shares[c][:, None]))
+            sums += worth[c] * corrected(x, P, z[k, c], h, variances, logs)
 
 
 def _hopeful(sums: Array, bank: _Bank, who: np.ndarray) -> np.ndarray:
@@ -196,17 +218,3 @@ def _hopeful(sums: Array, bank: _Bank, who: np.ndarray) -> np.ndarray:
     lost = (better < -_BEHIND) | ((worth < worth.max() - _HOPELESS) & (better < _AHEAD))
     return np.asarray(~lost | (bank.fault[who] == HEALTHY))
 
-
-def _reader(stretch: Stretch, c: int, bank: _Bank) -> tuple[np.ndarray, ...]:
-    """Return what a component reads under each hypothesis: who says that it is stuck, b's part in it and how that grows
-    with time, variances and logarithms of the shares of its classes of noise, (C, N).
-    """
-    mine, fault, factor = bank.component == c, bank.fault, bank.factor
-    since = np.where(mine & (fault == DRIFTING), 1.0, 0.0)
-    off = np.where(mine & ((fault == BIASED) | (fault == STUCK)), 1.0, -since * stretch.seconds[bank.onset.astype(int)])
-    r = stretch.r[c] * np.where(mine & ((fault == STUCK) | (fault == NOISIER)), factor, 1.0)
-    usual, scales = stretch.shares[c][:, None], stretch.scales[:, None]
-    more = max(_SPIKES, min(2.0 * (1.0 - usual[0, 0]), 0.9))
-    spikes = (1.0 - more) * usual + more * (scales == factor)
-    shares = np.where(mine & (fault == SPIKES), spikes, usual)
-    return mine & (fault == STUCK), off, since, scales * r, np.log(shares)

@@ -199,8 +199,5 @@ def _inputs(p: int, clock: Clock, controls: Any, dtype: Any) -> tuple[np.ndarray
 
 def _held(us: Array, places: np.ndarray, steps: int, p: int) -> Array:
     """Return the input in force from each stamp on, 0 before the first."""
-    inputs = np.zeros((steps, p))
-    if len(us):
-        which = np.searchsorted(places, np.arange(steps), side="right") - 1
-        inputs[which >= 0] = us[which[which >= 0]]
-    return inputs
+    which = np.searchsorted(places, np.arange(steps), side="right")
+    return np.concatenate([np.zeros((1, p)), us])[which]

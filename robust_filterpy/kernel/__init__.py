@@ -13,6 +13,7 @@ writes for microcontrollers: C99, sizes as arguments, workspaces from the caller
 * ``real.h``: the number type. ``psi.h``: psi, psi', rho.
 * ``prediction.h``, ``correction.h`` (``joint.h`` where all sensors fail together): one step. ``series.h``: many of
   many. ``smoother.h``: a smoother's pass.
+* ``hypotheses.c``: what may be the matter with a sensor of a fusion, side by side.
 
 The extension is written by hand against Python's stable interface and numpy's. ``glue.h`` has what all its functions
 need: arrays that are checked when taken, attributes read and set, references held during a call. The functions are in

@@ -90,7 +90,7 @@ double call_choices(void *choices, double e, double *slope);
 int called_outcome(int outcome);
 
 /* The groups of functions that make the module: a new one is named here and in the list of module.c. */
-extern PyMethodDef series_functions[], smoother_functions[], step_functions[], tracker_functions[];
+extern PyMethodDef hypothesis_functions[], series_functions[], smoother_functions[], step_functions[], tracker_functions[];
 
 /* Workspace of a call: on the stack up to here, else from the heap, and then to be freed. */
 #define STACK_WORK 2048

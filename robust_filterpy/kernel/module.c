@@ -5,7 +5,8 @@
 PyObject *attribute_names[ATTRIBUTE_COUNT];
 PyObject *numpy_inverse;
 
-static PyMethodDef *const groups[] = {series_functions, smoother_functions, step_functions, tracker_functions};
+static PyMethodDef *const groups[] = {hypothesis_functions, series_functions, smoother_functions, step_functions,
+                                     tracker_functions};
 
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_extension", "The kernel: see robust_filterpy.kernel.",
                                         -1, NULL, NULL, NULL, NULL, NULL};

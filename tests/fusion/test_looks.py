@@ -6,6 +6,7 @@ from scipy.stats import norm
 
 from robust_filterpy.fusion import Fusion, Sensor, _faults, _watch, constant_velocity
 from robust_filterpy.influence import Linear
+from robust_filterpy.kernel import available
 
 
 @pytest.mark.parametrize("off, fewest, most", [(0.0, 0, 1), (1.5, 1, 20)])
@@ -95,3 +96,51 @@ def test_readings_that_are_one_to_rounding_say_nothing_of_what_lasts():
     watch, statistics = watch._replace(age=np.ones(watch.age.shape)), np.ones(watch.statistics.shape)
     after = _watch._lasting(watch, statistics, [0, 1], np.ones(2), H, H.T, np.ones((2, 2)), [1.0, 1.0], np.ones(2))
     assert (after["evidence"] == 0.0).all() and np.isfinite(after["score"]).all()
+
+
+@pytest.mark.skipif(not available(), reason="the kernel is not built")
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_the_kernel_takes_hypotheses_through_readings_as_the_definition(monkeypatch, n):
+    rng, N, K, m, C = np.random.default_rng(n), 40, 9, 3, 3
+    F, H, z = (rng.normal(size=shape) for shape in ((K, n, n), (K, m, n), (K, m)))
+    z[rng.random(z.shape) < 0.2] = np.nan
+    z[:2, 0] += 1e3
+    shares, root = rng.dirichlet(np.ones(C), m), rng.normal(size=(n, n))
+    Q, drift, scales = np.tile(root @ root.T, (K, 1, 1)), rng.normal(size=(K, n)), np.array([1.0, 30.0, 1e3])
+    readings = (F, Q, drift, np.cumsum(rng.random(K)), z, H, rng.random(m) + 0.1, scales, shares, rng.random(m))
+    # Of each sensor, and of none, from an onset before, within or after what is taken.
+    component, onset = rng.integers(-1, m, N), rng.integers(0, K, N)
+    flags, sizes = (rng.random((3, N)) < 0.5).astype(float), rng.random((3, N)) * 5.0
+    flags[0, component < 0] = 1.0
+    numbers = np.column_stack([component, onset, sizes[0], *flags, *sizes[1:], rng.dirichlet(np.ones(C), N)])
+    got = []
+    for by_kernel in (True, False):
+        if not by_kernel:
+            monkeypatch.setattr(_faults, "extension", lambda: None)
+        x, P, sums = np.ones((N, n + 1)), np.tile(np.eye(n + 1), (N, 1, 1)), np.zeros(N)
+        _faults._advance(numbers, (x, P, sums), readings, (1, 7))
+        got.append((x, P, sums))
+    for one, other in zip(*got, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11 * np.abs(other).max())
+    assert np.ptp(got[0][2]) > 1.0
+
+
+def test_arrays_of_other_shapes_are_refused():
+    extension = _faults.extension()
+    if extension is None:
+        pytest.skip("the kernel is not built")
+    readings = [np.ones(s) for s in ((1, 1, 1), (1, 1, 1), (1, 1), 1, (1, 1), (1, 1, 1), 1, 1, (1, 1), 1)]
+    numbers, x, P, sums = np.ones((1, 9)), np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1)
+    numbers[0, :2] = 0.0
+    extension.advance_hypotheses(numbers, x, P, sums, tuple(readings), 0, 1)
+    for bad in range(10):
+        given = [*readings[:bad], np.ones((2, 2, 2, 2)), *readings[bad + 1 :]]
+        with pytest.raises(ValueError, match="matching shapes"):
+            extension.advance_hypotheses(numbers, x, P, sums, tuple(given), 0, 1)
+    for column, value in ((0, 1.0), (0, np.nan), (1, 1.0), (1, -1.0)):
+        wrong = numbers.copy()
+        wrong[0, column] = value
+        with pytest.raises(ValueError, match="matching shapes"):
+            extension.advance_hypotheses(wrong, x, P, sums, tuple(readings), 0, 1)
+    with pytest.raises(ValueError, match="matching shapes"):
+        extension.advance_hypotheses(numbers, x, P, sums, tuple(readings), 0, 2)
