@@ -161,7 +161,8 @@ def test_outliers_in_the_regressor_cost_little(share, draws):
         thetas.append(np.linalg.lstsq(ARX(2, 2).regressors(u, y), y, rcond=None)[0])
         errors[seed] = np.linalg.norm(np.array(thetas) - THETA, axis=1)
     ours, labels, plain = np.sqrt(np.mean(errors**2, axis=0))
-    assert ours < 1.5 * labels < 0.1 * plain
+    # What outliers cost least squares does not depend on us; of that cost hardly a thirtieth is left.
+    assert ours < 1.5 * labels and ours - labels < 0.03 * (plain - labels)
 
 
 def test_the_noise_of_a_model_is_that_of_the_outputs_it_will_predict():
