@@ -89,8 +89,8 @@ def test_with_a_jacobian_it_is_the_definition_where_p_grows_too(grouping, jump, 
             if found is None:
                 continue
             grew += not np.allclose(expected.S, S)
-            # What is left of a P that had grown has the last bits of what it was: one for each of the steps that grow and
-            # correct it, in either form.
+            # What is left of a P that had grown has the last bits of what it was: one for each step that grows and
+            # corrects it, in either form.
             grown = definition._opened(P, H, (expected.S - S).diagonal())
             rounding = 2 * (len(y) + 1) * np.finfo(float).eps * max(np.abs(expected.S).max(), grown.max())
             assert_alike(found, expected, "x", "P", "C", "S", "e", "weights", rounding=rounding)
