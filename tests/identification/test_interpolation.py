@@ -91,16 +91,50 @@ def test_predictions_made_together_are_those_made_one_by_one(a, c, d, gap):
     order = max(g.size, len(c))
     g, c = (np.concatenate((p, np.zeros(order - len(p)))) for p in (g, c))
     limit = np.sum(lfilter(np.append(1.0, c), np.append(1.0, g), np.append(1.0, np.zeros(500))) ** 2)
-    driving, r, w, variance = lfilter(parts.d, [1.0], error), *np.zeros((2, samples)), np.ones(samples)
+    driving, r, w, agrees = lfilter(parts.d, [1.0], error), *np.zeros((3, samples))
+    variance = np.ones(samples)
     for k in range(samples):
         before = k - 1 - np.arange(min(order, k))
         j = np.arange(before.size)
         r[k] = driving[k] - np.sum((g[j] * (1.0 - w[before]) + c[j] * w[before]) * r[before])
         added = (g[j] - c[j]) ** 2 * (1.0 - w[before]) ** 2 * variance[before]
         variance[k] = min(1.0 + added.sum(), limit)
-        w[k] = Noise.weights(noise, r[k] / np.sqrt(variance[k])) if known[k] else 0.0
+        explained = r[k] + np.sum((g[j] - c[j]) * (1.0 - w[before]) * r[before])
+        agrees[k] = Noise.weights(noise, explained) if known[before].all() else 0.0
+        lasts = min(agrees[k], agrees[k - 1] if k else 1.0)
+        w[k] = max(Noise.weights(noise, r[k] / np.sqrt(variance[k])), lasts) if known[k] else 0.0
     np.testing.assert_allclose(found.residual, r, atol=1e-6)
     np.testing.assert_allclose(found.weights, w, atol=1e-6)
+
+
+def _summed_up(seed, samples=400):
+    """Return what is left of noise that is summed up, its model, and a prediction of each sample."""
+    rng = np.random.default_rng(seed)
+    parts = Parts(*map(np.array, ([1.0], [], [1.0], [1.0], [1.0, -1.0])), 0.0, np.zeros(0))
+    noise = Noise(Contaminated(0.05, 20.0), 1.0, given=True)
+
+    def predicts(level):
+        return level - cleaned_residuals(parts, level, np.isfinite(level), noise).residual
+
+    return np.cumsum(rng.normal(size=samples)), predicts
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_level_that_stays_where_it_jumped_is_believed_when_three_readings_agree(seed):
+    level, predicts = _summed_up(seed)
+    level[200:] += 20.0
+    error = np.abs(level - predicts(level))
+    # The prediction that follows the third reading is as good as any; one reading alone moves none.
+    assert (error[200:203] > 12.0).all() and error[203:].max() < 6.0
+
+
+@pytest.mark.parametrize("wild", [[20.0], [20.0, 20.0], [20.0, -13.0, 45.0, 20.0]])
+def test_outliers_that_do_not_agree_for_long_move_no_prediction(wild):
+    level, predicts = _summed_up(1)
+    before = predicts(level)[200 : 210 + len(wild)]
+    level[200 : 200 + len(wild)] += wild
+    moved = np.abs(predicts(level)[200 : 210 + len(wild)] - before)
+    assert moved.max() < 6.0 and moved[len(wild) + 3 :].max() < 0.1
 
 
 def test_outliers_that_hide_each_other_are_found_all_at_once():

@@ -9,6 +9,14 @@ output. With A D = 1 + g_1 q^-1 + .. the residuals follow from
 
     r(k) = [D (A y - B/F u - d)](k) - sum_j (g_j (1 - w(k-j)) + c_j w(k-j)) r(k-j).
 
+What was far may have been a wild reading, or a step that lasts. A wild one is followed by readings that the prediction
+in its place explains; a step by those that it explains itself, as it was measured,
+
+    r(k) + sum_j (g_j - c_j) (1 - w(k-j)) r(k-j)
+
+being small. Of two that a step explains in a row the second is believed, and so those after it. An outlier repeats the
+one before by chance with a share of about contamination/scale ratio: .004 for 7 % of 20 deviations, twice .00001.
+
 A weight depends on its residual and so on the weights before it. Many samples are predicted together with the weights
 as they are, these are computed anew, and so on: each turn settles at least one sample more, and usually dozens.
 """
@@ -123,8 +131,9 @@ def cleaned_residuals(parts: Parts, equation_error: Array, seen: Array, noise: N
     limit = float(np.sum(np.square(lfilter(parts.c, np.concatenate(([1.0], g[1:])), impulse))))
     driving, size = lfilter(parts.d, [1.0], equation_error), seen.size
     # With what stands for samples before the first.
-    residuals, variances = np.zeros(order + size), np.ones(order + size)
+    residuals, variances, agreeing = np.zeros(order + size), *np.ones((2, order + size))
     weights = np.concatenate((np.ones(order), seen))
+    missing = weights == 0.0
     settled = 0
     while settled < size:
         before, now = slice(settled, settled + order), slice(settled + order, settled + order + _TOGETHER)
@@ -140,7 +149,12 @@ def cleaned_residuals(parts: Parts, equation_error: Array, seen: Array, noise: N
             both = slice(before.start, now.stop)
             doubts = (1.0 - weights[both]) ** 2 * variances[both]
             changed = np.minimum(1.0 + np.convolve(added, doubts)[order : order + target.size], limit)
-            weight = np.where(measured, np.nan_to_num(noise.weights(residual / np.sqrt(changed))), 0.0)
+            doubted = np.where(missing[both], np.nan, (1.0 - weights[both]) * np.concatenate((r, residual)))
+            explained = residual + np.convolve(g - c, doubted)[order : order + target.size]
+            agreeing[now] = np.nan_to_num(noise.weights(explained))
+            lasting = np.minimum(agreeing[now], agreeing[now.start - 1 : now.stop - 1][: target.size])
+            alone = np.nan_to_num(noise.weights(residual / np.sqrt(changed)))
+            weight = np.where(measured, np.maximum(alone, lasting), 0.0)
         moved = (np.abs(weight - tried) > _SETTLED) | (np.abs(changed - variance) > _SETTLED * changed)
         # The first that moved depends on none that did.
         residuals[now], weights[now], variances[now] = residual, weight, changed
