@@ -530,6 +530,18 @@ def test_a_bank_is_its_trackers_whatever_is_drawn(seed):
     np.testing.assert_allclose(bank.predict(ahead if structure.n_inputs else None), theirs, rtol=1e-6, atol=1e-7)
 
 
+def test_an_actuator_without_a_model_is_predicted_as_it_is_alone_however_long_that_lasts():
+    rng = np.random.default_rng(4)
+    u = rng.choice([-1.0, 1.0], (600, 2))
+    u[:, 1] = 0.0
+    y = lfilter([0.0, 1.0], [1.0, -0.5], u, axis=0) + np.cumsum(0.1 * rng.normal(size=(600, 2)), axis=0)
+    with unheard():
+        bank = TrackerBank(2, ARX(1, 1), start=100).run(y, u)
+        alone = ParameterTracker(ARX(1, 1), start=100).run(y[:, 1], u[:, 1])
+    # The other one is looked at meanwhile, so that its samples are divided otherwise.
+    np.testing.assert_array_equal(bank.prediction[:, 1], alone.prediction)
+
+
 def test_filters_that_learn_what_is_typical_do_so_for_each_actuator_and_go_on():
     structure = ARX(2, 2)
     y, u = recording(structure)

@@ -144,10 +144,11 @@ class ColdStart(NamedTuple):
 
     def levels(self, more: Array) -> Array:
         """Return the median of the outputs before each of some more, and after the last, 0 while there are none."""
-        y = np.append(self.y, more)
+        # Of as many as are kept, however the samples are divided into calls.
+        y, longest = np.append(self.y, more), _LONGEST * self.samples
         medians = np.zeros(more.size + 1)
         for k in range(more.size + 1):
-            measured = y[: self.y.size + k]
+            measured = y[max(0, self.y.size + k - longest) : self.y.size + k]
             measured = measured[measured == measured]
             medians[k] = np.median(measured) if measured.size else 0.0
         return medians
