@@ -473,7 +473,7 @@ def pneumatic_servo(
     import control
 
     parameters = as_parameters(parameters)
-    alpha_at, beta_at = _coefficient_functions(parameters, alpha, beta)
+    alpha_at, beta_at = coefficient_functions(parameters, alpha, beta)
     wrong = [label for label in outputs if label not in STATES]
     if wrong or not outputs or isinstance(outputs, str):
         raise ValueError(f"outputs: expected names out of {STATES}, got {outputs!r}")
@@ -495,15 +495,11 @@ def pneumatic_servo(
     )
 
 
-def _coefficient_functions(
+def coefficient_functions(
     parameters: PneumaticParameters, alpha: Coefficient, beta: Coefficient | None
 ) -> tuple[Callable[[float], float], Callable[[float], float]]:
     """Return alpha and beta as checked functions of time, beta by eq (6) if it is None."""
-    alpha_at = coefficient_function(alpha, "alpha", ALPHA_RANGE)
-    if beta is not None:
-        return alpha_at, coefficient_function(beta, "beta", BETA_RANGE)
-    discharge = parameters.discharge_coefficient
-    if not callable(alpha):
-        constant = beta_coefficient(alpha_at(0.0), discharge)
-        return alpha_at, lambda t: constant
-    return alpha_at, coefficient_function(lambda t: alpha_at(t) * discharge, "beta", BETA_RANGE)
+    alpha_at, discharge = coefficient_function(alpha, "alpha", ALPHA_RANGE), parameters.discharge_coefficient
+    if beta is None:
+        beta = (lambda t: alpha_at(t) * discharge) if callable(alpha) else alpha_at(0.0) * discharge
+    return alpha_at, coefficient_function(beta, "beta", BETA_RANGE)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.signal import cont2discrete, ss2tf
@@ -14,15 +14,12 @@ from scipy.signal import cont2discrete, ss2tf
 from robust_filterpy._checks import Array, option, positive
 
 from .equations import (
-    ALPHA_RANGE,
-    BETA_RANGE,
     INPUTS,
     NOMINAL_ALPHA,
     STATES,
     PneumaticParameters,
     as_parameters,
-    beta_coefficient,
-    checked,
+    coefficient_functions,
     dry_friction,
     servo_derivatives,
 )
@@ -30,9 +27,8 @@ from .equations import (
 if TYPE_CHECKING:
     import control
 
-#: What one unit of a scaled state and input is: m, m/s, Pa, Pa; command, N. One step of finite differences suits all.
+#: What is little of a state: m, m/s, Pa, Pa; with command and N as they are, one step of finite differences suits all.
 STATE_SCALES = np.array([1e-2, 1e-1, 1e5, 1e5])
-INPUT_SCALES = np.array([1.0, 1.0])
 _STEP = 1e-6
 
 
@@ -109,7 +105,7 @@ def operating_point(
             raise ValueError(f"{name}: expected a finite number, got {value}")
     if not abs(position) <= p.stroke / 2:
         raise ValueError(f"position: expected within +-{p.stroke / 2:g} m, got {position}")
-    alpha, beta = coefficients_at(p, alpha, beta)
+    alpha, beta = (at(0.0) for at in coefficient_functions(p, alpha, beta))
     force = load + p.spring * position + p.viscous_friction * velocity + dry_friction(p)(velocity)
     push = force + (p.area_a - p.area_b) * p.atmospheric_pressure
     # Without leakage the pressures are those of any speed.
@@ -160,30 +156,24 @@ def operating_point(
     return ServoOperatingPoint(float(position), float(velocity), P_a, P_b, valve, float(load))
 
 
-def coefficients_at(p: PneumaticParameters, alpha: float, beta: float | None) -> tuple[float, float]:
-    """Return alpha and beta as checked floats, beta by eq (6) if it is None."""
-    alpha = float(checked(alpha, "alpha", ALPHA_RANGE))
-    if beta is None:
-        return alpha, beta_coefficient(alpha, p.discharge_coefficient)
-    return alpha, float(checked(beta, "beta", BETA_RANGE))
-
-
 def state_matrices(
     p: PneumaticParameters, point: ServoOperatingPoint, alpha: float, beta: float
 ) -> tuple[Array, Array]:
-    """Return A (4, 4) and B (4, 2) of the equations at a point, for x / STATE_SCALES and u / INPUT_SCALES."""
+    """Return A (4, 4) and B (4, 2) of the equations at a point."""
     # Forward differences: where the valve is about to open (velocity 0), the derivative is that of the opening valve.
     from scipy.optimize import approx_fprime
 
-    derivatives, scales = servo_derivatives(p), np.concatenate((STATE_SCALES, INPUT_SCALES))
+    derivatives, scales = servo_derivatives(p), np.append(STATE_SCALES, [1.0, 1.0])
 
     def rates(scaled: Array) -> Array:
         return np.array(derivatives(*(scaled * scales).tolist(), alpha, beta)) / STATE_SCALES
 
-    jacobian = approx_fprime(np.array(point) / scales, rates, _STEP)
+    jacobian = approx_fprime(np.array(point) / scales, rates, _STEP) * STATE_SCALES[:, None] / scales
     return jacobian[:, :4], jacobian[:, 4:]
 
 
+#: The row that takes states to the position.
+_POSITION = np.eye(1, 4)
 #: Bandwidth of the loop, and damping ratio that the feedback of acceleration adds: our choice.
 _BANDWIDTH, _ADDED_DAMPING = 0.1, 0.1
 #: Where the loop is tested: shares of the half stroke, and velocities in m/s.
@@ -277,9 +267,8 @@ def sampled(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
 
 
 def feedback(A: Array, gains: PositionGains) -> Array:
-    """Return the row that takes scaled states to minus the opening."""
-    position = np.array([[STATE_SCALES[0], 0.0, 0.0, 0.0]])
-    return gains.gain * position + gains.damping * STATE_SCALES[1] * A[1:2]
+    """Return the row that takes states to minus the opening."""
+    return gains.gain * _POSITION + gains.damping * A[1:2]
 
 
 class ServoLinearization(NamedTuple):
@@ -372,19 +361,19 @@ def linearize_servo(
     if friction == "viscous":
         p = without_dry_friction(p)
     point = operating_point(p, position, velocity=velocity, load=load, alpha=alpha, beta=beta)
-    A, B = state_matrices(p, point, *coefficients_at(p, alpha, beta))
+    A, B = state_matrices(p, point, *(at(0.0) for at in coefficient_functions(p, alpha, beta)))
 
-    scaled = control.ss(A, B, np.eye(4), np.zeros((4, 2)))
-    held = control.sample_system(scaled, dt, method="zoh")
-    a, b = held.A, held.B[:, :1]
-    row = np.array([[STATE_SCALES[0], 0.0, 0.0, 0.0]])
-    to_position = _transfer_function(a, b, row, dt)
-    opening = b * (1 - p.dead_band)
-    closed = _transfer_function(a - opening @ feedback(A, gains), gains.gain * opening, row, dt)
+    a, b = sampled(A, B, dt)
+    opening = b[:, :1] * (1 - p.dead_band)
+    to_position = _transfer_function(a, b[:, :1], dt)
+    closed = _transfer_function(a - opening @ feedback(A, gains), gains.gain * opening, dt)
     # (1 - 1/z)/dt: the pole at 1 goes, one at 0 comes.
     numerator, denominator = to_position.num[0][0], np.polydiv(to_position.den[0][0], [1.0, -1.0])[0]
     to_velocity = control.tf(numerator / dt, np.append(denominator, 0.0), dt)
-    return ServoLinearization(point, _in_si_units(scaled), _in_si_units(held), to_position, to_velocity, closed)
+    names = {"states": list(STATES), "inputs": list(INPUTS), "outputs": list(STATES)}
+    continuous = control.ss(A, B, np.eye(4), np.zeros((4, 2)), **names)
+    discrete = control.ss(a, b, np.eye(4), np.zeros((4, 2)), dt=dt, **names)
+    return ServoLinearization(point, continuous, discrete, to_position, to_velocity, closed)
 
 
 def chosen_gains(p: PneumaticParameters, gain: float | None, damping: float | None) -> PositionGains:
@@ -397,20 +386,9 @@ def chosen_gains(p: PneumaticParameters, gain: float | None, damping: float | No
     return given
 
 
-def _in_si_units(system: control.StateSpace) -> control.StateSpace:
-    """Undo the scaling of states, inputs and outputs."""
+def _transfer_function(a: Array, b: Array, dt: float) -> control.TransferFunction:
+    """Return what (z I - a)^-1 b says of the position."""
     import control
 
-    a = STATE_SCALES[:, None] * system.A / STATE_SCALES
-    b = STATE_SCALES[:, None] * system.B / INPUT_SCALES
-    return control.ss(
-        a, b, np.eye(4), np.zeros((4, 2)), dt=system.dt, states=list(STATES), inputs=list(INPUTS), outputs=list(STATES)
-    )
-
-
-def _transfer_function(a: Any, b: Any, c: Any, dt: float) -> control.TransferFunction:
-    """Return c (z I - a)^-1 b."""
-    import control
-
-    numerator, denominator = ss2tf(a, b, c, np.zeros((1, 1)))
+    numerator, denominator = ss2tf(a, b, _POSITION, np.zeros((1, 1)))
     return control.tf(numerator[0, 1:], denominator, dt)
