@@ -86,9 +86,7 @@ PROGRAMS = {
     "numbers of a call": lambda kf, z, k, o: (kf.predict(Q=0.3), kf.update(z, R=0.7)),
     "inputs": lambda kf, z, k, o: (kf.predict(one_input(kf, o, k)), kf.update(z)),
     "no B": lambda kf, z, k, o: (setattr(kf, "B", None), kf.predict(0), kf.update(z)),
-    "correlated": lambda kf, z, k, o: (
-        kf.predict(), kf.update_correlated(z, R=None if k % 2 else o.R + kf.R)
-    ),
+    "correlated": lambda kf, z, k, o: (kf.predict(), kf.update_correlated(z, R=None if k % 2 else o.R + kf.R)),
     "steady state": lambda kf, z, k, o: steady(kf, z, k, one_input(kf, o, k)),
     "steady state, a gain from elsewhere": lambda kf, z, k, o: (
         steady_with_a_gain_from_elsewhere(kf, z, k, one_input(kf, o, k))

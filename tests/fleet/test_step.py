@@ -586,9 +586,7 @@ def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
     assert "state: P: expected a positive semidefinite matrix" in lost.error.iloc[-1]
 
 
-@pytest.mark.parametrize("options", [
-    {"start": 0}, {"start": 0, "regressor": "cleaned", "offset": True}, {"start": 80},
-])  # fmt: skip
+@pytest.mark.parametrize("options", [{"start": 0}, {"start": 0, "regressor": "cleaned", "offset": True}, {"start": 80}])
 def test_keys_of_trackers_go_together_and_are_the_trackers(options, monkeypatch):
     rng, keys = np.random.default_rng(8), list("abcde")
     u = rng.choice([-1.0, 1.0], (5, 150))

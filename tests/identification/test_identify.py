@@ -11,19 +11,9 @@ from recordings import RIGHT, THETA, A, B, assert_refused, binary, recording, un
 from scipy.signal import lfilter
 from statsmodels.tsa.statespace.sarimax import SARIMAX
 
-from robust_filterpy import Huber, TukeyBiweight
+from robust_filterpy import ARX, Huber, OutputError, TukeyBiweight, identify
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification import (
-    ARMAX,
-    ARX,
-    FIR,
-    GreyBox,
-    LinearRegression,
-    OutputError,
-    StateSpace,
-    identify,
-    validate,
-)
+from robust_filterpy.identification import ARMAX, FIR, GreyBox, LinearRegression, StateSpace, validate
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.influence import Linear
 

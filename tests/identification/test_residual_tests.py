@@ -13,17 +13,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
-from robust_filterpy.identification import (
-    ARMAX,
-    ARX,
-    FIR,
-    GreyBox,
-    OutputError,
-    StateSpace,
-    compare,
-    identify,
-    validate,
-)
+from robust_filterpy import ARX, OutputError, identify
+from robust_filterpy.identification import ARMAX, FIR, GreyBox, StateSpace, compare, validate
 from robust_filterpy.identification.judging.validate import Validation, Validations
 from robust_filterpy.identification.models.dependence import whitening_of
 from robust_filterpy.influence import Linear

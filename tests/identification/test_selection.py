@@ -254,9 +254,7 @@ def test_structures_next_to_the_best_begin_at_it_and_are_as_likely_as_from_every
     assert near
     for row in near:
         first = 3 - max(row.structure.nf, sum(row.structure.inputs[0]) - 1)
-        anywhere = identify(
-            Y[max(first, 0) :], U[max(first, 0) :, 0], row.structure, trend="constant", progress=False
-        )
+        anywhere = identify(Y[max(first, 0) :], U[max(first, 0) :, 0], row.structure, trend="constant", progress=False)
         assert row.log_likelihood > anywhere.log_likelihood - 3.0
 
 

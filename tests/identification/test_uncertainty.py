@@ -12,17 +12,8 @@ from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from robust_filterpy.identification import (
-    AR,
-    ARMAX,
-    ARX,
-    FIR,
-    BoxJenkins,
-    LinearRegression,
-    OutputError,
-    ParameterTracker,
-    identify,
-)
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify
+from robust_filterpy.identification import AR, ARMAX, FIR, BoxJenkins, LinearRegression
 from robust_filterpy.identification.estimation import estimate
 from robust_filterpy.influence import Linear
 

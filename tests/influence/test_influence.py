@@ -140,9 +140,7 @@ def test_student_is_the_score_of_its_density_whose_fisher_information_is_expecte
     np.testing.assert_allclose(StudentT(df).psi(GRID), score, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    "influence", [Linear(), Huber(np.inf), TukeyBiweight(4.685), Hampel(2.0, 4.0, 8.0)], ids=ids
-)
+@pytest.mark.parametrize("influence", [Linear(), Huber(np.inf), TukeyBiweight(4.685), Hampel(2.0, 4.0, 8.0)], ids=ids)
 def test_expected_information_under_the_normal_distribution(influence):
     edges = np.unique([-20.0, 20.0, *(side * x for x in corners(influence) if x < 20 for side in (-1, 1))])
     slope = lambda e: influence.psi_deriv(e) * scipy.stats.norm.pdf(e)  # noqa: E731

@@ -57,9 +57,7 @@ def test_scales_come_back_within_ten_percent(contamination, draws):
         assert estimate_noise(guess(), recording(1, contamination, 1000), contamination=0.0).R[0, 0] > 4.0 * R
 
 
-@pytest.mark.parametrize(
-    "start", by_night([(3.0, 3.0), (1e4, 1e-4), (0.4, 0.33), (1e-4, 1e4)], (1e4, 1e-4)), ids=repr
-)
+@pytest.mark.parametrize("start", by_night([(3.0, 3.0), (1e4, 1e-4), (0.4, 0.33), (1e-4, 1e4)], (1e4, 1e-4)), ids=repr)
 def test_where_the_search_begins_does_not_matter(start):
     """An AR(1) state: R = 0 with many outliers is a maximum too, 5 to 60 nats below."""
     zs = random_walk(0, 400, 0.9, 1.0)

@@ -10,12 +10,7 @@ import pandas
 import pytest
 
 from robust_filterpy import Contaminated
-from robust_filterpy.plants.servo import (
-    PneumaticParameters,
-    pneumatic_servo,
-    position_loop,
-    simulate_servo,
-)
+from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo, position_loop, simulate_servo
 from robust_filterpy.plants.servo.equations import servo_derivatives
 from robust_filterpy.plants.servo.linearization import (
     UnstableLoopError,

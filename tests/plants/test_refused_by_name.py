@@ -17,11 +17,7 @@ from robust_filterpy.plants.excitation import (
     sample_autocovariance,
 )
 from robust_filterpy.plants.linear import random_walk, stable
-from robust_filterpy.plants.servo import (
-    PneumaticParameters,
-    pneumatic_servo,
-    simulate_servo,
-)
+from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo, simulate_servo
 from robust_filterpy.plants.servo.equations import valve_opening
 from robust_filterpy.plants.servo.linearization import linearize_servo
 from robust_filterpy.plants.servo.position_loop import simulate_actuator

@@ -354,8 +354,7 @@ fault("ROnDiagonal", "The correlations of R left out.", "recording_is_filtered_a
 fault("BiasedSensor", "An offset left in from a calibration.", "small_innovations_are_believed",
       "mirror_image_of_the_data_gives_the_mirror_image",
       innovation=lambda self, z: Textbook.innovation(self, z) + 0.2)
-fault("SignOfGain", "x+ = x - K y.", "small_innovations_are_believed",
-      corrected=lambda self, x, K, y: x - K @ y)
+fault("SignOfGain", "x+ = x - K y.", "small_innovations_are_believed", corrected=lambda self, x, K, y: x - K @ y)
 fault("GainWithoutS", "K = P H', not divided by S.", "small_innovations_are_believed",
       gain=lambda self, P, S: P @ self.H.T)
 fault("PNotUpdated", "P+ = P.", "measurement_makes_the_state_more_certain", shrunk=lambda self, P, K, S: P)
@@ -410,8 +409,7 @@ fault("WeightsFromR", "The innovation is judged by R alone.", "innovations_are_j
 fault("WeightsFromPredictedState", "The innovation is judged by H P H' alone.",
       "innovations_are_judged_by_their_own_deviation", of=TextbookRobust,
       length=lambda self, y, S: TextbookRobust.length(self, y, S - self.noise() + 1e-9 * S))
-fault("Timid", "Bounded far out only: most outliers come through.", "outliers_cost_little", of=TextbookRobust,
-      k=9.5)
+fault("Timid", "Bounded far out only: most outliers come through.", "outliers_cost_little", of=TextbookRobust, k=9.5)
 fault("Deaf", "A threshold of .1: good data are cut, and P knows it.", "innovations_are_white",
       "clean_data_are_used_well", of=TextbookRobust, k=0.1)
 fault("QThroughF", "P = F (P + Q) F'.", "prediction_adds_Q_once",
