@@ -8,7 +8,7 @@ import pytest
 from interruption import half_steps
 from support import Extended, by_night, of_matrices
 
-from robust_filterpy import (Contaminated, Learnt, RobustKalmanFilter, RobustUnscentedKalmanFilter, TukeyBiweight)
+from robust_filterpy import Contaminated, Learnt, RobustKalmanFilter, RobustUnscentedKalmanFilter, TukeyBiweight
 from robust_filterpy.correction import Scales
 from robust_filterpy.filters import RobustCubatureKalmanFilter
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter

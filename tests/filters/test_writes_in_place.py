@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import Extended, noise_given, of_matrices, recovering, two_sided
 
-from robust_filterpy import (AdaptiveKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter)
+from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.filters import RobustCubatureKalmanFilter
 
 F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.0, 0.95]])

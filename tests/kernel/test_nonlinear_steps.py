@@ -6,7 +6,7 @@ import support
 from filterpy.kalman import MerweScaledSigmaPoints
 from hostile import spoilt
 
-from robust_filterpy import (RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, kernel)
+from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, kernel
 from robust_filterpy.filters import RobustCubatureKalmanFilter, shell
 from robust_filterpy.kernel import moments
 
