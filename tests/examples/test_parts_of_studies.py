@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from recordings import binary
-from scipy.signal import lfilter
 
 from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.plants import simulate_output_error
@@ -57,38 +55,6 @@ def test_unknown_figure_is_refused(paper, tmp_path):
         assert refused.value.code == 2
 
 
-def test_filters_over_all_runs_are_the_loop_over_filterpy_and_refuse_the_same_runs(paper, form):
-    paper("state_estimation")
-    study = paper("state_estimation_study")
-    rng = np.random.default_rng(3)
-    z, is_outlier = rng.standard_normal((3, 60)), rng.random((3, 60)) < 0.2
-    # Every sample of this run is clipped, and with the realized psi' P is never corrected: no reason to refuse it.
-    z[1] = 1e6
-    for P0, expected_refusals, realized_refusals in ((0.1, 0, 0), (10.0, 3, 2)):
-        setting, refused = study.Setting("", P0=P0), {}
-        for name in study.FILTERS:
-            found, expected = (way(name, setting, z, is_outlier) for way in (study.filtered, study.looped))
-            assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
-            refused[name] = np.isnan(found).any(axis=(1, 2)).sum()
-        assert (refused.pop("T=1,  expected"), refused.pop("T=1,  realized")) == (expected_refusals, realized_refusals)
-        assert not any(refused.values())
-
-
-@pytest.mark.parametrize("plant", ["SECTION4", "WELL"])
-def test_trackers_of_a_recording_are_the_loop_over_filterpy(paper, form, plant, monkeypatch):
-    identification = paper("identification")
-    monkeypatch.setattr(identification, "STEPS", 300)
-    found, expected = (
-        identification.trial(np.random.default_rng(5), getattr(identification, plant), tracking=way)
-        for way in (identification.tracked, identification.looped)
-    )
-    for one, other in zip(found, expected, strict=True):
-        assert_allclose(one, other, rtol=1e-9, atol=1e-9)
-    # T = 1 is refused from the well-conditioned plant's start, and nothing else is.
-    refused = np.isnan(found.response_error)
-    assert refused.sum() == (2 if plant == "WELL" else 0)
-
-
 def test_equation_50_of_the_report_is_the_gain_of_the_filter(paper):
     """And (52) is (50) where (51) holds."""
     rate = paper("initial_rate")
@@ -110,14 +76,6 @@ def test_equation_50_of_the_report_is_the_gain_of_the_filter(paper):
             seen.add(large)
         before = P, kf.y.item()
     assert seen == {True, False}
-
-
-def test_a_start_that_is_far_off_keeps_the_gain_of_the_realized_psi_up(paper):
-    rate = paper("initial_rate")
-    near, far = (rate.starts(offset, 10, 10_000) for offset in (0, 10))
-    assert far.large[:, :5].all() and near.large[:, :5].mean() < 0.5
-    assert (far.K[0] > far.K[1])[:, 1:].all() and np.mean(near.K[0] < near.K[1]) > 0.5
-    assert far.squared[0].mean() < 0.7 * far.squared[1].mean()
 
 
 def test_verdicts_are_one_sided_and_join(paper):
@@ -179,33 +137,11 @@ def test_bound_without_drift_and_prior_is_the_cramer_rao_bound(paper):
 
 # The servo study: what it draws, how it fits, and whose gain it compares with whose.
 
-THETA = np.array([-0.9, 0.5, -0.1, 0.02, 0.4, 0.3, 0.1, 0.05])
-
-
 @pytest.fixture
 def servo(monkeypatch):
     """Import a module of the folder."""
     monkeypatch.syspath_prepend(str(PAPER.parent))
     return lambda name: importlib.import_module(f"servo.{name}")
-
-
-def signals(models, n=800, outliers=0.0, seed=0):
-    """An output-error recording with outliers, in the study's form."""
-    rng, u = binary(seed, n)
-    truth = lfilter([0.0, *THETA[4:]], [1.0, *THETA[:4]], u)
-    noise = 0.05 * rng.standard_normal(n) + (rng.random(n) < outliers) * 3.0 * rng.standard_normal(n)
-    return models.Signals(u, truth + noise, truth, np.zeros(n), THETA + 0.02)
-
-
-@pytest.mark.nightly
-def test_constant_model_is_found_through_outliers(servo):
-    models = servo("models")
-    data = signals(models, n=400, outliers=0.1)
-    theta = models.best_constant(data)
-    # The a's and b's of such a plant are known less well than what it does.
-    found = lfilter([0.0, *theta[4:]], [1.0, *theta[:4]], data.u)
-    assert np.std(found - data.truth) < 0.2 * 0.05
-    assert models.fit(data, models.tracked(data, models.CONSTANT, 0.05**2)) > 97
 
 
 def test_sliding_gain_is_that_of_choked_venting(servo):
@@ -215,13 +151,3 @@ def test_sliding_gain_is_that_of_choked_venting(servo):
     # What leaves the vented chamber is C_d W sqrt(R T) 0.6847 of its air per second, and the piston follows it.
     air = recording.beta[200] / recording.alpha[200] * p.valve_area * np.sqrt(p.gas_constant * p.temperature) * 0.6847
     assert models.sliding_gain(recording, 200) == pytest.approx(air * (1 / p.area_a + 1 / p.area_b) / 2, rel=5e-3)
-
-
-@pytest.mark.nightly
-def test_benchmark_prints_fits_and_targets():
-    study = PAPER.parents[1] / "tests/benchmarks/servo_study.py"
-    arguments = ["--seeds", "2", "--steps", "300", "--first", "10000"]
-    done = subprocess.run([sys.executable, str(study), *arguments], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    for words in ("two-sided", "outliers known", "constant", "valve to velocity", "intervals that do not overlap"):
-        assert words in done.stdout

@@ -1,4 +1,4 @@
-"""Physics of the pneumatic servo: the paper's eqs (1)-(7) one by one, and what they come to together."""
+"""The pneumatic servo: the paper's eqs (1)-(7), its position loop, operating points and linearization."""
 
 from __future__ import annotations
 
@@ -7,12 +7,19 @@ from dataclasses import replace
 
 import control
 import numpy as np
+import pandas
 import pytest
 from scipy.integrate import solve_ivp
 
-from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo
+from robust_filterpy import Contaminated
+from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo, position_loop, simulate_servo
 from robust_filterpy.plants.servo.equations import beta_coefficient, reduced_flow, servo_derivatives, valve_opening
-from robust_filterpy.plants.servo.linearization import operating_point
+from robust_filterpy.plants.servo.linearization import (
+    UnstableLoopError,
+    linearize_servo,
+    operating_point,
+    position_gains,
+)
 from robust_filterpy.plants.servo.position_loop import simulate_actuator
 
 P = PneumaticParameters()
@@ -192,3 +199,233 @@ def test_end_stops_never_pull_and_never_return_more_than_they_took():
     accelerations = [rhs(y, v, balanced, balanced, 0.0, 0.0, ALPHA, BETA)[1] for v in (-5.0, -0.05, 0.0, 0.05)]
     assert accelerations[0] == pytest.approx(0, abs=1e-9)
     assert 0 > accelerations[1] > accelerations[2] > accelerations[3]
+
+
+# The servo in its position loop, its operating points and its linearization, against scipy and python-control.
+
+
+DT, STD = 0.01, np.array([5e-5, 500.0, 500.0])
+
+
+def reference(n, seed=0):
+    return 0.02 * np.where(np.random.default_rng(seed).random(n // 20 + 1) < 0.5, -1.0, 1.0).repeat(20)[:n]
+
+
+# --- the recording ------------------------------------------------------------------------------------------------
+
+
+def test_fast_path_agrees_with_python_control():
+    dt, n = 0.01, 40
+    valve = 0.03 * np.sign(np.sin(0.5 * np.arange(n) + 0.1))
+    got = simulate_actuator(valve, dt, load=1.0, alpha=1.1, beta=0.3, supply=4.5e5)
+    servo, x = pneumatic_servo(alpha=1.1, beta=0.3, supply=4.5e5), np.array([0, 0, got.P_a[0], got.P_b[0]])
+    for k in range(n):
+        assert np.array(got[3:7])[:, k] == pytest.approx(x, rel=1e-5, abs=1e-5)
+        inputs = np.array([[valve[k]] * 2, [1.0] * 2])
+        x = control.input_output_response(
+            servo, [0, dt], inputs, x, solve_ivp_method="LSODA", solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-8}
+        ).states[:, -1]
+    assert np.ptp(got.position) > 5e-3
+
+
+def test_recording_names_every_signal():
+    r = reference(50)
+    recording = simulate_servo(r, 0.02, alpha=lambda t: 1.1 + 0.1 * t, beta=lambda t: 0.2 + 0.2 * t, load=3.0)
+    assert recording._fields == (
+        "t", "reference", "valve", "position", "velocity", "P_a", "P_b", "alpha", "beta", "load", "supply",
+        "position_measured", "P_a_measured", "P_b_measured", "position_estimate", "acceleration_estimate",
+    )  # fmt: skip
+    assert all(signal.shape == (50,) for signal in recording)
+    assert recording.t[1] == 0.02
+    assert recording.reference == pytest.approx(r)
+    assert recording.alpha == pytest.approx(1.1 + 0.1 * recording.t)
+    assert recording.beta == pytest.approx(0.2 + 0.2 * recording.t)
+    assert np.all(recording.load == 3.0) and np.all(recording.supply == 5e5)
+    # Without sensors in the way, what is measured and what the controller takes for the motion is the motion.
+    assert np.array_equal(recording.position_measured, recording.position)
+    assert np.array_equal(recording.P_b_measured, recording.P_b)
+    assert np.array_equal(recording.position_estimate, recording.position)
+    # Where beta is not given it follows alpha.
+    recording = simulate_servo(np.zeros(20), 0.01, alpha=np.linspace(1.0, 1.3, 20))
+    assert recording.beta == pytest.approx(0.25 * recording.alpha)
+
+
+@pytest.mark.parametrize("dt", [0.005, 0.01, 0.02])
+@pytest.mark.parametrize("beta", [0.1, 0.3, 0.5])
+def test_loop_settles_at_the_reference_over_the_range_it_is_made_for(dt, beta):
+    recording = simulate_servo(np.full(round(4 / dt), 0.015), dt, beta=beta)
+    assert recording.position[-1] == pytest.approx(0.015, abs=1e-3)
+    assert np.abs(recording.velocity[-20:]).max() < 2e-3
+
+
+def test_a_load_pushes_the_piston_off_its_reference_against_the_load():
+    recording = simulate_servo(np.zeros(300), 0.01, load=np.repeat([0.0, 20.0], 150))
+    assert abs(recording.position[149]) < 1e-4
+    assert recording.position[150:].min() < -5e-4
+
+
+# --- operating points and linear models ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("velocity", [-0.3, -0.01, 0.05, 0.5])
+@pytest.mark.parametrize(("position", "load"), [(0.0, 0.0), (0.03, 10.0), (-0.03, -40.0)])
+def test_operating_point_is_a_steady_motion(velocity, position, load):
+    point = operating_point(position=position, velocity=velocity, load=load, alpha=1.3, beta=0.25)
+    rates = servo_derivatives(P)(*point, 1.3, 0.25)
+    assert rates[0] == velocity
+    assert rates[1:] == pytest.approx((0, 0, 0), abs=1e-3)
+    assert abs(point.valve) > P.dead_band
+    # A load that pulls along may hold the vented chamber above the supply; nothing else leaves the range.
+    assert 1e5 < min(point.P_a, point.P_b) and (point.P_a if velocity > 0 else point.P_b) < 5e5
+    assert max(point.P_a, point.P_b) < 5e5 or load * velocity < 0
+    assert np.sign(point.valve) == np.sign(velocity)
+
+
+def test_zero_velocity_is_the_limit_of_creeping():
+    tight = replace(P, leakage_area=0.0, coulomb_friction=0.0, static_friction=0.0)
+    creeping, still = operating_point(tight, velocity=1e-9), operating_point(velocity=0.0)
+    assert still.valve == P.dead_band
+    assert still[2:4] == pytest.approx(creeping[2:4], rel=1e-6)
+
+
+def test_linearization_is_the_jacobian_of_the_equations():
+    model = linearize_servo(position=0.01, dt=0.01, velocity=0.08, load=5.0, alpha=1.1, beta=0.4)
+    rhs, point = servo_derivatives(P), np.array(model.point)
+    steps = np.array([1e-6, 1e-6, 10.0, 10.0, 1e-6, 1e-3])
+    for j, step in enumerate(steps):
+        ahead, behind = point.copy(), point.copy()
+        ahead[j] += step
+        behind[j] -= step
+        column = (np.array(rhs(*ahead, 1.1, 0.4)) - rhs(*behind, 1.1, 0.4)) / (2 * step)
+        got = model.continuous.A[:, j] if j < 4 else model.continuous.B[:, j - 4]
+        scale = np.abs(column).max()
+        assert got == pytest.approx(column, abs=1e-4 * scale + 1e-3)
+
+
+def test_transfer_functions_are_those_of_the_state_space_models():
+    model = linearize_servo(dt=0.02, velocity=0.1)
+    z = np.exp(1j * np.array([0.02, 0.2, 0.7, 1.5, 3.0]))
+    expected = np.array([model.discrete(point)[0, 0] for point in z])
+    assert model.valve_to_position(z) == pytest.approx(expected, rel=1e-6)
+    assert np.abs(model.valve_to_position.poles() - 1).min() < 1e-6
+    # The loop closed by hand; python-control's acceleration is a row of A.
+    acceleration = np.array([model.continuous.A[1] @ np.linalg.solve(
+        point * np.eye(4) - model.discrete.A, model.discrete.B[:, 0]) for point in z])  # fmt: skip
+    gain, damping = position_gains()
+    # The controller commands an opening: it steps over the dead band.
+    opening = 1 - P.dead_band
+    loop = gain * opening * expected / (1 + opening * (gain * expected + damping * acceleration))
+    assert model.reference_to_position(z) == pytest.approx(loop, rel=1e-6)
+    assert model.reference_to_position(1) == pytest.approx(1, rel=1e-6)
+    # The difference of successive positions over dt.
+    assert model.valve_to_velocity(z) == pytest.approx(expected * (1 - 1 / z) / 0.02, rel=1e-5)
+    assert model.valve_to_velocity(1).real == pytest.approx(0.1 / (model.point.valve - P.dead_band), rel=2e-3)
+
+
+def test_linear_loop_predicts_small_perturbations_of_the_nonlinear_loop():
+    dt, n = 0.01, 40
+    model = linearize_servo(dt=dt, velocity=0.05)
+    point = model.point
+    start = (-0.01, *point[1:4])
+    opening = (point.valve - P.dead_band) / (1 - P.dead_band)
+    ramp = start[0] + opening / position_gains().gain + 0.05 * dt * np.arange(n)
+    nudge = 1e-4 * np.sign(np.random.default_rng(3).standard_normal(n))
+    options = dict(initial=start, rtol=1e-9, compensation=1.0)
+    difference = simulate_servo(ramp + nudge, dt, **options).position - simulate_servo(ramp, dt, **options).position
+    predicted = control.forced_response(model.reference_to_position, None, nudge).outputs
+    assert np.linalg.norm(difference - predicted) < 0.05 * np.linalg.norm(difference)
+
+
+def test_dry_friction_freezes_the_linear_model_at_standstill_unless_it_is_left_out():
+    stuck, viscous = (linearize_servo(dt=0.01, velocity=0.0, friction=kind) for kind in ("full", "viscous"))
+    assert stuck.continuous.A[1, 1] == pytest.approx(-(7.4 / 1e-3 + 4.47), rel=1e-3)
+    assert viscous.continuous.A[1, 1] == pytest.approx(-4.47, rel=1e-6)
+    sliding = linearize_servo(dt=0.01, velocity=0.1)
+    assert sliding.continuous.A[1, 1] == pytest.approx(-4.47, rel=1e-3)
+
+
+def radius(p, beta, dt, **loop):
+    """Largest pole of python-control's model of the loop, over the stroke and in both directions."""
+    cases = [dict(position=y, velocity=v) for y in (-0.03, 0.0, 0.03) for v in (-0.05, 0.05)]
+    models = (linearize_servo(p, beta=beta, dt=dt, friction="viscous", **loop, **case) for case in cases)
+    return max(np.abs(model.reference_to_position.poles()).max() for model in models)
+
+
+@pytest.mark.parametrize("mass", [0.3, 1.0, 5.0, 50.0])
+def test_the_default_loop_is_stable_where_its_docstring_says_so(mass):
+    p = replace(P, mass=mass)
+    for dt in (0.005, 0.01, 0.02)[: 3 if mass >= 1 else 2]:
+        assert max(radius(p, beta, dt) for beta in (0.1, 0.3, 0.5)) < 1
+        simulate_servo(np.zeros(3), dt, p, beta=[0.1, 0.5, 0.3])
+
+
+def test_an_unstable_loop_is_refused_by_name_where_its_poles_are_outside():
+    for options in (dict(mass=5.0, gain=1.5, damping=5e-4), dict(mass=1.0, damping=0.0), dict(mass=1.0, gain=8.0)):
+        p, gains = replace(P, mass=options["mass"]), {k: v for k, v in options.items() if k != "mass"}
+        assert radius(p, 0.3, 0.01, **gains) > 1
+        with pytest.raises(UnstableLoopError, match=r"position loop: .* pole of size 1\.\d+ for gain=.* with mass="):
+            simulate_servo(np.zeros(3), 0.01, p, **gains)
+    assert issubclass(UnstableLoopError, ValueError)
+
+
+def test_a_failing_solver_is_not_passed_over(monkeypatch):
+    real = position_loop.odeint
+    monkeypatch.setattr(position_loop, "odeint", lambda *args, **kwargs: real(*args, **{**kwargs, "mxstep": 1}))
+    with pytest.warns(), pytest.raises(RuntimeError, match=r"the ODE solver failed between 0 and 0.01 s"):
+        simulate_servo(np.full(5, 0.01), 0.01)
+
+
+# The servo's loop on sensors that err, and the files of a recording.
+
+
+def sensor_noise(n, contamination, seed, factor=40.0):
+    rng = np.random.default_rng(seed)
+    return np.column_stack([Contaminated(contamination, factor, s).rvs(size=n, random_state=rng) for s in STD])
+
+
+def drive(noise, **options):
+    return simulate_servo(reference(len(noise)), DT, noise=noise, **options)
+
+
+def test_readings_are_the_truth_with_the_noise_that_was_given():
+    noise = sensor_noise(40, 0.2, 1)
+    for recording in (drive(noise), simulate_actuator(np.full(40, 0.02), DT, noise=noise)):
+        assert recording.position_measured == pytest.approx(recording.position + noise[:, 0], abs=1e-15)
+        assert recording.P_a_measured == pytest.approx(recording.P_a + noise[:, 1])
+        assert recording.P_b_measured == pytest.approx(recording.P_b + noise[:, 2])
+    # Without an observer the sensors are not in the loop.
+    assert np.array_equal(drive(noise).position, drive(np.zeros((40, 3))).position)
+
+
+def test_the_loop_runs_on_what_the_observer_says():
+    heard = []
+
+    def observer(readings, valve):
+        heard.append((readings.copy(), valve))
+        return 0.5 * readings[0], 3.0
+
+    noise = sensor_noise(60, 0.1, 2)
+    recording = simulate_servo(np.full(60, 0.01), DT, noise=noise, observer=observer, gain=1.2, damping=5e-4)
+    readings, commands = (np.array(column) for column in zip(*heard, strict=True))
+    assert readings[:, 0] == pytest.approx(recording.position_measured)
+    assert readings[:, 2] == pytest.approx(recording.P_b_measured)
+    assert commands[0] == 0 and commands[1:] == pytest.approx(recording.valve[:-1])
+    assert recording.position_estimate == pytest.approx(0.5 * recording.position_measured)
+    assert np.all(recording.acceleration_estimate == 3.0)
+    opening = 1.2 * (0.01 - 0.5 * recording.position_measured) - 5e-4 * 3.0
+    assert recording.valve == pytest.approx(np.sign(opening) * (0.009 + 0.991 * np.abs(opening)))
+
+
+def test_files_hold_every_signal_with_its_unit(tmp_path):
+    for recording in (drive(sensor_noise(30, 0.1, 5), load=2.0), simulate_actuator([0.0, 0.1], DT)):
+        recording.to_csv(tmp_path / "x.csv")
+        table = pandas.read_csv(tmp_path / "x.csv")
+        names, units = zip(*(column[:-1].split(" [") for column in table.columns), strict=True)
+        assert names == recording._fields
+        assert dict(zip(names, units, strict=True))["P_a"] == "Pa" and units[0] == "s" and units[2] == "1"
+        for signal, column in zip(recording, table.columns, strict=True):
+            # To the last digit, so that another tool identifies the same data.
+            assert np.array_equal(table[column], signal, equal_nan=True)
+    # Without a loop there is no reference, nor an estimate.
+    assert table["reference [m]"].isna().all() and table["position_estimate [m]"].isna().all()
+    assert table["position [m]"].notna().all()
