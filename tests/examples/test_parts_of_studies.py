@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.plants import simulate_output_error
 
 PAPER = Path(__file__).parents[2] / "examples" / "paper"
@@ -53,29 +52,6 @@ def test_unknown_figure_is_refused(paper, tmp_path):
         with pytest.raises(SystemExit) as refused:
             paper("reproduce").main([*wrong, "--out", str(tmp_path)])
         assert refused.value.code == 2
-
-
-def test_equation_50_of_the_report_is_the_gain_of_the_filter(paper):
-    """And (52) is (50) where (51) holds."""
-    rate = paper("initial_rate")
-    huber = Huber.from_contamination(0.1)
-    kf = RobustKalmanFilter(4, 1, influence=huber, scaling="unit", information="realized")
-    kf.x, kf.P, kf.F, kf.H, kf.Q, kf.R = np.zeros(4), 0.5 * np.eye(4), rate.F, rate.H, rate.W, 0.1 * np.eye(1)
-    before, seen = None, set()
-    for z in (0.3, 5.0, -0.2, 9.0, 9.0, 0.1):
-        kf.predict()
-        P = kf.P.copy()
-        kf.update(z)
-        if before is not None:
-            P_before, nu = before
-            large = bool(rate.is_large(nu, huber.threshold))
-            K = rate.gain(P_before, float(huber.psi_deriv(nu)), rate.H, rate.F, rate.H, rate.W)
-            assert_allclose(kf.K, K, rtol=1e-12)
-            if large:
-                assert_allclose(kf.K, rate.gain_after_large(P_before, rate.F, rate.H, rate.W), rtol=1e-12)
-            seen.add(large)
-        before = P, kf.y.item()
-    assert seen == {True, False}
 
 
 def test_verdicts_are_one_sided_and_join(paper):

@@ -100,15 +100,6 @@ def test_imm_survives_outliers_and_gaps(ndim, choices):
     assert abs(np.ravel(imm.x)[0] - zs[-1, 0]) < 10
 
 
-def test_imm_forgets_nothing_at_a_missing_sample():
-    imm = IMMEstimator(bank(RobustKalmanFilter), (0.5, 0.5), TRANSITION)
-    support.through(imm, support.simulate(support.cart(), 30, seed=4)[0])
-    imm.predict()
-    mu = imm.cbar.copy()
-    imm.update(None)
-    np.testing.assert_allclose(imm.mu, mu, rtol=1e-12)
-
-
 @pytest.mark.parametrize("ndim", NDIMS)
 def test_banks_of_filters_with_an_infinite_threshold_are_filterpys(ndim):
     """The update of an MMAE passes z, R and H by position."""
@@ -232,13 +223,10 @@ def test_copies_pickles_and_savers_work(kind):
     np.testing.assert_array_equal(other.x, ours.x)
 
 
-@pytest.mark.parametrize(
-    "kf, match",
-    [
-        (RobustKalmanFilter(1, 1), "robust already"), (FixedLagSmoother(1, 1), "got FixedLagSmoother"),
-        (None, "got NoneType"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("kf, match", [
+    (RobustKalmanFilter(1, 1), "robust already"), (FixedLagSmoother(1, 1), "got FixedLagSmoother"),
+    (None, "got NoneType"),
+])  # fmt: skip
 def test_what_it_cannot_convert_is_named(kf, match):
     with pytest.raises(TypeError, match=match):
         robust(kf)

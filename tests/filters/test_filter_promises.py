@@ -101,15 +101,12 @@ if not support.FILTERPY_2:
     EXPECTED["unscented"] |= SIGMA_POINTS
 
 
-@pytest.mark.parametrize(
-    ("name", "check"),
-    [
-        pytest.param(
-            name, check, id=f"{name}-{check}", marks=[] if name in WHOLE or (i + k) % 6 == 0 else [pytest.mark.nightly]
-        )
-        for i, (name, (_, not_claimed)) in enumerate(FILTERS.items())
-        for k, check in enumerate(filter_checks(not_claimed=not_claimed, expected_failures=EXPECTED.get(name)))
-    ],
-)
+@pytest.mark.parametrize(("name", "check"), [
+    pytest.param(
+        name, check, id=f"{name}-{check}", marks=[] if name in WHOLE or (i + k) % 6 == 0 else [pytest.mark.nightly]
+    )
+    for i, (name, (_, not_claimed)) in enumerate(FILTERS.items())
+    for k, check in enumerate(filter_checks(not_claimed=not_claimed, expected_failures=EXPECTED.get(name)))
+])  # fmt: skip
 def test_promise(name, check):
     check(FILTERS[name][0])

@@ -215,17 +215,6 @@ def test_rho_normalizer_and_likelihood_are_the_density():
     assert Noise(MIXTURE, 1.0).log_likelihood(within) == pytest.approx(np.log(density(within)).sum(), rel=1e-7)
 
 
-@pytest.mark.parametrize(("share", "ratio"), [(0.05, 10.0), (0.2, 6.0), (0.3, 20.0)])
-def test_expectation_maximisation_finds_the_mixture(share, ratio):
-    rng = np.random.default_rng(3)
-    r = 0.4 * np.where(rng.random(20_000) < share, ratio, 1.0) * rng.normal(size=20_000)
-    found = Noise(START, mad_scale(r) ** 2).refitted(r, steps=300)
-    # Five standard errors of a share, and of variances with a few hundredths more for what the labels would tell.
-    assert found.influence.contamination == pytest.approx(share, abs=5 * np.sqrt(share / r.size) + 0.005)
-    assert found.influence.scale_ratio == pytest.approx(ratio, rel=5 * np.sqrt(0.5 / (share * r.size)) + 0.03)
-    assert found.R == pytest.approx(0.16, rel=5 * np.sqrt(2.0 / r.size) + 0.02)
-
-
 def test_a_variance_that_is_given_stays():
     r = np.random.default_rng(6).normal(size=500)
     for influence in (Huber(), START):

@@ -66,19 +66,6 @@ def test_update_gives_the_numbers_of_run_to_the_last_bit(make):
     same(one.state(), other.state())
 
 
-def test_a_bank_that_goes_sample_by_sample_is_its_run_to_the_last_bit():
-    y, u = recording(300)
-    y, u = np.stack((y, 2.0 * y), axis=1), np.stack((u, u), axis=1)
-    one, other = (TrackerBank(2, ARX(2, 2), start=100) for _ in range(2))
-    other.enabled[1] = one.enabled[1] = False
-    result = one.run(y, u)
-    for k in range(len(y)):
-        other.update(y[k], u[k])
-        if k + 1 not in (25, 50, 100):
-            np.testing.assert_array_equal(other.theta, result.theta[k])
-    same(one.state(), other.state())
-
-
 def test_the_filter_shows_its_last_correction_from_when_it_was_asked_for():
     y, u = recording(60)
     whole, online, defined = (support.paper_tracker(ARX(2, 2), R=0.01) for _ in range(3))

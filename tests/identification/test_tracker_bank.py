@@ -81,18 +81,14 @@ def assert_is_the_loop(structure, y, u, **options):
 
 
 @pytest.mark.pairwise
-@pytest.mark.parametrize(
-    ("structure", "gradient", "guard"),
-    [
-        (structure, gradient, guard)
-        for structure in STRUCTURES
-        for gradient in GRADIENTS
-        for guard in GUARDS
-        # The other structures have no feedback for which this could make a difference.
-        if structure.stable_parts or (gradient, guard) == ("filtered", "halve")
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("structure", "gradient", "guard"), [
+    (structure, gradient, guard)
+    for structure in STRUCTURES
+    for gradient in GRADIENTS
+    for guard in GUARDS
+    # The other structures have no feedback for which this could make a difference.
+    if structure.stable_parts or (gradient, guard) == ("filtered", "halve")
+], ids=str)  # fmt: skip
 def test_bank_is_the_loop(structure, gradient, guard):
     y, u = recording(structure)
     assert_is_the_loop(structure, y, u, gradient=gradient, guard=guard, R=0.25, Q=1e-4)

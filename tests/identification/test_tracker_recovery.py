@@ -209,14 +209,10 @@ def runs(make, plant, count, samples, **options):
 
 
 @EVERY
-@pytest.mark.parametrize(
-    "plant",
-    [
-        Plant(ARX(1, 1), np.array([-0.8, 1.0])), Plant(FIR(3), np.array([1.0, 2.0, 3.0])),
-        Plant(ARX(1, 2), np.array([-0.5, 1.0, 2.0])), Plant(FIR(1, 3), np.array([2.0])), "fir", "arx",
-    ],
-    ids=str,
-)  # fmt: skip
+@pytest.mark.parametrize("plant", [
+    Plant(ARX(1, 1), np.array([-0.8, 1.0])), Plant(FIR(3), np.array([1.0, 2.0, 3.0])),
+    Plant(ARX(1, 2), np.array([-0.5, 1.0, 2.0])), Plant(FIR(1, 3), np.array([2.0])), "fir", "arx",
+], ids=str)  # fmt: skip
 def test_without_noise_parameters_have_sign_order_and_delay_of_the_plant(make, plant):
     scenario = clean(plant)
     np.testing.assert_allclose(after(make, scenario).theta, scenario.theta[-1], rtol=0.0, atol=0.02)

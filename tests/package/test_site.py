@@ -125,13 +125,10 @@ def test_no_page_is_written_in_tex(path):
     assert not re.findall(r"\$\$|\$\S[^$\n`]*\$|\\frac|\\mathrm", path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.nightly] if name in LONG or k % 3 else [])
-        for k, name in enumerate(SNIPPETS)
-    ],
-)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.nightly] if name in LONG or k % 3 else [])
+    for k, name in enumerate(SNIPPETS)
+])  # fmt: skip
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(SNIPPETS[name], name, "exec"), {"__name__": "page"})

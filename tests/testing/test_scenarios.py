@@ -170,35 +170,32 @@ def test_moving_points_and_what_is_seen_of_them_are_their_equations():
 # Bad input
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "words"),
-    [
-        (lambda: draw("velocity"), ValueError, "problem: expected one of 'constant velocity'"),
-        (lambda: draw(3), TypeError, "problem: expected a name, a StateModel or a Plant"),
-        (lambda: draw("level", 0), ValueError, "steps"),
-        (lambda: draw("level", contamination="outliers"), ValueError, "contamination: expected one of 'none'"),
-        (lambda: draw("level", contamination=[3]), TypeError, "contamination: expected a name or something to call"),
-        (lambda: draw("level", 10, jumps={10: [1.0]}), ValueError, "jumps: expected steps below 10"),
-        (lambda: draw("level", 10, jumps={1: [1.0, 2.0]}), ValueError, r"jumps: expected shape \(1, 1\)"),
-        (lambda: draw("level", dt=0.1), TypeError, "dt"),
-        (lambda: draw(random_stable(2, 1, rng=0), dt=1), TypeError, "dt: expected only with the name of a problem"),
-        (lambda: draw("level", jump_probability=2.0), ValueError, "jump_probability"),
-        (lambda: random_stable(0, 1), ValueError, "dim_x"),
-        (lambda: StateModel(np.zeros(2), *[np.eye(2)] * 2, np.eye(3), *[np.eye(2)] * 2), ValueError, "H: expected"),
-        (lambda: StateModel(np.zeros(2), *[np.eye(2)] * 4, 1.0), ValueError, "R: expected a square matrix"),
-        (lambda: random_stable(2, 1, rng=0).with_(B=np.ones(2)), ValueError, "B: expected"),
-        (lambda: random_stable(2, 1, rng=0).with_(sensor=np.sin), ValueError, "sensor, sensor_jacobian"),
-        (lambda: random_stable(2, 2, rng=0).with_(periods=(1,)), ValueError, "periods: expected one for each"),
-        (lambda: load(KalmanFilter(3, 1), MODELS["level"]()), ValueError, "expected dim_x=1, dim_z=1.* got dim_x=3"),
-        (lambda: load(object(), MODELS["level"]()), TypeError, "kf: expected a filter"),
-        (lambda: run_filter(KalmanFilter(3, 1), draw("level", 5, rng=0)), ValueError, "with 1 states"),
-        (lambda: draw("level", 5, contamination={"bursts": {"size": 3}}), ValueError, "'length'.*got 'size'"),
-        (lambda: draw("level", 5, contamination={"stuck": {"scale_ratio": 3}}), ValueError, "contamination 'stuck'"),
-        (lambda: Run(np.zeros((3, 1)), np.ones((4, 1, 1))), ValueError, "S: expected shape"),
-        (lambda: Run(np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros((3, 2)), truth=np.zeros((4, 2))), ValueError,
-         r"truth: expected shape \(3, 2\)"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("call", "error", "words"), [
+    (lambda: draw("velocity"), ValueError, "problem: expected one of 'constant velocity'"),
+    (lambda: draw(3), TypeError, "problem: expected a name, a StateModel or a Plant"),
+    (lambda: draw("level", 0), ValueError, "steps"),
+    (lambda: draw("level", contamination="outliers"), ValueError, "contamination: expected one of 'none'"),
+    (lambda: draw("level", contamination=[3]), TypeError, "contamination: expected a name or something to call"),
+    (lambda: draw("level", 10, jumps={10: [1.0]}), ValueError, "jumps: expected steps below 10"),
+    (lambda: draw("level", 10, jumps={1: [1.0, 2.0]}), ValueError, r"jumps: expected shape \(1, 1\)"),
+    (lambda: draw("level", dt=0.1), TypeError, "dt"),
+    (lambda: draw(random_stable(2, 1, rng=0), dt=1), TypeError, "dt: expected only with the name of a problem"),
+    (lambda: draw("level", jump_probability=2.0), ValueError, "jump_probability"),
+    (lambda: random_stable(0, 1), ValueError, "dim_x"),
+    (lambda: StateModel(np.zeros(2), *[np.eye(2)] * 2, np.eye(3), *[np.eye(2)] * 2), ValueError, "H: expected"),
+    (lambda: StateModel(np.zeros(2), *[np.eye(2)] * 4, 1.0), ValueError, "R: expected a square matrix"),
+    (lambda: random_stable(2, 1, rng=0).with_(B=np.ones(2)), ValueError, "B: expected"),
+    (lambda: random_stable(2, 1, rng=0).with_(sensor=np.sin), ValueError, "sensor, sensor_jacobian"),
+    (lambda: random_stable(2, 2, rng=0).with_(periods=(1,)), ValueError, "periods: expected one for each"),
+    (lambda: load(KalmanFilter(3, 1), MODELS["level"]()), ValueError, "expected dim_x=1, dim_z=1.* got dim_x=3"),
+    (lambda: load(object(), MODELS["level"]()), TypeError, "kf: expected a filter"),
+    (lambda: run_filter(KalmanFilter(3, 1), draw("level", 5, rng=0)), ValueError, "with 1 states"),
+    (lambda: draw("level", 5, contamination={"bursts": {"size": 3}}), ValueError, "'length'.*got 'size'"),
+    (lambda: draw("level", 5, contamination={"stuck": {"scale_ratio": 3}}), ValueError, "contamination 'stuck'"),
+    (lambda: Run(np.zeros((3, 1)), np.ones((4, 1, 1))), ValueError, "S: expected shape"),
+    (lambda: Run(np.zeros((3, 1)), np.ones((3, 1, 1)), np.zeros((3, 2)), truth=np.zeros((4, 2))), ValueError,
+     r"truth: expected shape \(3, 2\)"),
+])  # fmt: skip
 def test_bad_input_is_named(call, error, words):
     with pytest.raises(error, match=words):
         call()

@@ -23,45 +23,6 @@ def load(name):
     return module
 
 
-# -- the paper's state-estimation study
-
-
-@pytest.fixture(scope="module")
-def study():
-    return load("state_estimation_study")
-
-
-@pytest.fixture(scope="module")
-def usual(study):
-    """Errors (runs, filters, steps, 4) at contamination 0.1 from P0 = 0.1 I."""
-    return errors_of(study, study.SETTINGS[0], 100, 150)
-
-
-def errors_of(study, setting, runs, steps):
-    trials = [study.trial(np.random.default_rng([7, i]), setting, steps) for i in range(runs)]
-    return np.array(trials)
-
-
-def x1_per_run(study, errors, name):
-    return np.mean(errors[:, study.FILTERS.index(name), :, 0] ** 2, axis=1)
-
-
-def assert_larger(worse, better):
-    """The mean of the paired differences is more than five standard errors above zero."""
-    difference = worse - better
-    assert difference.mean() > 5 * difference.std(ddof=1) / len(difference) ** 0.5
-
-
-@pytest.mark.parametrize("name", ["T(k), expected", "T(k), realized"])
-def test_robust_is_between_plain_kalman_and_the_filter_that_knows_the_labels(study, usual, name):
-    robust = x1_per_run(study, usual, name)
-    assert_larger(x1_per_run(study, usual, study.KALMAN), robust)
-    assert_larger(x1_per_run(study, usual, study.KALMAN_TOTAL), robust)
-    best = x1_per_run(study, usual, study.LABELS)
-    assert_larger(robust, best)
-    assert robust.mean() < 1.5 * best.mean()
-
-
 # -- the water flow
 
 
