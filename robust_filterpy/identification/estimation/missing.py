@@ -89,53 +89,42 @@ class Unknowns:
         # Weights of the residuals from each sample on, and products of h with itself by delay.
         self._later = sliding_window_view(padded, h.size)
         self._products = sliding_window_view(np.concatenate((h, np.zeros(h.size))), h.size)[:-1] * h
-        self._corrected = np.zeros(self._size)
-        self.correction, self.residual = np.zeros(0), base
-        if self._places.size:
-            self._normal = self._equations(prior)
-            self.correction, self.residual = self._least(base)
-            self._corrected[self._places] = self.correction
+        self._normal = self._equations(prior)
+        self.correction, self.residual = self._least(base)
 
     def within(self, base: Array) -> Array:
         """Return what the unknown samples leave of other residuals that depend on them in the same way."""
-        return self._least(base)[1] if self._places.size else base
+        return self._least(base)[1]
 
     @property
     def log_det(self) -> float:
         """Log of the determinant of the normal equations."""
-        return self._normal.log_det if self._places.size else 0.0
+        return self._normal.log_det
 
     @property
     def variance(self) -> Array:
         """What the others leave uncertain of each unknown sample, in units of R, shape (m,)."""
-        return self._normal.inverse[0] if self._places.size else np.zeros(0)
+        return self._normal.inverse[0]
 
     def deviations(self) -> tuple[Array, Array]:
         """Return how far each sample is from what all others say of it, and how precisely they do; in units of 1/R."""
         coupled = self._later[: self._size] @ self._products.T
-        precision = coupled[:, 0]
-        if self._places.size:
-            precision = precision - self._explained(
-                self._h.size - 1, lambda k, p: coupled[np.maximum(k, p), np.minimum(np.abs(k - p), self._h.size - 1)]
-            )
+        precision = coupled[:, 0] - self._explained(
+            self._h.size - 1, lambda k, p: coupled[np.maximum(k, p), np.minimum(np.abs(k - p), self._h.size - 1)]
+        )
         deviation = self._pull(self.residual) / np.maximum(precision, 1e-9)
-        if self._places.size:
-            deviation[self._places] = self.correction
-            precision[self._places] = 1.0 / np.maximum(self.variance, 1e-9)
+        deviation[self._places] = self.correction
+        precision[self._places] = 1.0 / np.maximum(self.variance, 1e-9)
         return deviation, precision
 
     def leverages(self) -> Array:
         """Return the share of the variance of each residual that the choice of the unknowns takes away, shape (N,)."""
-        if not self._places.size:
-            return np.zeros(len(self.residual))
         shares = self._explained(0, lambda k, p: self._h[np.clip(k - p, 0, self._h.size - 1)])
         return np.minimum(shares[self._first :] * self._weights, 1.0)
 
     def beyond(self) -> Array:
         """Return what the corrections add to the residuals after the last one, shape (L - 1,)."""
-        last = self._h.size - 1
-        recent = np.concatenate((np.zeros(last), self._corrected))[self._size :]
-        return np.convolve(recent, self._h)[last:] if last else recent
+        return np.asarray((self._pattern @ self.correction)[self._size : -1])
 
     def spread(self) -> Array:
         """Return K: what pairs of unknowns add to the expected sum of squares, by their delays to a residual."""
@@ -166,7 +155,7 @@ class Unknowns:
         places, length = self._places, self._h.size
         coupled = self._later[places] @ self._products.T
         # What couples one sample to two unknowns reaches twice as far as what couples these.
-        reach = int((np.searchsorted(places, places + 2 * length - 1) - np.arange(places.size)).max())
+        reach = int((np.searchsorted(places, places + 2 * length - 1) - np.arange(places.size)).max(initial=1))
         band = np.zeros((reach, places.size))
         for d in range(reach):
             apart = places[d:] - places[: places.size - d]
@@ -174,7 +163,7 @@ class Unknowns:
             band[d, near] = coupled[near + d, apart[near]]
         # An unknown sample that no residual shows stays as it is.
         band[0] += _RIDGE if prior is None else np.maximum(prior, _RIDGE)
-        return Neighbours(band, np.concatenate(([True], np.diff(places) >= length)))
+        return Neighbours(band, np.diff(places, prepend=-length) >= length)
 
     def _least(self, base: Array) -> tuple[Array, Array]:
         """Return the corrections of the unknown samples for the least sum of squares, and the residuals with them."""
@@ -195,8 +184,8 @@ class Unknowns:
         low, high = (np.searchsorted(places, np.arange(self._size) + by) for by in (1 - self._h.size, ahead + 1))
         # Samples that are near to equally many unknowns go together.
         near = np.argsort(high - low, kind="stable")[np.count_nonzero(high == low) :]
-        for k in np.array_split(near, near.size * int((high - low).max()) // _MOST_NUMBERS + 1):
-            width = int((high - low)[k].max())
+        for k in np.array_split(near, near.size * int((high - low).max(initial=0)) // _MOST_NUMBERS + 1):
+            width = int((high - low)[k].max(initial=0))
             i = low[k, None] + np.arange(width)
             inside, i = i < high[k, None], np.minimum(i, places.size - 1)
             c = np.where(inside, coupling(k[:, None], places[i]), 0.0)
@@ -300,12 +289,14 @@ class Neighbours:
 
     def __init__(self, band: Array, begins: Any) -> None:
         """Factor it, G = L L': from ``band[d, i]`` = G[i, i + d], and where chains begin."""
-        factor, failed = dpbtrf(band, lower=1)
+        factor, failed = dpbtrf(band, lower=1) if band.size else (band, 0)
         # Parameters far off make more of it than numbers hold.
         self._factor, self._begins = np.full_like(factor, np.nan) if failed else factor, begins
 
     def solve(self, right: Array) -> Array:
         """Return G^-1 times a vector or some columns."""
+        if not right.size:
+            return right
         return np.asarray(dpbtrs(self._factor, right.reshape(len(right), -1), lower=1)[0].reshape(right.shape))
 
     @property
@@ -322,7 +313,7 @@ class Neighbours:
         band, after = np.zeros(self._factor.shape), np.zeros((sizes.size, 2 * n + 1, 2 * n + 1))
         columns, at = np.ascontiguousarray((self._factor / self._factor[0]).T)[:, None], n + 1
         # The same row of all chains at once, the last one first; the inverse of those after it moves through a square.
-        for t, chains in enumerate(np.searchsorted(-sizes, -np.arange(sizes[0]))):
+        for t, chains in enumerate(np.searchsorted(-sizes, -np.arange(sizes.max(initial=0)))):
             rows, own, places = last[:chains] - t, after[:chains], slice(at, at + n)
             column, at = columns[rows, :, 1:], at - 1
             across = -(column @ own[:, places, places])
