@@ -225,7 +225,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     require_informative(model, missing)
     with one_thread():
         given = problem.limits
-        limits = None if given is None else given.times(1.0 / units.factor(structure))
+        limits = None if given is None else given.times(1.0 / units.factor(model)[: structure.n_theta])
         R, least = None if variance is None else variance / unit**2, least_variance(y, unit)
         at = None if begin is None else units.forth(model, begin)
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
@@ -301,32 +301,29 @@ class Units(NamedTuple):
         """Return the centers of each recording, shape (k, p)."""
         return self.centre[list(self.begins)]
 
-    def factor(self, structure: Structure) -> Array:
-        """Return what makes parameters those of the recording as it was measured, shape (n_theta,)."""
-        factor = np.ones(structure.n_theta)
-        for place, size in zip(structure.polynomials.b, self.u, strict=True):
+    def factor(self, model: PolynomialModel) -> Array:
+        """Return what makes free parameters those of the recording as it was measured, but for its level."""
+        factor = np.concatenate(
+            (np.ones(model.structure.n_theta), np.full(model.n - model.structure.n_theta, self.y[0]))
+        )
+        for place, size in zip(model.structure.polynomials.b, self.u, strict=True):
             factor[place] = self.y[0] / size
         return factor
 
+    def constants(self, model: PolynomialModel, p: Array) -> Array:
+        """Return what the centers add to the free parameters."""
+        more, n = np.zeros(p.size), model.structure.n_theta
+        if model.offset:
+            more[n : n + len(self.begins)] = self.levels()[:, 0] * (1.0 + p[model.structure.polynomials.a].sum())
+        return more
+
     def back(self, model: PolynomialModel, p: Array) -> Array:
         """Return the free parameters for the recording as it was measured."""
-        places, n = model.structure.polynomials, model.structure.n_theta
-        p = p.copy()
-        p[:n] *= self.factor(model.structure)
-        p[n:] *= self.y[0]
-        if model.offset:
-            p[n : n + len(self.begins)] += self.levels()[:, 0] * (1.0 + p[places.a].sum())
-        return p
+        return p * self.factor(model) + self.constants(model, p)
 
     def forth(self, model: PolynomialModel, p: Array) -> Array:
         """Return the free parameters in these units for those of the recording as it was measured."""
-        places, n = model.structure.polynomials, model.structure.n_theta
-        p = p.copy()
-        if model.offset:
-            p[n : n + len(self.begins)] -= self.levels()[:, 0] * (1.0 + p[places.a].sum())
-        p[:n] /= self.factor(model.structure)
-        p[n:] /= self.y[0]
-        return p
+        return (p - self.constants(model, p)) / self.factor(model)
 
 
 def _as_model(

@@ -68,19 +68,16 @@ def _require_excitation(model: PolynomialModel) -> None:
     for i, (u, _, _, _) in enumerate(model.inputs):
         if not u.any():
             raise ValueError(f"u: expected an input that moves the output, got 0 in every sample of input {i}")
-    if structure.takes_phi:
-        if _rank(model, 0) < structure.n_theta + model.offset:
-            mend = "; a column of ones is what offset=True adds, use offset=False" if model.offset else ""
-            raise ValueError(f"u: expected linearly independent regressors, got some that others explain{mend}")
-        return
     orders = [acting.nb + model.nf for acting in model.inputs]
-    full = sum(orders) + model.offset
-    if _rank(model, model.nf) == full:
+    if _rank(model, orders) == sum(orders) + model.offset:
         return
-    lags = max(orders)
-    order = next((n for n in range(lags, 0, -1) if _independent(model, n)), 0)
+    if structure.takes_phi:
+        mend = "; a column of ones is what offset=True adds, use offset=False" if model.offset else ""
+        raise ValueError(f"u: expected linearly independent regressors, got some that others explain{mend}")
+    count, lags = len(orders), max(orders)
+    order = next((n for n in range(lags, 0, -1) if _rank(model, [n] * count) == n * count + model.offset), 0)
     kind = " next to the offset" if model.offset else ""
-    several = "inputs that together excite" if len(model.inputs) > 1 else "an input that excites"
+    several = "inputs that together excite" if count > 1 else "an input that excites"
     raise ValueError(
         f"u: expected {several} {structure} with order {lags}{kind}, got persistent excitation of order {order}; "
         "vary the input more (a random binary signal excites with every order)"
@@ -89,25 +86,18 @@ def _require_excitation(model: PolynomialModel) -> None:
     )
 
 
-def _independent(model: PolynomialModel, n: int) -> bool:
-    """Tell whether n delays of every input are linearly independent."""
-    return (
-        _rank_of([(u, range(n)) for u, _, _, _ in model.inputs], n - 1, model) == n * len(model.inputs) + model.offset
-    )
-
-
-def _rank(model: PolynomialModel, more: int) -> int:
-    """Return the rank of the delayed inputs of the model and so many further delays."""
-    delayed = [(acting.u, range(acting.nb + more)) for acting in model.inputs]
-    return _rank_of(delayed, max(len(lags) for _, lags in delayed) - 1, model)
-
-
-def _rank_of(delayed: list[tuple[Array, range]], first: int, model: PolynomialModel) -> int:
-    """Return the rank of delayed signals, each column of unit size, and of a constant if the model has one."""
-    columns = [u[first - lag : u.size - lag] for u, lags in delayed for lag in lags]
+def _rank(model: PolynomialModel, delays: list[int]) -> int:
+    """Return the rank of so many delays of each input, columns of unit size, and of a constant if the model has one."""
+    first = max(delays) - 1
+    acting = zip(model.inputs, delays, strict=True)
+    columns = [one.u[first - lag : one.u.size - lag] for one, count in acting for lag in range(count)]
     if model.offset:
         columns.append(np.ones(columns[0].size))
-    X = np.column_stack(columns)
+    return rank_of(np.column_stack(columns))
+
+
+def rank_of(X: Array) -> int:
+    """Return the rank of columns, each taken of unit size."""
     size = np.linalg.norm(X, axis=0)
     X = X / np.where(size > 0.0, size, 1.0)
     values = np.linalg.svd(np.linalg.qr(X, mode="r"), compute_uv=False)

@@ -20,7 +20,7 @@ from robust_filterpy.identification.estimation.prediction_error import (
     one_thread,
     sandwich,
 )
-from robust_filterpy.identification.estimation.starts import predictor_start
+from robust_filterpy.identification.estimation.starts import predictor_start, rank_of
 from robust_filterpy.identification.models.noise import Noise, Noises, least_variance
 from robust_filterpy.identification.models.recording import ANY_COLUMNS, Recording, recorded, require_motion
 from robust_filterpy.identification.models.responses import balancing
@@ -34,7 +34,6 @@ _TURNS: Final = 4
 # Orders tried after the best one.
 _PATIENCE: Final = 2
 _BELIEVED: Final = 0.5
-_RANK: Final = 1e-9
 
 
 class _Found(NamedTuple):
@@ -184,9 +183,7 @@ def _require_informative(structure: StateSpace, model: StateSpaceResiduals) -> N
             raise ValueError(f"u: expected inputs that move the outputs, got input {i} constant: {columns[0][0]:.6g}")
     lags = n + 1
     X = np.concatenate([np.hstack([u[lags - 1 - j : len(u) - j] for j in range(lags)]) for _, u in parts])
-    X = X - X.mean(axis=0)
-    values = np.linalg.svd(X / np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny), compute_uv=False)
-    if values[-1] <= _RANK * values[0] or values.size < X.shape[1]:
+    if rank_of(X - X.mean(axis=0)) < X.shape[1]:
         raise ValueError(
             f"u: expected inputs that together excite {structure} with order {lags}, got some that others explain; "
             "leave out an input that is a combination of others, vary them more, or take a smaller order"
