@@ -47,6 +47,16 @@ def positive(name: str, value: Any, *, infinite: bool = False) -> float:
     return number
 
 
+def interval(name: str, value: Any) -> tuple[float, float]:
+    """Return the ends of an interval, None standing for no end, or raise."""
+    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
+        raise ValueError(f"{name}: expected (low, high), got {shown(value)}")
+    low, high = (none if end is None else real(name, end) for end, none in zip(value, (-np.inf, np.inf), strict=True))
+    if not low < high:
+        raise ValueError(f"{name}: expected low < high, got {value}; fixed= takes a number")
+    return low, high
+
+
 def fraction(name: str, value: Any) -> float:
     """Return value as a float in [0, 1) or raise."""
     number = real(name, value)

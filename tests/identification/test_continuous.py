@@ -120,6 +120,7 @@ TANK = GreyBox(tank, {"inflow": 1.0, "outflow": 1.0}, x0=[1.0])
     (lambda: identify(np.column_stack((Y, Y)), U, TANK, t=T), "h: expected one number for each output, 2"),
     (lambda: identify(Y[:3], U[:3], TANK, t=T[:3]), "at least 6 measured"),
     (lambda: GreyBox(tank, {"a": 1.0}, [0.0], bounds={"a": (2.0, 3.0)}), "between 2 and 3"),
+    (lambda: GreyBox(tank, {"a": 1.0}, [0.0], bounds={"a": 0.5}), r"bounds.'a'.: expected .low, high., got 0.5"),
     (lambda: GreyBox(tank, {"a": 1.0}, [0.0], fixed=["b"]), "a parameter 'b'"),
     (lambda: GreyBox("f", {"a": 1.0}, [0.0]), "a function"),
     (lambda: identify(np.zeros(9), None, GreyBox(lambda x, u, p: [p[0] * x[0] ** 3], {"a": 9.0}, [9.0]), t=range(9)),

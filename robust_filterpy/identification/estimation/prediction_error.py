@@ -61,7 +61,7 @@ class Limits(NamedTuple):
                 elif name in given["fixed"]:
                     raise ValueError(f"bounds: expected parameters that are not fixed, got {_checks.shown(name)}")
                 else:
-                    lower[place], upper[place] = _interval(name, value)
+                    lower[place], upper[place] = _checks.interval(f"bounds[{name!r}]", value)
         if (lower == upper).all():
             raise ValueError(f"fixed: expected at least one parameter of {structure} that is free, got all of them")
         return cls(lower, upper)
@@ -142,20 +142,6 @@ def _finite(name: str, value: Any) -> float:
     if not np.isfinite(number):
         raise ValueError(f"fixed[{name!r}]: expected a finite number, got {_checks.shown(value)}")
     return number
-
-
-def _interval(name: str, value: Any) -> tuple[float, float]:
-    """Return the ends of an interval, or raise."""
-    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
-        raise ValueError(f"bounds[{name!r}]: expected (low, high), got {_checks.shown(value)}")
-    ends = (-np.inf if value[0] is None else value[0], np.inf if value[1] is None else value[1])
-    try:
-        low, high = float(ends[0]), float(ends[1])
-    except (TypeError, ValueError):
-        raise TypeError(f"bounds[{name!r}]: expected two numbers, got {_checks.shown(value)}") from None
-    if not low < high:
-        raise ValueError(f"bounds[{name!r}]: expected low < high, got {value}; fixed= takes a number")
-    return low, high
 
 
 # A step that would change the residuals by less than this share of them ends the search.

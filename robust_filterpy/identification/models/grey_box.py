@@ -20,15 +20,13 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.noise import Noises, OutputResiduals
 from robust_filterpy.identification.models.recording import ANY_TIMES, columns_of, recorded
 from robust_filterpy.identification.models.results import Identified
-from robust_filterpy.identification.models.signals import Signals, TimeAxis, held_input, trend_of
+from robust_filterpy.identification.models.signals import Signals, TimeAxis, are_equal, held_input, trend_of
 from robust_filterpy.influence.regression import robust_regression
 
 _DIFFERENCE: Final = 1e-5
 _MOST_STEPS: Final = 128
 # Twice as many steps change an output by less than this share of its size.
 _ACCURATE: Final = 1e-4
-# Steps of time that differ by less than this share are the same.
-_EQUAL: Final = 0.05
 
 
 class GreyRecording(NamedTuple):
@@ -51,8 +49,7 @@ class GreyRecording(NamedTuple):
     @property
     def is_sampled(self) -> bool:
         """Whether the samples are equally far apart."""
-        steps = np.diff(self.t)
-        return bool(np.ptp(steps) <= _EQUAL * np.median(steps)) if steps.size else True
+        return are_equal(np.diff(self.t))
 
 
 class GreyResiduals(OutputResiduals):
@@ -303,10 +300,7 @@ class GreyBox:
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Bounds of the parameters that have some, as numbers."""
-        limits = {}
-        for name, (low, high) in self.bounds.items():
-            limits[name] = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
-        return limits
+        return {name: _checks.interval(f"bounds[{name!r}]", ends) for name, ends in self.bounds.items()}
 
     @property
     def values(self) -> Array:

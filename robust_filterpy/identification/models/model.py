@@ -361,18 +361,16 @@ class Model(PolynomialSystem, Identified):
         True
         """
         axis, _, u = signals_of(self, None, u)
-        signal = held_input(self.structure, u, self.operating_point)
+        signal, at_point = held_input(self.structure, u, self.operating_point), 0.0
         layout = Layout(self.structure)
         if self.operating_point.any() and isinstance(start, str) and start == "rest":
             # From the start: an input of 1e8 with motion of 1 on it is not switched on in the first sample.
             signal = signal - self.operating_point
-            y = regressor.simulate(self.structure, layout, Memory.at_rest(layout), self.theta, signal)
-            gain = self._ways(self.theta[None], np.ones(1), 0)[0, :, 0]
-            return axis.series(y + (self.level + float(gain @ self.operating_point)), "simulated")
+            at_point = float(self._ways(self.theta[None], np.ones(1), 0)[0, :, 0] @ self.operating_point)
         y = regressor.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
         integrates = self.level == 0.0 != self.offset
         rest = lfilter([self.offset], self.parts.a, np.ones(y.size)) if integrates else self.level
-        return axis.series(y + rest, "simulated")
+        return axis.series(y + (rest + at_point), "simulated")
 
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return the time axis, the measured output, and that so many steps ahead, or with 0 from inputs alone."""

@@ -14,11 +14,9 @@ from robust_filterpy._brief import Pictured, brief, lines_of, wrapped
 from robust_filterpy._checks import Array, count, numbers, real
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy.identification.models.noise import fit_percent
-from robust_filterpy.identification.models.signals import TimeAxis, recording, table
+from robust_filterpy.identification.models.signals import TimeAxis, are_equal, recording, table
 
 _WIDTH: Final = 78
-# Times whose steps differ by less than this share are equally far apart.
-_EQUAL: Final = 0.05
 
 
 class Finding(NamedTuple):
@@ -596,10 +594,9 @@ def signals_of(model: Identified, y: Any, u: Any, t: Any = None) -> tuple[TimeAx
         steps = np.diff(numbers("t", t))
         if steps.shape != (len(y) - 1,):
             raise ValueError(f"t: expected {len(y)} times like y, got shape {np.shape(t)}")
-        usual = float(np.median(steps)) if steps.size else 0.0
-        if not (usual > 0.0 and (np.abs(steps - usual) <= _EQUAL * usual).all()):
+        if not (steps.size and are_equal(steps)):
             raise ValueError("t: expected equal steps for a model in discrete time, got others; identify a GreyBox")
-        TimeAxis(None, usual).require_period(model.dt)
+        TimeAxis(None, float(np.median(steps))).require_period(model.dt)
     axis, y, u = recording(model.structure, y=y, u=u)
     axis.require_period(model.dt)
     return axis, y, u

@@ -121,14 +121,14 @@ def held_input(structure: Any, u: Any, rest: Array) -> Array:
     if structure.takes_phi or not structure.n_inputs or u is None:
         return recorded_input(structure, u, None)
     signal = input_columns("u", u, structure.n_inputs)
-    gaps = np.isnan(signal)
-    if not gaps.any():
-        return recorded_input(structure, u, None)
-    warn(
-        f"u: missing in {int(gaps.any(axis=1).sum())} of {_checks.count('u', len(signal))} samples, held at the value "
-        "before; fill u with what acted, for a valve that stayed where it was u.ffill(), else u.interpolate()"
-    )
-    return recorded_input(structure, held(signal, rest if rest.size else 0.0), None)
+    gaps = np.isnan(signal).any(axis=1)
+    if gaps.any():
+        warn(
+            f"u: missing in {int(gaps.sum())} of {len(signal)} samples, held at the value before; fill u with what "
+            "acted, for a valve that stayed where it was u.ffill(), else u.interpolate()"
+        )
+        signal = held(signal, rest if rest.size else 0.0)
+    return recorded_input(structure, signal, None)
 
 
 def _require_size(name: str, signal: Array) -> None:
@@ -188,6 +188,12 @@ class Signals(NamedTuple):
 _JITTER: Final = 0.05
 # Two sampling periods that differ by no more are the same.
 _SAME: Final = 0.01
+
+
+def are_equal(steps: Array) -> bool:
+    """Tell whether steps of time are as equal as a logger's."""
+    usual = np.median(steps) if steps.size else 1.0
+    return bool(usual > 0.0 and (np.abs(steps - usual) <= _JITTER * usual).all())
 
 
 class TimeAxis(NamedTuple):
