@@ -28,6 +28,7 @@ from robust_filterpy.identification.models.dependence import another_gain, feedb
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.identification.models.signals import held
+from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale, resolution
 
 #: A break must explain so many times log N, in units of twice the log-likelihood.
@@ -133,7 +134,7 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
         ]
         tried = [_Fit.of(r, rows, u, [*fit.breaks, one]) for one in candidates]
         least = min(one.scale for one in tried)
-        fit = min(tried, key=lambda one: float(_loss(one.residual[rows] / least).sum()))
+        fit = min(tried, key=lambda one: float(Huber(_K).rho(one.residual[rows] / least).sum()))
         if fit.breaks[-1].kind == "step":
             moved = fit.breaks[-1]._replace(time=int(times[fit.change()[times].argmin()]))
             fit = _Fit.of(r, rows, u, [*fit.breaks[:-1], moved])
@@ -205,7 +206,7 @@ class _Fit(NamedTuple):
         """Return what the loss would change by, were the last step at each sample."""
         after = (self.residual + self.X[:, -1] * self.theta[-1]) / self.scale
         before = after + self.theta[-1] / self.scale
-        gain = np.where(self.rows, _loss(before) - _loss(after), 0.0)
+        gain = np.where(self.rows, Huber(_K).rho(before) - Huber(_K).rho(after), 0.0)
         return np.concatenate(([0.0], np.cumsum(gain)))
 
     def scores(self, kind: str, places: Any) -> Array:
@@ -224,12 +225,6 @@ class _Fit(NamedTuple):
             cross = after(t[:, None] * WX) - at[:, None] * cross
         left = square - ((cross @ np.linalg.pinv(self.X.T @ WX)) * cross).sum(axis=1)
         return np.where(left > 1e-3 * square, pull**2 / np.maximum(left, 1e-9), 0.0)
-
-
-def _loss(e: Array) -> Array:
-    """Return Huber's rho."""
-    size = np.abs(e)
-    return np.where(size < _K, 0.5 * size * size, _K * size - 0.5 * _K * _K)
 
 
 TRENDS: Final = ("none", "constant", "line", "breaks")

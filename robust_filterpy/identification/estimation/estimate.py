@@ -334,7 +334,7 @@ def _as_model(
     # The end's parameters are those of this recording, its noise is that of an output in the unit.
     structure, n, p, rows = model.structure, model.structure.n_theta, end.p, end.rows
     # Of several recordings the constant is that of the last.
-    at, residual = n + len(model.pieces) - 1, model.residuals(p)
+    at, residual, y = n + len(model.pieces) - 1, model.residuals(p), model.levelled(p).y[model.first :]
     # One parameter more is one residual less to tell of the noise.
     samples = int(rows.sum())
     noise = end.noise.times(unit)
@@ -356,7 +356,7 @@ def _as_model(
         structure=structure, theta=p[:n], offset=offset, P=P[:n, :n],
         offset_std=_offset_std(P, jacobian, at) if model.offset else 0.0,
         offset_covariance=P[:n, at] if model.offset else np.zeros(n), has_offset=model.offset,
-        own_fit=_own_fit(model.levelled(p).y[model.first :], residual, rows),
+        own_fit=ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan), y)),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights, log_likelihood=noise.log_likelihood(residual[rows]), endings=(), warning="",
         memory=filled_memory(*model.of(-1, p)),
@@ -425,11 +425,6 @@ def _as_measured(noise: Noise, residual: Array, replaced: Array, measured: Any) 
         return noise
     learnt = replace(noise, given=True).settled((residual + replaced)[measured])
     return replace(learnt, given=noise.given)
-
-
-def _own_fit(y: Array, residual: Array, rows: Any) -> float:
-    """Return the fit of the prediction on the ordinary samples among those that count."""
-    return ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan), y))
 
 
 def _apart(best: Array, other: Array) -> float:

@@ -231,9 +231,12 @@ class CompletedModel:
         spread = sum((unknowns.spread() for _, unknowns in at.pieces), np.zeros((h.size, h.size)))
         values, vectors = np.linalg.eigh(spread)
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        structure, n = self.model.structure, self.model.structure.n_theta
+        # Of the model of an impulse h are the residuals.
+        impulse = np.pad([1.0], (self.model.first, h.size - 1))
+        one = PolynomialModel(structure, impulse, np.zeros((impulse.size, self.model.u.shape[1])), False, False)
         derivatives = np.zeros((h.size, self.n))
-        n = self.model.structure.n_theta
-        derivatives[:, :n] = root @ _impulse(self.model, h.size).jacobian(_without_start(self.model, p))[:, :n]
+        derivatives[:, :n] = root @ one.jacobian(p[:n])
         return root @ h, derivatives
 
     def _at(self, p: Array) -> _Interpolated:
@@ -260,22 +263,11 @@ class _Interpolated(NamedTuple):
     pieces: list[tuple[slice, Unknowns]]
 
 
-def _impulse(model: PolynomialModel, length: int) -> PolynomialModel:
-    """Return the model of an impulse, whose residuals are h."""
-    impulse = np.zeros(model.first + length)
-    impulse[model.first] = 1.0
-    return PolynomialModel(model.structure, impulse, np.zeros((impulse.size, model.u.shape[1])), False)
-
-
-def _without_start(model: PolynomialModel, p: Array) -> Array:
-    """Return the free parameters of the model of an impulse."""
-    return np.concatenate((p[: model.structure.n_theta], np.zeros(model.nf)))
-
-
 def response(model: PolynomialModel, p: Array) -> Array:
     """Return h, what one unit more in an output adds to its residual and to those after it, until it is small."""
-    h = _impulse(model, min(_LONGEST, model.y.size)).residuals(_without_start(model, p))
-    return h[: np.flatnonzero(np.abs(h) > _SMALL)[-1] + 1]
+    parts = model.parts(p)
+    h = lfilter(np.convolve(parts.a, parts.d), parts.c, np.eye(1, min(_LONGEST, model.y.size)).ravel())
+    return np.asarray(h[: np.flatnonzero(np.abs(h) > _SMALL)[-1] + 1])
 
 
 def touched(unknown: Any, h: Array, first: int) -> Any:

@@ -203,12 +203,10 @@ def _impulse_responses(model: PolynomialModel, rows: Any, length: int) -> Array:
     samples = np.flatnonzero(rows) + model.first
     samples = samples[samples >= min(first, model.y.size // 2)]
     samples = samples[:: -(-samples.size // _MOST_ROWS)]
-    X = np.ones((samples.size, length * count + model.offset))
-    for i, (u, _, nk, _) in enumerate(model.inputs):
-        for j in range(length):
-            # Inputs before the recording are taken to be that of its first sample.
-            X[:, i * length + j] = u[np.maximum(samples - nk - j, 0)]
-    theta = robust_regression(X, model.y[samples])
+    # Inputs before the recording are taken to be that of its first sample.
+    earlier = samples[:, None] - np.arange(length)
+    delayed = [acting.u[np.maximum(earlier - acting.nk, 0)] for acting in model.inputs]
+    theta = robust_regression(np.hstack((*delayed, np.ones((samples.size, int(model.offset))))), model.y[samples])
     return theta[: length * count].reshape(count, length)
 
 
