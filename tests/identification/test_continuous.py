@@ -57,6 +57,16 @@ def test_a_function_that_takes_no_columns_gives_the_same():
     assert np.allclose(models[0].theta, models[1].theta, rtol=1e-4)
 
 
+def test_a_function_may_write_into_its_parameters():
+    def halved(x, u, p):
+        p[0] *= 0.5
+        return tank(x, u, p)
+
+    y, u, t = recorded(5, samples=40)
+    models = [identify(y, u, GreyBox(f, {"in": a, "out": 0.3}, [0.8]), t=t) for f, a in ((tank, 0.5), (halved, 1.0))]
+    assert np.allclose(models[0].theta, models[1].theta * [0.5, 1.0], rtol=1e-4)
+
+
 def test_of_a_recording_without_noise_nothing_but_rounding_is_left():
     u = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 30), 2)
     # A whole number of steps: what is integrated then is the input's sum.

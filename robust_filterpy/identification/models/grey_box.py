@@ -164,7 +164,8 @@ class GreyResiduals(OutputResiduals):
     def _of(self, function: Callable[..., Any] | None, x: Array, u: Array, p: Array) -> Array:
         """Return what a function of the user's says, one row a state or output; without h outputs are the states."""
         try:
-            values = x if function is None else function(x, u, p)
+            # A copy: who writes into p does so for this sample.
+            values = x if function is None else function(x, u, p.copy())
             if x.ndim == 1:
                 return np.asarray(values, dtype=float).ravel()
             return np.stack([np.broadcast_to(np.asarray(row, dtype=float), x.shape[1:]) for row in values])
