@@ -122,18 +122,19 @@ def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> list
 
 def _hypotheses(stretch: Stretch, suspects: np.ndarray) -> _Bank:
     """Return healthy, a smaller Q, the model, and every fault of every suspected component from every onset."""
-    rows = [(-1, HEALTHY, 0, w, math.log(p)) for w, p in _CALMER]
-    spoken = np.flatnonzero((~np.isnan(stretch.z)).any(axis=1))
-    for k, width in _onsets(spoken):
-        rows += [(-1, MODEL, k, w, math.log(_MANOEUVRE * width / len(_WORSE))) for w in _WORSE]
+    of = [(-1, np.flatnonzero((~np.isnan(stretch.z)).any(axis=1)), _MANOEUVRE, {MODEL: _WORSE})]
     for c in np.flatnonzero(suspects).tolist():
         kinds = {BIASED: (1.0,), DRIFTING: (1.0,), STUCK: (1.0, _STILL), SPIKES: tuple(stretch.scales[1:])}
         kinds[NOISIER] = tuple(f * f for f in _NOISIER)
-        for k, width in _onsets(np.flatnonzero(~np.isnan(stretch.z[:, c]))):
-            for fault, factors in kinds.items():
-                rows += [(c, fault, k, factor, math.log(_FAULT * width / len(factors))) for factor in factors]
-    rows[1:] = sorted(rows[1:], key=lambda row: row[2])
-    return _Bank(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
+        of.append((c, np.flatnonzero(~np.isnan(stretch.z[:, c])), _FAULT, kinds))
+    parts = [np.array([(-1, HEALTHY, 0, w, p) for w, p in _CALMER])]
+    for c, moments, chance, kinds in of:
+        onsets = np.array(_onsets(moments)).reshape(-1, 2)
+        for fault, factors in kinds.items():
+            (k, width), factor = np.repeat(onsets, len(factors), axis=0).T, np.tile(factors, len(onsets))
+            parts.append(np.column_stack([np.full((len(k), 2), (c, fault)), k, factor, chance * width / len(factors)]))
+    rows = np.array(sorted(np.concatenate(parts).tolist(), key=lambda row: row[2]))
+    return _Bank(*rows.T)._replace(prior=np.log(rows[:, 4]))
 
 
 def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
@@ -156,9 +157,9 @@ def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Ar
     # Before its onset a hypothesis is the healthy one, which comes first.
     who, x, P, sums = np.arange(1), np.append(stretch.x, 0.0)[None], np.zeros((1, n + 1, n + 1)), np.zeros(1)
     P[0, :n, :n] = stretch.P
-    starts = np.searchsorted(bank.onset[1:], np.arange(0, K + _EVERY, _EVERY)) + 1
-    for block, first in enumerate(range(0, K, _EVERY)):
-        stays, new = np.flatnonzero(_hopeful(sums, bank, who)), np.arange(starts[block], starts[block + 1])
+    for first in range(0, K, _EVERY):
+        new = np.flatnonzero(bank.onset[1:] // _EVERY == first // _EVERY) + 1
+        stays = np.flatnonzero(_hopeful(sums, bank, who))
         copies = np.append(stays, np.zeros(len(new), dtype=int))
         who, x, P, sums = np.append(who[stays], new), x[copies], P[copies], sums[copies]
         _advance(numbers[who], (x, P, sums), shared, (first, min(first + _EVERY, K)))

@@ -156,7 +156,8 @@ def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
 
 def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     """Return the health after the readings of one moment."""
-    here = np.flatnonzero(now.y == now.y)
+    # What is so far off that its square is no number says nothing; nor does what is missing.
+    here = np.flatnonzero(np.abs(now.y) < 1e100)
     H, y, statistics, recent, due = now.H[here], now.y[here], watch.statistics.copy(), watch.recent, watch.due.copy()
     PH, rows, R, slack = now.P @ H.T, statistics[here].tolist(), now.R[here].tolist(), watch.slack
     S, scales, places, learnt = H @ PH, watch.scales.tolist(), here.tolist(), None

@@ -94,8 +94,7 @@ class Recording:
         """
         columns = {"time": self.times}
         for i, name in enumerate(self.names):
-            columns[name] = self.x[:, i]
-            columns[f"{name}_std"] = np.sqrt(self.P[:, i, i])
+            columns[name], columns[f"{name}_std"] = self.x[:, i], np.sqrt(self.P[:, i, i])
         return columns
 
 

@@ -230,10 +230,10 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     state = line.stands(first)[0].state
     R = covariance(setup.layout, state.sizes).diagonal()
     scales, shares = setup.policy.shares(state.memory)
+    z = np.where(np.isnan(state.sizes) | (np.abs(z) > 1e100), np.nan, z)
     return Stretch(
-        state.x, state.P, F, Q * setup.policy.slack(state.carried), drift, seconds_,
-        np.where(np.isnan(state.sizes), np.nan, z), H, line.stands(first)[0].watch.statistics[:, SLOW] * R, scales,
-        shares, worth,
+        state.x, state.P, F, Q * setup.policy.slack(state.carried), drift, seconds_, z, H,
+        line.stands(first)[0].watch.statistics[:, SLOW] * R, scales, shares, worth,
     )  # fmt: skip
 
 

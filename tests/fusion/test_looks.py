@@ -35,6 +35,20 @@ def test_sound_sensors_with_outliers_bring_no_looks_and_a_bias_few(monkeypatch, 
     assert (fusion.verdicts()["b"].fault == "biased") == bool(off)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_reading_whose_square_is_no_number_blinds_nobody():
+    rng, sensors = np.random.default_rng(0), {name: Sensor([1.0, 0.0], R=1.0) for name in "ab"}
+    fusion = Fusion(constant_velocity(1, 0.1), sensors, 1.0, P0=100.0 * np.eye(2), watch=True)
+    for k in range(300):
+        # One while the noise is learned, and one of which a look back takes notice.
+        z = 1e160 if k in (40, 230) else 0.02 * k + rng.normal() + 6.0 * (k > 220)
+        fusion.observe("a", 0.1 * k, z)
+        fusion.observe("b", 0.1 * k, 0.02 * k + rng.normal())
+    verdict = fusion.verdicts()["a"]
+    assert verdict.fault != "healthy" and verdict.since == pytest.approx(22.1, abs=1.0)
+    assert abs(fusion.estimate().x[0] - 6.0) < 2.0
+
+
 def test_the_sums_of_a_reading_are_the_odds_of_grown_noise_and_of_more_outliers():
     scales, shares, spread, R, y = [1.0, 100.0], [0.9, 0.1], 0.5, 2.0, 4.0
     row = [1.5, 100.0, 1.0, 0.0, 0.0, 0.0, 9.0, 0.0, *shares, 0.2, 0.0, 0.1]
