@@ -5,6 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from recordings import binary, recording, unheard
+from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from robust_filterpy import OutputError, identify
@@ -75,6 +76,23 @@ def test_of_a_recording_without_noise_nothing_but_rounding_is_left():
         model = identify(y, u, GreyBox(lambda x, u, p: [p[0] * u[0]], [1.0], x0=[0.0]), t=np.arange(60.0))
     assert model.theta == pytest.approx([0.5], abs=1e-9)
     assert model.noise[0].R < 1e-20
+
+
+def test_without_noise_standard_deviations_are_no_smaller_than_the_integration_is_wrong():
+    def pendulum(x, u, p):
+        return np.array([x[1], -p[0] * np.sin(x[0]) - p[1] * x[1] + p[2] * u[0]])
+
+    truth, x, y = np.array([4.0, 0.5, 2.0]), np.zeros(2), []
+    u = np.random.default_rng(1).choice([0.0, 1.0], 100)
+    for k in range(100):
+        y.append(x[:1])
+        after = solve_ivp(lambda t, x, k=k: pendulum(x, u[k : k + 1], truth), (0.0, 0.2), x, rtol=1e-11, atol=1e-11)
+        x = after.y[:, -1]
+    box = GreyBox(pendulum, 1.1 * truth, x0=[0.0, 0.0], h=lambda x, u, p: [x[0]])
+    model = identify(np.array(y), u, box, t=0.2 * np.arange(100))
+    # By what is left of 1e-8 alone the first is 135 standard deviations off.
+    assert (np.abs(model.theta - truth) < 2.0 * model.std).all()
+    assert (model.std < 1e-4).all()
 
 
 def test_parameters_that_the_recording_cannot_tell_apart_are_named():

@@ -104,6 +104,9 @@ def _modelled(
     model.settled(end.p)
     stage("noise learned, search again")
     learnt = end.noise if influence is not None else end.noise.learnt()
+    # What the steps of the integration leave wrong is no noise that could be smaller.
+    parts = zip(learnt.parts, np.maximum(least, model.error**2).tolist(), strict=True)
+    learnt = learnt._replace(parts=tuple(replace(one, least=low) for one, low in parts))
     end = minimised(model, end.p, learnt, rows, rows, limits=limits, precision=_NEARER)
     residual = np.where(rows, end.residual, np.nan).reshape(outputs.shape)
     return _as_model(structure, model, end, limits), residual
@@ -116,7 +119,8 @@ def _as_model(structure: GreyBox, model: GreyResiduals, end: Any, limits: Limits
     unidentifiable, unseen = _unidentifiable(structure, model, J, noise, residual, theta)
     # As of a model of polynomials: what ended at a bound has no variance, and the others then have.
     P, colour = sandwich(np.where(limits.held(z, J.T @ noise.psi(residual)), 0.0, J), residual, noise, k)
-    P = P[:k, :k]
+    # What the integration leaves wrong follows the signal: many samples tell no more of it than one.
+    P = P[:k, :k] * (rows.sum() if all(one.is_rounding for one in noise.parts) else 1.0)
     P[unseen, unseen] = np.inf
     total = rows.sum() / max(rows.sum() - model.n, 1)
     values = structure.p0 | dict(zip(structure.free_names, theta.tolist(), strict=True))

@@ -327,6 +327,8 @@ _MOST_ROUNDS: Final = 40
 _BLOCK: Final = 4000
 # Residuals of this size, of an output of unit size, are no noise.
 _ROUNDING: Final = 1e-12
+# Outliers are looked for a second time as if the noise were so many times what it looks.
+_QUIETER: Final = 0.25
 # Below this share of its precision a sample is not determined by the others.
 _VAGUE: Final = 0.1
 # Patterns this similar explain each other.
@@ -382,6 +384,12 @@ def found_outliers(
             block = _Block(residual[rows], h, missing[samples], offset, threshold, R, least)
             best = block.judged(wrong[samples], counts[rows])
             if best.scale >= _ROUNDING and (best.wrong & ~block.missing).any():
+                if before is None:
+                    # Many outliers of one size make the noise look as large as they are: the same from less noise.
+                    scale = _QUIETER * best.scale
+                    quiet = block._replace(R=scale**2).judged(wrong[samples], counts[rows])
+                    quiet = block.judged(quiet.wrong, quiet.counts)
+                    best = block.better(best, quiet) if quiet.scale >= scale else best
                 far, regular = block.unmixed(best)
                 if not (np.array_equal(far, best.wrong) and np.array_equal(regular, best.counts)):
                     best = block.better(best, block.judged(far, regular))

@@ -80,7 +80,7 @@ class GreyResiduals(OutputResiduals):
         bounds = [structure.limits.get(name, (-np.inf, np.inf)) for name in structure.free_names]
         self.lower, self.upper = np.array([*bounds, *[(-np.inf, np.inf)] * (self.n - self.k)]).T
         self._measured = np.nan_to_num(np.concatenate([one.y for one in recordings]))
-        self.steps, self._columns = 1, False
+        self.steps, self._columns, self.error = 1, False, np.zeros(recordings[0].y.shape[1])
         self._columns = self._takes_columns()
 
     def settled(self, z: Array) -> bool:
@@ -90,8 +90,8 @@ class GreyResiduals(OutputResiduals):
             now = self.simulated(z)
             if before is not None and np.isfinite(now).all():
                 # Of what is computed too: a simulation has no measured outputs.
-                size = np.std([self._measured, now], axis=1)
-                if (np.abs(now - before).max(axis=0) <= _ACCURATE * size.max(axis=0)).all():
+                size, self.error = np.std([self._measured, now], axis=1), np.abs(now - before).max(axis=0)
+                if (self.error <= _ACCURATE * size.max(axis=0)).all():
                     self.steps = max(self.steps // 2, 1)
                     return True
             before = now if np.isfinite(now).all() else None
