@@ -89,12 +89,10 @@ SIZED int innovate(const int n, const int m, const real *RESTRICT z, const real 
         left[i] = seen ? REAL(1.0) : REAL(0.0);
         c->observed += seen;
         check += y[i] - y[i];
-        for (int k = 0; k < n; k++) C[i * n + k] = 0;
-        for (int j = 0; j < n; j++)
-            for (int k = 0; k < n; k++) C[i * n + k] += H[i * n + j] * P[j * n + k];
-        if (M)
-            for (int k = 0; k < n; k++) C[i * n + k] += M[k * m + i];
     }
+    real_multiply(m, n, n, H, P, C);
+    for (int i = 0; M && i < m; i++)
+        for (int k = 0; k < n; k++) C[i * n + k] += M[k * m + i];
     for (int i = 0; i < m; i++)
         for (int j = 0; j <= i; j++) {
             real total = R[i * m + j];
@@ -143,19 +141,37 @@ SIZED real correction_bound(const psi_function *const psi, const real e, const r
     return bounded == e / s ? e : s * bounded;
 }
 
-/* P -= d g g'; as d (g g'), since rounding would make (d g) g' unsymmetric. */
-SIZED void correction_shrink(const int n, const real d, const real *RESTRICT g, real *RESTRICT P) {
-    if (d == 1) {
-        for (int k = 0; k < n; k++) {
-            const real gk = g[k];
-            for (int j = 0; j < n; j++) P[k * n + j] -= gk * g[j];
-        }
-    } else {
-        for (int k = 0; k < n; k++) {
-            const real gk = g[k];
-            for (int j = 0; j < n; j++) P[k * n + j] -= d * (gk * g[j]);
-        }
+/* Information of a sensor, between 0 and 1. */
+SIZED real correction_information(const correction_rule *const rule, const real slope, const real weight) {
+    const real d = rule->information == INFORMATION_REALIZED   ? slope
+                   : rule->information == INFORMATION_EXPECTED ? rule->expected
+                                                               : weight;
+    return real_min(real_max(d, 0), 1);
+}
+
+/* Begin where no sensor is taken yet; return whether the variances of those that were observed are ordinary. */
+SIZED int correction_start(const int m, correction *const c) {
+    int fine = 1;
+    for (int i = 0; i < m; i++) {
+        const real variance = c->first[i] = c->S[i * m + i];
+        c->e[i] = c->d[i] = 0;
+        c->weights[i] = c->slopes[i] = (real)NAN;
+        fine &= c->left[i] == 0 || (variance > 0 && real_is_finite(variance));
+        if (!c->v) continue;
+        c->v[i] = c->order[i] = 0;
+        for (int j = 0; j < m; j++) c->W[i * m + j] = i == j ? REAL(1.0) : REAL(0.0);
     }
+    return fine;
+}
+
+/* Whether a correction has left numbers, and no variance below 0. */
+SIZED int correction_is_settled(const int n, const real *RESTRICT x, const real *RESTRICT P) {
+    real check = 0;
+    for (int k = 0; k < n; k++) {
+        if (!(P[k * n + k] >= 0)) return 0;
+        check += real_abs(x[k]) + P[k * n + k];
+    }
+    return real_is_finite(check);
 }
 
 /* Correct x and P in place by the innovations of c; spread is (m), or NULL for 1. Return whether all was ordinary: if
@@ -163,24 +179,13 @@ SIZED void correction_shrink(const int n, const real d, const real *RESTRICT g, 
 SIZED int correct(const int n, const int m, const correction_rule *const rule, const real *spread, real *RESTRICT x,
                    real *RESTRICT P, correction *const c) {
     real *RESTRICT C = c->C, *RESTRICT S = c->S, *RESTRICT y = c->y;
-    real check = 0;
-    for (int i = 0; i < m; i++) {
-        c->first[i] = S[i * m + i];
-        c->e[i] = c->d[i] = 0;
-        c->weights[i] = c->slopes[i] = (real)NAN;
-        if (c->v) {
-            c->v[i] = 0;
-            c->order[i] = 0;
-            for (int j = 0; j < m; j++) c->W[i * m + j] = i == j ? REAL(1.0) : REAL(0.0);
-        }
-        if (c->left[i] != 0 && !(S[i * m + i] > 0 && real_is_finite(S[i * m + i]))) return 0;
-    }
+    if (!correction_start(m, c)) return 0;
     for (int step = 0; step < c->observed; step++) {
         const int i = correction_next(m, rule->scaling, spread, c), more = step + 1 < c->observed;
         if (i < 0) return 0;
         const real variance = S[i * m + i], t = c->t[i], s = spread ? spread[i] : 1;
         const real e = real_within(t * y[i], REAL_MAX);
-        real slope, d, *RESTRICT g = C + i * n, *RESTRICT q = S + i * m;
+        real slope, *RESTRICT g = C + i * n, *RESTRICT q = S + i * m;
         const real moved = correction_bound(&rule->psi, e, s, &slope);
         if (e != e) return 0;
         c->left[i] = 0;
@@ -188,10 +193,7 @@ SIZED int correct(const int n, const int m, const correction_rule *const rule, c
         c->slopes[i] = slope;
         c->weights[i] = moved == e ? 1 : moved / e;
         if (c->order) c->order[step] = (real)i;
-        d = rule->information == INFORMATION_REALIZED   ? slope
-            : rule->information == INFORMATION_EXPECTED ? rule->expected
-                                                        : c->weights[i];
-        d = c->d[i] = real_min(real_max(d, 0), 1);
+        const real d = c->d[i] = correction_information(rule, slope, c->weights[i]);
         {
             const real whitened = rule->scaling <= SCALING_INNOVATION ? e : y[i] / real_sqrt(variance);
             /* As given, so that filters with different models can be compared by it. */
@@ -207,7 +209,7 @@ SIZED int correct(const int n, const int m, const correction_rule *const rule, c
         if (more)
             for (int j = 0; j < m; j++) y[j] -= c->left[j] * (q[j] * moved);
         if (d == 0) continue;
-        correction_shrink(n, d, g, P);
+        real_shrink(n, d, g, P);
         if (!more) continue;
         for (int j = 0; j < m; j++) {
             if (c->left[j] == 0) continue;
@@ -220,11 +222,7 @@ SIZED int correct(const int n, const int m, const correction_rule *const rule, c
             if (!(S[j * m + j] > REAL_PIVOT * c->first[j])) return 0;
         }
     }
-    for (int k = 0; k < n; k++) {
-        if (!(P[k * n + k] >= 0)) return 0;
-        check += real_abs(x[k]) + P[k * n + k];
-    }
-    return real_is_finite(check);
+    return correction_is_settled(n, x, P);
 }
 
 /* Return log p(z). */

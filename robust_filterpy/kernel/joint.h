@@ -31,7 +31,7 @@ INLINE int joint_leave(const int m, const int i, const correction_rule *const ru
     c->e[i] = e;
     c->slopes[i] = slope;
     c->weights[i] = moved == e ? 1 : moved / e;
-    c->d[i] = real_min(real_max(rule->information == INFORMATION_REALIZED ? slope : c->weights[i], 0), 1);
+    c->d[i] = correction_information(rule, slope, c->weights[i]);
     if (c->v) c->v[i] = moved / real_sqrt(c->first[i]);
     correction_gather(c, psi_rho(&rule->psi, e), c->first[i]);
     return 1;
@@ -77,19 +77,11 @@ INLINE int joint_whiten(const int n, const int m, correction *const c) {
    that across it; c->order has -1 - i for those that are taken together with the one before. */
 INLINE int correct_joint(const int n, const int m, const correction_rule *const rule, const real *spread,
                          real *RESTRICT x, real *RESTRICT P, correction *const c) {
-    real *RESTRICT e = c->t, s = 1, slope, weight, moved, check = 0;
+    real *RESTRICT e = c->t, s = 1, slope, weight, moved;
     int first = -1, count = 0, alone = 0;
-    if (c->observed > JOINT_MOST) return 0;
+    if (c->observed > JOINT_MOST || !correction_start(m, c)) return 0;
     for (int i = 0; i < m; i++) {
-        c->first[i] = c->S[i * m + i];
-        c->e[i] = c->d[i] = 0;
-        c->weights[i] = c->slopes[i] = (real)NAN;
-        if (c->v) {
-            c->v[i] = 0;
-            for (int j = 0; j < m; j++) c->W[i * m + j] = i == j ? REAL(1.0) : REAL(0.0);
-        }
         if (c->left[i] == 0) continue;
-        if (!(c->first[i] > 0 && real_is_finite(c->first[i]))) return 0;
         if (!joint_sees(n, i, P, c)) {
             if (!joint_leave(m, i, rule, spread ? spread[i] : 1, c)) return 0;
             if (c->order) c->order[alone] = (real)i;
@@ -116,23 +108,18 @@ INLINE int correct_joint(const int n, const int m, const correction_rule *const 
     weight = moved == e[first] ? 1 : moved / e[first];
     for (int i = first; i < m; i++) {
         if (c->left[i] == 0) continue;
-        const real along = rule->information == INFORMATION_REALIZED && e[first] != 0 ? slope : weight;
-        const real d = real_min(real_max(i == first ? along : weight, 0), 1);
+        const real d = correction_information(rule, i == first && e[first] != 0 ? slope : weight, weight);
         c->weights[i] = weight;
         c->slopes[i] = slope;
         c->d[i] = d;
         if (c->order) c->order[alone + count] = (real)(count > 0 ? -1 - i : i);
         count++;
-        if (d != 0) correction_shrink(n, d, c->C + i * n, P);
+        if (d != 0) real_shrink(n, d, c->C + i * n, P);
     }
     for (int k = 0; k < n; k++) x[k] += c->C[first * n + k] * moved;
     for (int j = 0; c->v && j < m; j++) c->v[j] += c->W[first * m + j] * moved;
     correction_gather(c, psi_rho(&rule->psi, e[first]) + rule->joint[count - 1] - (real)count * rule->normalizer, 1);
-    for (int k = 0; k < n; k++) {
-        if (!(P[k * n + k] >= 0)) return 0;
-        check += real_abs(x[k]) + P[k * n + k];
-    }
-    return real_is_finite(check);
+    return correction_is_settled(n, x, P);
 }
 
 /* Correct x and P in place by the innovations of c, sensor by sensor or as one, as the rule says. */

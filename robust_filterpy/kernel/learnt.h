@@ -565,19 +565,12 @@ INLINE real learnt_innovations(const int n, const int m, const int model, const 
     real *RESTRICT C = w->C + model * m * n, *RESTRICT S = w->S + model * m * m, *RESTRICT y = w->y + model * m;
     real check = 0;
     for (int i = 0; i < m; i++) {
-        real sum = 0;
-        for (int j = 0; j < n; j++) C[i * n + j] = 0;
-        for (int k = 0; k < n; k++) {
-            const real h = H[i * n + k];
-            sum += h * x[k];
-            for (int j = 0; j < n; j++) C[i * n + j] += h * P[k * n + j];
-        }
-        y[i] = w->left[i] > 0 ? z[i] - sum : 0;
+        y[i] = w->left[i] > 0 ? z[i] - real_dot(n, H + i * n, x) : 0;
         check += y[i] - y[i];
         y[i] = real_within(y[i], REAL_LARGE);
     }
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j <= i; j++) S[i * m + j] = S[j * m + i] = real_dot(n, C + i * n, H + j * n);
+    real_multiply(m, n, n, H, P, C);
+    real_multiply_symmetric(m, n, C, H, S);
     return check;
 }
 

@@ -83,13 +83,8 @@ SIZED int predict(const int n, const real *RESTRICT x, const real *RESTRICT P, c
             predict_blocks(n, W, transposed, P_next, 1);
         }
     } else {
-        for (int i = 0; i < n; i++) {
-            for (int j = 0; j < n; j++) W[i * n + j] = 0;
-            for (int k = 0; k < n; k++)
-                for (int j = 0; j < n; j++) W[i * n + j] += F[i * n + k] * P[k * n + j];
-        }
-        for (int i = 0; i < n; i++)
-            for (int j = 0; j <= i; j++) P_next[i * n + j] = real_dot(n, W + i * n, F + j * n);
+        real_multiply(n, n, n, F, P, W);
+        real_multiply_symmetric(n, n, W, F, P_next);
     }
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++)

@@ -104,6 +104,31 @@ INLINE real real_square(const int n, const real *RESTRICT h, const real *RESTRIC
     return total;
 }
 
+/* out (rows, columns) = A (rows, inner) B. */
+SIZED void real_multiply(const int rows, const int inner, const int columns, const real *RESTRICT A,
+                         const real *RESTRICT B, real *RESTRICT out) {
+    for (int i = 0; i < rows; i++) {
+        for (int j = 0; j < columns; j++) out[i * columns + j] = 0;
+        for (int k = 0; k < inner; k++)
+            for (int j = 0; j < columns; j++) out[i * columns + j] += A[i * inner + k] * B[k * columns + j];
+    }
+}
+
+/* out (n, n) = A B', which is symmetric; A and B are (n, k). */
+SIZED void real_multiply_symmetric(const int n, const int k, const real *RESTRICT A, const real *RESTRICT B,
+                                   real *RESTRICT out) {
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) out[i * n + j] = out[j * n + i] = real_dot(k, A + i * k, B + j * k);
+}
+
+/* P -= d g g'; as d (g g'), since rounding would make (d g) g' unsymmetric. */
+SIZED void real_shrink(const int n, const real d, const real *RESTRICT g, real *RESTRICT P) {
+    for (int k = 0; k < n; k++) {
+        const real gk = g[k];
+        for (int j = 0; j < n; j++) P[k * n + j] -= d * (gk * g[j]);
+    }
+}
+
 INLINE void real_swap(real **const a, real **const b) {
     real *const first = *a;
     *a = *b;

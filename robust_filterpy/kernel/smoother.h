@@ -56,17 +56,11 @@ SIZED smoother_room smoother_begin(const ptrdiff_t steps, const int n, const int
 SIZED real smoother_take(const int n, const real *RESTRICT h, const real z, const real d, const real o,
                          const int joseph, real *RESTRICT x, real *RESTRICT P, real *RESTRICT rows) {
     real *RESTRICT p = rows, *RESTRICT k = rows + n;
-    real predicted = 0, variance;
-    for (int i = 0; i < n; i++) p[i] = 0;
-    for (int j = 0; j < n; j++) {
-        const real hj = h[j];
-        predicted += hj * x[j];
-        for (int i = 0; i < n; i++) p[i] += P[j * n + i] * hj;
-    }
-    variance = real_dot(n, p, h);
+    real_multiply(1, n, n, h, P, p);
+    const real predicted = real_dot(n, h, x), variance = real_dot(n, p, h);
     const real left = 1 / (1 + d * variance), gain = (d * (z - predicted) + o) * left, taken = d * left;
     for (int i = 0; i < n; i++) x[i] += p[i] * gain;
-    correction_shrink(n, taken, p, P);
+    real_shrink(n, taken, p, P);
     if (!(d * variance > SMOOTHER_SHARP) && !joseph) return d * variance;
     for (int i = 0; i < n; i++) k[i] = taken * (p[i] * left - real_dot(n, P + i * n, h));
     /* Both halves alike: k is p times rounding. */
@@ -99,16 +93,8 @@ SIZED real smoother_forward(const int n, const int m, const smoother_job *const 
             if (d[v] != 0 || o[v] != 0)
                 sharp = real_max(
                     sharp, smoother_take(n, H + v * n, z[v], d[v], o[v], 0, room->x, room->P, room->rows));
-        for (int v = 0; v < m; v++) {
-            real *RESTRICT ph = room->PH + (k * m + v) * n, total = 0;
-            for (int i = 0; i < n; i++) ph[i] = 0;
-            for (int j = 0; j < n; j++) {
-                const real h = H[v * n + j];
-                total += h * room->x[j];
-                for (int i = 0; i < n; i++) ph[i] += room->P[j * n + i] * h;
-            }
-            room->Hx[k * m + v] = total;
-        }
+        real_multiply(m, n, n, H, room->P, room->PH + k * m * n);
+        real_multiply(m, n, 1, H, room->x, room->Hx + k * m);
         if (job->x) {
             real_copy(n, room->x, job->x + (s * job->steps + k) * n);
             real_copy(n * n, room->P, job->P + (s * job->steps + k) * n * n);
@@ -120,28 +106,22 @@ SIZED real smoother_forward(const int n, const int m, const smoother_job *const 
 /* Write H x_s and V = H P_s H' from x_s and P_s themselves. */
 CALLED void smoother_seen(const int n, const int m, const real *H, const real *x, const real *P, real *fitted,
                           smoother_room *const room) {
-    for (int v = 0; v < m; v++) {
-        real *const p = room->rows;
-        fitted[v] = real_dot(n, H + v * n, x);
-        for (int i = 0; i < n; i++) p[i] = real_dot(n, P + i * n, H + v * n);
-        for (int u = 0; u <= v; u++) room->V[u * m + v] = room->V[v * m + u] = real_dot(n, H + u * n, p);
-    }
+    real_multiply(m, n, 1, H, x, fitted);
+    real_multiply(m, n, n, H, P, room->B);
+    real_multiply_symmetric(m, n, room->B, H, room->V);
 }
 
 /* Write V = H P_s H' and B = H P L of a step into room, P_s being the smoothed covariance. */
 SIZED void smoother_spread(const int n, const int m, const real *RESTRICT H, const real *RESTRICT PH,
                             const real *RESTRICT L, smoother_room *const room) {
     real *RESTRICT B = room->B, *RESTRICT V = room->V;
-    for (int v = 0; v < m; v++) {
-        for (int i = 0; i < n; i++) B[v * n + i] = 0;
-        for (int j = 0; j < n; j++)
-            for (int i = 0; i < n; i++) B[v * n + i] += L[j * n + i] * PH[v * n + j];
+    real_multiply(m, n, n, PH, L, B);
+    for (int v = 0; v < m; v++)
         for (int u = 0; u <= v; u++) {
             real total = 0;
             for (int i = 0; i < n; i++) total += H[u * n + i] * PH[v * n + i] - B[v * n + i] * PH[u * n + i];
             V[u * m + v] = V[v * m + u] = total;
         }
-    }
 }
 
 /* s += H'(d e + o) and, where L is wanted, L += H'(d - d V d) H - H'd B - B'd H; fitted is H x_s. */
@@ -168,19 +148,14 @@ SIZED void smoother_gather(const int n, const int m, const real *RESTRICT H, con
 /* Write G's and G'L G. */
 CALLED void smoother_process(const int n, const int r, const real *G, const real *s, const real *L, real *score,
                              real *information, real *LG) {
-    for (int a = 0; a < r; a++) {
-        score[a] = 0;
-        for (int i = 0; i < n; i++) {
-            score[a] += G[i * r + a] * s[i];
-            LG[i * r + a] = 0;
-            for (int j = 0; j < n; j++) LG[i * r + a] += L[i * n + j] * G[j * r + a];
-        }
+    real_multiply(1, n, r, s, G, score);
+    real_multiply(n, n, r, L, G, LG);
+    for (int a = 0; a < r; a++)
         for (int b = 0; b <= a; b++) {
             real total = 0;
             for (int i = 0; i < n; i++) total += G[i * r + b] * LG[i * r + a];
             information[a * r + b] = information[b * r + a] = total;
         }
-    }
 }
 
 /* Correct x and P by the information exp(-x'Y x/2 + y'x), as n components of Y = L D L'; y and Y are used up. */
@@ -191,10 +166,8 @@ CALLED void smoother_combine(const int n, real *x, real *P, real *y, real *Y, re
         if (!(pivot > 0)) continue;
         for (int i = 0; i < n; i++) row[i] = i < c ? 0 : Y[c * n + i] / pivot;
         smoother_take(n, row, 0, pivot, potential, 1, x, P, rows);
-        for (int i = 0; i < n; i++) {
-            y[i] -= row[i] * potential;
-            for (int j = 0; j < n; j++) Y[i * n + j] -= pivot * row[i] * row[j];
-        }
+        for (int i = 0; i < n; i++) y[i] -= row[i] * potential;
+        real_shrink(n, pivot, row, Y);
     }
 }
 
@@ -205,13 +178,11 @@ CALLED void smoother_earlier(const int n, const int m, const smoother_job *job, 
     const real *z = series_at(&job->z, s, k), *d = series_at(&job->d, s, k), *o = series_at(&job->o, s, k);
     const real q = *series_at(&job->q, s, k);
     real *y = room->y, *Y = room->Y, *p = room->rows;
-    for (int v = 0; v < m; v++)
-        for (int i = 0; i < n; i++) {
-            y[i] += (d[v] * z[v] + o[v]) * H[v * n + i];
-            for (int j = 0; j < n; j++) Y[i * n + j] += d[v] * H[v * n + i] * H[v * n + j];
-        }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) y[i] -= Y[i * n + j] * c[j];
+    for (int v = 0; v < m; v++) {
+        for (int i = 0; i < n; i++) y[i] += (d[v] * z[v] + o[v]) * H[v * n + i];
+        real_shrink(n, -d[v], H + v * n, Y);
+    }
+    for (int i = 0; i < n; i++) y[i] -= real_dot(n, Y + i * n, c);
     for (int l = 0; l < job->r; l++) {
         real variance = 0, part = 0;
         for (int i = 0; i < n; i++) {
@@ -221,10 +192,8 @@ CALLED void smoother_earlier(const int n, const int m, const smoother_job *job, 
             variance += p[i] * G[i * job->r + l];
         }
         const real taken = q / (1 + q * variance);
-        for (int i = 0; i < n; i++) {
-            y[i] -= taken * p[i] * part;
-            for (int j = 0; j < n; j++) Y[i * n + j] -= taken * (p[i] * p[j]);
-        }
+        for (int i = 0; i < n; i++) y[i] -= taken * p[i] * part;
+        real_shrink(n, taken, p, Y);
     }
     predict(n, y, Y, room->Ft, room->none, NULL, 1, room->y_taken, room->Y_taken, room->buffer);
     real_swap(&room->y, &room->y_taken), real_swap(&room->Y, &room->Y_taken);
@@ -274,7 +243,7 @@ SIZED void smoother_backward(const int n, const int m, const smoother_job *const
             predict(n, room->x, room->P, room->Ft, room->none, NULL, 1, room->x_next, room->P_next, room->buffer);
             real_swap(&room->P, &room->P_next);
         } else {
-            for (int i = 0; i < n; i++) room->x_next[i] = real_dot(n, room->Ft + i * n, room->x);
+            real_multiply(n, n, 1, room->Ft, room->x, room->x_next);
         }
         real_swap(&room->x, &room->x_next);
     }

@@ -105,16 +105,13 @@ INLINE void tracker_note(const real y, const real nu, tracker_readings *const re
     readings->repeats.left = nu;
 }
 
-/* Put a value, or a row of n, in front of past ones; the oldest goes. */
-INLINE void tracker_push(const int count, real *past, const real newest) {
-    for (int i = count - 1; i > 0; i--) past[i] = past[i - 1];
-    if (count) past[0] = newest;
-}
-
+/* Put a row of n, or a value, in front of past ones; the oldest goes. */
 INLINE void tracker_push_row(const int count, const int n, real *past, const real *newest) {
     for (int i = count * n - 1; i >= n; i--) past[i] = past[i - n];
     if (count) real_copy(n, newest, past);
 }
+
+INLINE void tracker_push(const int count, real *past, const real newest) { tracker_push_row(count, 1, past, &newest); }
 
 /* Whether z^count + c_1 z^(count-1) + .. has all its roots inside the unit circle, by Schur's and Cohn's recursion. */
 INLINE int tracker_is_stable(int count, const real *coefficients, real *c, real *shorter) {
@@ -216,14 +213,11 @@ INLINE int tracker_correct(const int n, const tracker_rule *const rule, const re
                             tracker_sample *const sample, real *work) {
     const correction_rule *const choices = &rule->correction;
     const real t = correction_scale(choices->scaling, S), e = t * nu;
-    real slope, d, check = 0;
+    real slope;
     const real moved = psi_of(&choices->psi, e, &slope);
     if (!(real_abs(e) < REAL_ORDINARY)) return 0;
     sample->weight = moved == e ? 1 : moved / e;
-    d = choices->information == INFORMATION_REALIZED   ? slope
-        : choices->information == INFORMATION_EXPECTED ? choices->expected
-                                                       : sample->weight;
-    d = real_min(real_max(d, 0), 1);
+    const real d = correction_information(choices, slope, sample->weight);
     /* Under "unit" P becomes indefinite where its variance along the gradient, times d, is 1 or more. */
     if (choices->scaling == SCALING_UNIT && !(d * (S - r) < REAL(0.999))) {
         sample->refused = TRACKER_INDEFINITE;
@@ -233,17 +227,13 @@ INLINE int tracker_correct(const int n, const tracker_rule *const rule, const re
         C[i] *= t;
         x[i] += C[i] * moved;
     }
-    if (d != 0) correction_shrink(n, d, C, P);
+    if (d != 0) real_shrink(n, d, C, P);
     if (g) {
         const real own = S - r, left = t == 1 ? 1 - d * own : (r + (1 - d) * own) / S;
         for (int i = 0; i < n; i++) C[i] /= t;
         tracker_mend(n, g, C, own, left, P, work);
     }
-    for (int i = 0; i < n; i++) {
-        if (!(P[i * n + i] >= 0)) return 0;
-        check += real_abs(x[i]) + P[i * n + i];
-    }
-    return real_is_finite(check);
+    return correction_is_settled(n, x, P);
 }
 
 /* Take one sample: y, NaN where missing, and the inputs u; given: its R, NaN for the state's. work: tracker_work. */
