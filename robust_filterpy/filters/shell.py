@@ -211,13 +211,13 @@ class Shell(StateMixin):
         """Predict by F."""
         if _extension is None or not self._by_kernel:
             return False
-        return bool(_extension.predict(self, u, B, F, Q))
+        return bool(_extension.predict(self, u, B, F, Q, True))
 
     def _predict_extended(self, u: Any, moves: bool) -> bool:
         """Predict by F, or P alone where x has been moved by a function."""
         if _extension is None:
             return False
-        return bool(_extension.predict(self, u, None, None, None) if moves else _extension.predict_covariance(self))
+        return bool(_extension.predict(self, u, None, None, None, moves))
 
     def _linear_step(self) -> Any:
         """Return the kernel's correction by a linear sensor, None where it is not this filter's."""

@@ -21,8 +21,8 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _copied(attributes: dict[str, Any]) -> tuple[list[Any], bytes]:
-    """Return the writable arrays of a dictionary, each with a copy of its contents; by the kernel, those in one piece
-    alone, and what they hold one after another.
+    """Return the writable arrays of a dictionary, each with a copy of its contents; the kernel returns the arrays alone,
+    and what they hold one after another, or None where it does not serve.
     """
     arrays = [value for value in attributes.values() if type(value) is np.ndarray]
     return [(array, array.copy()) for array in arrays if array.flags.writeable], b""
@@ -51,7 +51,7 @@ def snapshot(kf: Any) -> tuple[Any, ...]:
     """Return what a filter holds, contents of arrays too: a user's function may write into one that is still held."""
     attributes = kf.__dict__.copy()
     # Not an object of a class of its own, which takes as long to make as all the rest.
-    return attributes, _in_slots(kf), _copied_arrays(attributes), "rng" in attributes and _drawn(attributes["rng"])
+    return attributes, _in_slots(kf), _copied_arrays(attributes) or _copied(attributes), "rng" in attributes and _drawn(attributes["rng"])
 
 
 def put_back(kf: Any, held: tuple[Any, ...]) -> None:

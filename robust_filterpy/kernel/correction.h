@@ -150,7 +150,7 @@ SIZED real correction_information(const correction_rule *const rule, const real 
 }
 
 /* Begin where no sensor is taken yet; return whether the variances of those that were observed are ordinary. */
-SIZED int correction_start(const int m, correction *const c) {
+SIZED int correction_prepare(const int m, correction *const c) {
     int fine = 1;
     for (int i = 0; i < m; i++) {
         const real variance = c->first[i] = c->S[i * m + i];
@@ -179,7 +179,7 @@ SIZED int correction_is_settled(const int n, const real *RESTRICT x, const real 
 SIZED int correct(const int n, const int m, const correction_rule *const rule, const real *spread, real *RESTRICT x,
                    real *RESTRICT P, correction *const c) {
     real *RESTRICT C = c->C, *RESTRICT S = c->S, *RESTRICT y = c->y;
-    if (!correction_start(m, c)) return 0;
+    if (!correction_prepare(m, c)) return 0;
     for (int step = 0; step < c->observed; step++) {
         const int i = correction_next(m, rule->scaling, spread, c), more = step + 1 < c->observed;
         if (i < 0) return 0;

@@ -79,7 +79,7 @@ INLINE int correct_joint(const int n, const int m, const correction_rule *const 
                          real *RESTRICT x, real *RESTRICT P, correction *const c) {
     real *RESTRICT e = c->t, s = 1, slope, weight, moved;
     int first = -1, count = 0, alone = 0;
-    if (c->observed > JOINT_MOST || !correction_start(m, c)) return 0;
+    if (c->observed > JOINT_MOST || !correction_prepare(m, c)) return 0;
     for (int i = 0; i < m; i++) {
         if (c->left[i] == 0) continue;
         if (!joint_sees(n, i, P, c)) {

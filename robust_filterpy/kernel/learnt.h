@@ -451,19 +451,14 @@ INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule
     }
     for (int i = 0; i < m; i++) {
         learnt_habits *const habits = learnt_of(rule, s, i).habits;
-        real e = 0, variance = 0;
+        real e = 0;
         colour[i] = 0;
         if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
         for (int j = 0; j < m; j++) {
-            real sum = 0;
-            for (int k = 0; k < m; k++)
-                if (left[k] > 0) sum += rest[i * m + k] / unit[k] * R[k * m + j];
-            if (left[j] > 0) {
-                e += rest[i * m + j] / unit[j] * z[j];
-                variance += sum * rest[i * m + j] / unit[j];
-            }
+            out[j] = left[j] > 0 ? rest[i * m + j] / unit[j] : 0;
+            if (left[j] > 0) e += out[j] * z[j];
         }
-        e /= real_sqrt(variance);
+        e /= real_sqrt(real_square(m, out, R));
         if (!real_is_finite(e)) continue;
         correlation[i] = learnt_note_parity(e, rule->memory, habits);
         /* A color is that of the sensor of whose noise a parity is made. */
@@ -535,8 +530,8 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
 }
 
 #define learnt_weigh_work(n, m, models, K) \
-    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (8 + (n) + (K)) * (m) + 4 * (K) + \
-              (2 + (K)) * (m) * (m)) + \
+    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (8 + 2 * (n) + (K)) * (m) + 4 * (K) + \
+              (3 + (K)) * (m) * (m)) + \
      learnt_parity_work(m))
 
 /* What the models are while sensor after sensor is taken. */
@@ -548,6 +543,7 @@ typedef struct {
     real *logs, *shares; /* (models) */
     real *at, *spread; /* (n), (n, n) mean and covariance over the models that have not jumped */
     real *direction; /* (n) in which a candidate has jumped */
+    real *N;     /* (m, m) covariance of ordinary noise */
     real *left, *r, *start; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning */
     real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new, 2 where it began */
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
@@ -601,7 +597,7 @@ INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const 
     if (!(R > 0)) return;
     jumps->began = real_within(y / real_sqrt(R), LEARNT_WILDEST), jumps->outliers = 0;
     if (real_copysign(1, learnt_of(rule, s, i).habits->repeats.seldom) > 0)
-        w->alike[i] = learnt_like_before(jumps, y, S + w->r[i] * R, R);
+        w->alike[i] = learnt_like_before(jumps, y, S + w->N[i * m + i], R);
 }
 
 /* Let a candidate begin in each part where an innovation asks for it, where the measurement says: as if what a sensor sees
@@ -620,14 +616,14 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         real most = LEARNT_ASKS, seen = 0;
         int i = -1;
         for (int j = 0; j < m; j++) {
-            const real asks = y[j] * y[j] / (S[j * m + j] + w->r[j] * R[j * m + j]);
+            const real asks = y[j] * y[j] / (S[j * m + j] + w->N[j * m + j]);
             if (waits[j] > 0 && S[j * m + j] > 0 && asks < LEARNT_FARTHEST && asks > most)
                 most = asks, i = j;
         }
         if (i < 0) return;
         waits[i] = 0;
         learnt_note_began(m, rule, s, i, y[i], S[i * m + i], R[i * m + i], w);
-        const real noise = w->r[i] * R[i * m + i], *RESTRICT h = H + i * n;
+        const real noise = w->N[i * m + i], *RESTRICT h = H + i * n;
         const real square = real_min(y[i] * y[i], LEARNT_FAR * (S[i * m + i] + noise)), most_of = square / LEARNT_ASKS;
         const real times = (most_of - noise) / S[i * m + i];
         real *RESTRICT C = w->C + (q * m + i) * n, whole;
@@ -755,7 +751,7 @@ INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const ru
     for (int i = 0; i < m; i++)
         if (w->left[i] > 0) w->fresh[i] = jumps && s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * rule->jump;
     for (int i = 0; i < m && jumps; i++) {
-        const real noise = w->r[i] * R[i * m + i];
+        const real noise = w->N[i * m + i];
         real chance;
         if (!(w->left[i] > 0) || w->fresh[i] > 0 || !learnt_asks(n, w->at, w->spread, z[i], H + i * n, noise) ||
             !learnt_asks(n, s->x + q * n, s->P + q * n * n, z[i], H + i * n, noise))
@@ -810,22 +806,18 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
     if (rule->jump > 0) learnt_widen(n, m, rule, s, H, R, z, w);
     for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
-            const real noise = w->r[i] * R[i * m + i];
-            if (w->left[i] > 0 && noise > 0 && w->S[c * m * m + i * m + i] > LEARNT_WIDEST * noise) return 0;
-        }
-    for (int c = 0; c < models; c++)
-        for (int i = 0; i < m; i++) {
-            real *RESTRICT S = w->S + c * m * m;
-            for (int j = 0; j < m; j++) {
-                if (!(w->left[i] > 0 && w->left[j] > 0) || R[i * m + j] == 0) continue;
-                S[i * m + j] += i == j ? w->r[i] * R[i * m + j] : R[i * m + j] * real_sqrt(w->r[i] * w->r[j]);
-            }
+            const real *const N = w->N + i * m;
+            real *const S = w->S + (c * m + i) * m;
+            if (!(w->left[i] > 0)) continue;
+            if (N[i] > 0 && S[i] > LEARNT_WIDEST * N[i]) return 0;
+            for (int j = 0; j < m; j++)
+                if (w->left[j] > 0) S[j] += N[j];
         }
     if (M) learnt_correlate(n, m, models, H, M, w);
-    for (int i = 0; i < m; i++) w->start[i] = 0;
-    for (int c = 0; c < models; c++)
-        for (int i = 0; i < m; i++)
-            if (w->left[i] > 0) w->start[i] = real_max(w->start[i], w->S[c * m * m + i * m + i]);
+    for (int i = 0; i < m; i++) {
+        w->start[i] = 0;
+        for (int c = 0; c < models; c++) w->start[i] = real_max(w->start[i], w->S[(c * m + i) * m + i]);
+    }
     return 1;
 }
 
@@ -880,8 +872,8 @@ SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real 
 }
 
 /* Write what all g members expect of their classes, the mean of what each does, and ordinary noise N (g, g). */
-SIZED void learnt_expected(const int m, const learnt_rule *const rule, const learnt_state *const s,
-                            const real *RESTRICT R, const int g, const learnt_work *const w, real *RESTRICT N) {
+SIZED void learnt_expected(const int m, const learnt_rule *const rule, const learnt_state *const s, const int g,
+                           const learnt_work *const w, real *RESTRICT N) {
     const int K = rule->K, rows = rule->joint ? 1 : g;
     const real each = 1 / (real)rows;
     for (int k = 0; k < K; k++) w->before[k] = w->typical[k] = 0;
@@ -893,17 +885,14 @@ SIZED void learnt_expected(const int m, const learnt_rule *const rule, const lea
         for (int k = 0; k < K; k++) w->typical[k] += w->after[k] * each;
     }
     for (int t = 0; t < g; t++)
-        for (int u = 0; u < g; u++) {
-            const int i = (int)w->members[t], j = (int)w->members[u];
-            N[t * g + u] = R[i * m + j] == 0 ? 0 : R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
-        }
+        for (int u = 0; u < g; u++) N[t * g + u] = w->N[(int)w->members[t] * m + (int)w->members[u]];
 }
 
 /* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
    classes, and the probability from the samples before that they are; return whether its density, of which the log is
    written too, is ordinary. */
 CALLED int learnt_together(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           const real *RESTRICT R, learnt_work *const w, real *const log_density) {
+                           learnt_work *const w, real *const log_density) {
     real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
     real *RESTRICT const u = N + m * m, total = 0;
     int g = 0;
@@ -928,14 +917,13 @@ CALLED int learnt_together(const int n, const int m, const learnt_rule *const ru
         }
     }
     w->together = total / (real)g;
-    learnt_expected(m, rule, s, R, g, w, N);
+    learnt_expected(m, rule, s, g, w, N);
     return learnt_classes(g, rule, y, S, N, w->before, w->shared, log_density, u, u + rule->K * m, w->after);
 }
 
 /* A sensor's innovation in standard deviations, over all models. */
-INLINE real learnt_far(const int n, const int m, const int models, const learnt_state *const s,
-                       const learnt_work *const w, const int i) {
-    const real *const p = s->p + (int)w->head[i];
+INLINE real learnt_far(const int n, const int m, const int models, const real *RESTRICT p, const learnt_work *const w,
+                       const int i) {
     real mean = 0, variance = 0, unit = 1;
     for (int c = 0; c < models; c++) unit = real_max(unit, real_abs(w->y[c * m + i]));
     for (int c = 0; c < models; c++) mean += p[c * n] * (w->y[c * m + i] / unit);
@@ -946,23 +934,17 @@ INLINE real learnt_far(const int n, const int m, const int models, const learnt_
     return real_abs(mean) / real_sqrt(variance);
 }
 
-/* The sensor that is taken next, the least far; of those that fail together the farthest counts. */
+/* The sensor that is taken next of `count` that are left, the least far; of those that fail together the farthest counts. */
 INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                       const learnt_work *const w) {
-    const int models = learnt_models(rule), grouped = rule->joint || rule->named > 0;
-    int best = -1, count = 0;
+                       const int count, const learnt_work *const w) {
+    int best = -1;
     real least = 0;
-    for (int i = 0; i < m; i++)
-        if (w->left[i] > 0) best = i, count++;
-    if (count < 2) return best;
-    best = -1;
     for (int i = 0; i < m; i++) {
-        real far;
+        real far = 0;
         if (!(w->left[i] > 0)) continue;
-        far = learnt_far(n, m, models, s, w, i);
-        for (int j = 0; grouped && j < m; j++)
+        for (int j = 0; j < m && count > 1; j++)
             if (w->left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i))
-                far = real_max(far, learnt_far(n, m, models, s, w, j));
+                far = real_max(far, learnt_far(n, m, learnt_models(rule), s->p + (int)w->head[j], w, j));
         if (best < 0 || far < least) best = i, least = far;
     }
     return best;
@@ -970,14 +952,13 @@ INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, 
 
 /* Score, information and likelihood of g sensors that are taken at once under every model. Return whether all is ordinary.
    log_density: of all that is likely the most, which w->logs are over. */
-SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           const real *RESTRICT R, const int g, const learnt_work *const w,
-                           real *const log_density) {
+SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const learnt_state *const s, const int g,
+                           const learnt_work *const w, real *const log_density) {
     const int models = learnt_models(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
     const int first = (int)w->members[0];
     real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
     real *RESTRICT const pulls = N + m * m, *RESTRICT const inverses = pulls + K * m;
-    learnt_expected(m, rule, s, R, g, w, N);
+    learnt_expected(m, rule, s, g, w, N);
     for (int c = 0; c < models; c++) {
         real *RESTRICT given = w->given + c * K, *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
         if (!(w->S[(c * m + first) * m + first] > REAL_PIVOT * w->start[first])) return 0;
@@ -1044,16 +1025,17 @@ SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const lea
 }
 
 /* With a copy of its own for what is usual, one sensor. */
-CALLED int learnt_scores(const int m, const learnt_rule *const rule, const learnt_state *const s, const real *RESTRICT R,
-                         const int g, const learnt_work *const w, real *const log_density) {
-    return g == 1 ? learnt_scores_of(m, rule, s, R, 1, w, log_density) : learnt_scores_of(m, rule, s, R, g, w, log_density);
+CALLED int learnt_scores(const int m, const learnt_rule *const rule, const learnt_state *const s, const int g,
+                         const learnt_work *const w, real *const log_density) {
+    return g == 1 ? learnt_scores_of(m, rule, s, 1, w, log_density) : learnt_scores_of(m, rule, s, g, w, log_density);
 }
 
 /* Learn from what sensors that are taken at once have said, and take it off the models; w->shares are these models'. */
 CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
                          const int g, const learnt_work *const w) {
     const int models = learnt_models(rule), K = rule->K;
-    real *RESTRICT bC = w->scratch, *RESTRICT bS = bC + m * n;
+    real *RESTRICT ours = w->scratch, *RESTRICT theirs = ours + m * n;
+    real *RESTRICT bC = theirs + m * m, *RESTRICT bS = bC + m * n;
     for (int row = 0; rule->learns && row < (rule->joint ? 1 : g); row++) {
         const int i = (int)w->members[row];
         const learnt_memory memory = learnt_of(rule, s, i);
@@ -1074,27 +1056,23 @@ CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule
         real *RESTRICT x = s->x + c * n, *RESTRICT P = s->P + c * n * n, *RESTRICT y = w->y + c * m;
         real *RESTRICT C = w->C + c * m * n, *RESTRICT S = w->S + c * m * m;
         for (int t = 0; t < g; t++) {
-            for (int k = 0; k < n; k++) {
-                bC[t * n + k] = 0;
-                for (int u = 0; u < g; u++) bC[t * n + k] += b[t * g + u] * C[(int)w->members[u] * n + k];
-            }
-            for (int k = 0; k < m; k++) {
-                bS[t * m + k] = 0;
-                for (int u = 0; u < g; u++) bS[t * m + k] += b[t * g + u] * S[(int)w->members[u] * m + k];
-            }
+            real_copy(n, C + (int)w->members[t] * n, ours + t * n);
+            real_copy(m, S + (int)w->members[t] * m, theirs + t * m);
         }
+        real_multiply(g, g, n, b, ours, bC);
+        real_multiply(g, g, m, b, theirs, bS);
         for (int t = 0; t < g; t++) {
-            const int i = (int)w->members[t];
+            const real *RESTRICT own = ours + t * n, *RESTRICT with = theirs + t * m;
             for (int j = 0; j < n; j++) {
-                x[j] += a[t] * C[i * n + j];
-                for (int k = 0; k < n; k++) P[j * n + k] -= C[i * n + j] * bC[t * n + k];
+                x[j] += a[t] * own[j];
+                for (int k = 0; k < n; k++) P[j * n + k] -= own[j] * bC[t * n + k];
             }
             for (int o = 0; o < m; o++) {
                 if (!(w->left[o] > 0)) continue;
-                y[o] -= a[t] * S[i * m + o];
-                for (int k = 0; k < n; k++) C[o * n + k] -= bS[t * m + o] * C[i * n + k];
+                y[o] -= a[t] * with[o];
+                for (int k = 0; k < n; k++) C[o * n + k] -= bS[t * m + o] * own[k];
                 for (int k = 0; k < m; k++)
-                    if (w->left[k] > 0) S[o * m + k] -= S[i * m + o] * bS[t * m + k];
+                    if (w->left[k] > 0) S[o * m + k] -= with[o] * bS[t * m + k];
             }
         }
     }
@@ -1111,33 +1089,14 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     learnt_work w;
     int count = 0, held = 0;
     real together = 0, apart = 0;
-    w.y = work;
-    w.C = w.y + models * m;
-    w.S = w.C + models * m * n;
-    w.given = w.S + models * m * m;
-    w.logs = w.given + models * K;
-    w.shares = w.logs + models;
-    w.at = w.shares + models;
-    w.spread = w.at + n;
-    w.direction = w.spread + n * n;
-    w.left = w.direction + n;
-    w.r = w.left + m;
-    w.start = w.r + m;
-    w.head = w.start + m;
-    w.fresh = w.head + m;
-    w.alike = w.fresh + m;
-    w.before = w.alike + m;
-    w.typical = w.before + K;
-    w.after = w.typical + K;
-    w.shared = w.after + K;
+    const real_part parts[] = {
+        {&w.y, models * m}, {&w.C, models * m * n}, {&w.S, models * m * m}, {&w.given, models * K}, {&w.logs, models},
+        {&w.shares, models}, {&w.at, n}, {&w.spread, n * n}, {&w.direction, n}, {&w.left, m}, {&w.r, m}, {&w.N, m * m},
+        {&w.start, m}, {&w.head, m}, {&w.fresh, m}, {&w.alike, m}, {&w.before, K}, {&w.typical, K}, {&w.after, K},
+        {&w.shared, K}, {&w.members, m}, {&w.scores, models * m}, {&w.informations, models * m * m},
+        {&w.energies, models * m}, {&w.noises, models * m}, {&w.scratch, m * (1 + 2 * n + K) + m * m * (2 + K)}};
+    work = real_lay_out((int)(sizeof parts / sizeof *parts), parts, work);
     w.together = 0;
-    w.members = w.shared + K;
-    w.scores = w.members + m;
-    w.informations = w.scores + models * m;
-    w.energies = w.informations + models * m * m;
-    w.noises = w.energies + models * m;
-    w.scratch = w.noises + models * m;
-    work = w.scratch + m * (1 + n + K) + m * m * (2 + K);
     learnt_slow(n, rule, s, w.at, w.spread, work);
     for (int i = 0; i < m; i++) {
         const learnt_memory memory = learnt_of(rule, s, i);
@@ -1162,17 +1121,19 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         learnt_changes(n, m, rule, s, w.at, z, readings, H, R, w.left, w.r);
         learnt_sizes(n, m, rule, s, w.spread, z, H, R, w.left, w.r, work);
     }
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) w.N[i * m + j] = R[i * m + j] * (i == j ? w.r[i] : real_sqrt(w.r[i] * w.r[j]));
     learnt_refresh(n, m, rule, s, z, H, R, &w, work);
     if (!learnt_begin(n, m, rule, s, H, R, M, z, &w)) return -1;
-    if (follows && !grouped && count > 1 && !learnt_together(n, m, rule, s, R, &w, &together)) return -1;
+    if (follows && !grouped && count > 1 && !learnt_together(n, m, rule, s, &w, &together)) return -1;
     for (int turn = 0, group; turn < count; turn += group) {
-        const int i = learnt_next(n, m, rule, s, &w);
+        const int i = learnt_next(n, m, rule, s, count - turn, &w);
         const real *const p = s->p + (int)w.head[i];
         real total = 0, full = 0, others = 0, evidence = 0, weight = 0, most = 0;
         group = 0;
         for (int j = 0; j < m; j++)
             if (w.left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i)) w.members[group++] = (real)j;
-        if (!learnt_scores(m, rule, s, R, group, &w, &most)) return -1;
+        if (!learnt_scores(m, rule, s, group, &w, &most)) return -1;
         if (models > q) {
             /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
                all others worth more than a hundred. */
@@ -1274,14 +1235,12 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
     }
     if (!update(n, m, &huber, here, here, H, R, M, after, x, P, &c, NULL, work)) return 0;
     for (int i = 0; i < m; i++) learnt_of(rule, s, i).habits->spread = after[i];
-    for (int i = 0; i < m; i++) {
-        const int head = (int)part[learnt_sees(n, H, i)];
+    for (int head = 0; head < n; head++) {
         real log_c = 0, evidence = 0, count;
-        int first = here[i] == here[i] && readings[head] < LEARNT_DECIDED, any = 0, beyond;
-        for (int j = 0; j < m && first; j++) {
+        int any = 0, beyond;
+        for (int j = 0; j < m && readings[head] < LEARNT_DECIDED; j++) {
             real size;
             if (here[j] != here[j] || (int)part[learnt_sees(n, H, j)] != head) continue;
-            if (j < i) first = 0;
             /* A factor is common to all sensors of a part: that of the one which shows least of it. */
             size = real_max(before[j].spread, spread_coarse(before + j, real_sqrt(S[j])));
             size = before[j].weight > 0 ? 2 * real_log(real_max(size, REAL(1e-150))) : 0;
@@ -1289,9 +1248,9 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
             if (!any || real_abs(size) < real_abs(log_c)) log_c = size;
             any = 1;
         }
-        if (!first) continue;
+        if (!any) continue;
         beyond = real_abs(log_c) > LEARNT_LOG_BEYOND;
-        for (int j = i; j < m && beyond; j++) {
+        for (int j = 0; j < m && beyond; j++) {
             real log_unit, by_it;
             /* One that repeats the reading before is no sample of noise. */
             if (here[j] != here[j] || here[j] == before[j].last || (int)part[learnt_sees(n, H, j)] != head) continue;

@@ -40,6 +40,15 @@ CALLED void mend_diagonalize(const int n, real *A, real *V) {
     }
 }
 
+/* Write P = V D V', D on the diagonal of A but no less than `least`. */
+CALLED void mend_compose(const int n, const real *A, const real *V, const real least, real *P) {
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            P[i * n + j] = 0;
+            for (int k = 0; k < n; k++) P[i * n + j] += V[i * n + k] * real_max(A[k * n + k], least) * V[j * n + k];
+        }
+}
+
 /* Put eigenvalues of P below rounding of the largest there, if any is less than minus that. work: mend_work. */
 CALLED void mend(const int n, real *P, real *work) {
     real *const A = work, *const V = work + n * n, least = 0, bottom = 0;
@@ -50,13 +59,7 @@ CALLED void mend(const int n, real *P, real *work) {
         bottom = real_max(bottom, A[i * n + i]);
     }
     bottom *= REAL_EPSILON;
-    if (!(least < -bottom)) return;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            real total = 0;
-            for (int k = 0; k < n; k++) total += V[i * n + k] * real_max(A[k * n + k], bottom) * V[j * n + k];
-            P[i * n + j] = total;
-        }
+    if (least < -bottom) mend_compose(n, A, V, bottom, P);
 }
 
 #endif

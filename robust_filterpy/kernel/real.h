@@ -129,6 +129,18 @@ SIZED void real_shrink(const int n, const real d, const real *RESTRICT g, real *
     }
 }
 
+/* A vector of so many numbers in a workspace, and what is to point to it. */
+typedef struct {
+    real **place;
+    int count;
+} real_part;
+
+/* Lay vectors out one behind another; return the workspace behind them. */
+INLINE real *real_lay_out(const int count, const real_part *const parts, real *work) {
+    for (int i = 0; i < count; work += parts[i].count, i++) *parts[i].place = work;
+    return work;
+}
+
 INLINE void real_swap(real **const a, real **const b) {
     real *const first = *a;
     *a = *b;

@@ -2,24 +2,17 @@
 #include "online.h"
 
 /* Sizes of the state that the compiler knows; to know one sensor too gains nothing that can be measured. */
-#define SIZES(X) X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8)
-typedef void span_function(const series_job *, ptrdiff_t, ptrdiff_t, double *);
-
-#define SPAN_OF(name, size) \
+#define SPAN(name, n) \
     static void name(const series_job *job, ptrdiff_t low, ptrdiff_t high, double *work) { \
-        if (job->mixes) series_span(size, job->m, 1, job, low, high, work); \
-        else series_span(size, job->m, 0, job, low, high, work); \
+        if (job->mixes) series_span(n, job->m, 1, job, low, high, work); \
+        else series_span(n, job->m, 0, job, low, high, work); \
     }
-#define SPAN(size) SPAN_OF(span_##size, size)
-SIZES(SPAN)
-SPAN_OF(span_any, job->n)
-#undef SPAN
+SPAN(span_any, job->n)
+SPAN(span_1, 1) SPAN(span_2, 2) SPAN(span_3, 3) SPAN(span_4, 4)
+SPAN(span_5, 5) SPAN(span_6, 6) SPAN(span_7, 7) SPAN(span_8, 8)
 
-static span_function *const spans[] = {span_any,
-#define SPAN(size) span_##size,
-                                       SIZES(SPAN)
-#undef SPAN
-};
+static void (*const spans[])(const series_job *, ptrdiff_t, ptrdiff_t, double *) = {
+    span_any, span_1, span_2, span_3, span_4, span_5, span_6, span_7, span_8};
 
 /* Take x, P, memory and, under a mixture, x, P and p of the models, of so many series; whether they are that. */
 static int take_moving(series_job *job, PyObject *const of[6], npy_intp series) {

@@ -2,33 +2,17 @@
 #include "glue.h"
 #include "smoother.h"
 
-/* Sizes of the state that the compiler knows, each with one sensor, two, and any number. */
-#define SIZES(X) X(1) X(2) X(3) X(4) X(6)
-typedef void span_function(const smoother_job *, ptrdiff_t, double *);
-
-#define SPAN(size) \
-    static void span_##size(const smoother_job *job, ptrdiff_t series, double *work) { \
-        if (job->m == 1) smoother_span(size, 1, job, 0, series, work); \
-        else smoother_span(size, job->m, job, 0, series, work); \
+/* Sizes of the state that the compiler knows, each with one sensor and with any number. */
+#define SPAN(name, n) \
+    static void name(const smoother_job *job, ptrdiff_t series, double *work) { \
+        if (job->m == 1) smoother_span(n, 1, job, 0, series, work); \
+        else smoother_span(n, job->m, job, 0, series, work); \
     }
-SIZES(SPAN)
-#undef SPAN
+SPAN(span_any, job->n)
+SPAN(span_1, 1) SPAN(span_2, 2) SPAN(span_3, 3) SPAN(span_4, 4) SPAN(span_6, 6)
 
-static void span_any(const smoother_job *job, ptrdiff_t series, double *work) {
-    smoother_span(job->n, job->m, job, 0, series, work);
-}
-
-static span_function *span_for(int n) {
-    switch (n) {
-#define SPAN(size) \
-    case size: \
-        return span_##size;
-        SIZES(SPAN)
-#undef SPAN
-    default:
-        return span_any;
-    }
-}
+static void (*const spans[])(const smoother_job *, ptrdiff_t, double *) = {span_any, span_1, span_2,  span_3,
+                                                                           span_4,   span_any, span_6};
 
 /* Room for a result of so many numbers in front of the last axes; of length 0 along its steps where it is not wanted.
    Return whether it is either. */
@@ -75,7 +59,7 @@ static PyObject *smooth(PyObject *self, PyObject *arguments) {
         double *const work = PyMem_Malloc(smoother_work(steps, job.n, job.m, job.r) * sizeof(double));
         if (!work) return PyErr_NoMemory();
         Py_BEGIN_ALLOW_THREADS;
-        span_for(job.n)(&job, series, work);
+        spans[n < (npy_intp)(sizeof spans / sizeof *spans) ? n : 0](&job, series, work);
         Py_END_ALLOW_THREADS;
         PyMem_Free(work);
     }

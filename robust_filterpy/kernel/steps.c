@@ -95,15 +95,8 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *con
     return kept && set_attribute(filter, AT__kept, kept) < 0 ? -1 : 1;
 }
 
-STEP(predict_step, 5, take_prediction(&h, arguments[0], arguments[1], arguments + 2, 1),
-     "predict: expected a filter, u, B, F and Q")
-
-static PyObject *covariance_step(PyObject *self, PyObject *filter) {
-    PyObject *const none[3] = {Py_None, Py_None, Py_None};
-    held h = {.count = 0};
-    (void)self;
-    return answer(&h, take_prediction(&h, filter, Py_None, none, 0));
-}
+STEP(predict_step, 6, take_prediction(&h, arguments[0], arguments[1], arguments + 2, arguments[5] == Py_True),
+     "predict: expected a filter, u, B, F, Q and whether x moves")
 
 /* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Numbers, rows of m numbers, S and C'. */
 enum record_number { RECORD_N, RECORD_M, RECORD_SCALING, RECORD_LOG_DENSITY, RECORD_HEAD };
@@ -319,11 +312,11 @@ STEP(correct_step, 5, take_correction(&h, arguments[0], arguments[1], arguments 
      "correct: expected a filter, z, R, H and M")
 
 /* H (m, n) = C' P^-1, P (n, n) in units of its own and without directions in which it has no extent, and what of S such a line
-   does not explain, noise apart: curvature (m, m). work: 3 k k + k, k the larger of n and m. */
+   does not explain, noise apart: curvature (m, m). work: 2 k k + k, k the larger of n and m. */
 static void regress(int n, int m, const double *P, const double *C, const double *S, const double *R, double *H,
                     double *curvature, double *work) {
     const int k = n > m ? n : m;
-    double *const A = work, *const V = A + k * k, *const W = V + k * k, *const unit = W + k * k, most = 0;
+    double *const A = work, *const V = A + k * k, *const unit = V + k * k, most = 0;
     for (int i = 0; i < n; i++) unit[i] = P[i * n + i] > 0 ? sqrt(P[i * n + i]) : 1;
     for (int i = 0; i < n * n; i++) A[i] = P[i] / (unit[i / n] * unit[i % n]);
     mend_diagonalize(n, A, V);
@@ -342,14 +335,10 @@ static void regress(int n, int m, const double *P, const double *C, const double
         for (int j = 0; j <= i; j++) {
             double seen = 0;
             for (int l = 0; l < n; l++) seen += H[i * n + l] * C[l * m + j];
-            W[i * m + j] = W[j * m + i] = S[i * m + j] - R[i * m + j] - seen;
+            A[i * m + j] = A[j * m + i] = S[i * m + j] - R[i * m + j] - seen;
         }
-    mend_diagonalize(m, W, V);
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j < m; j++) {
-            curvature[i * m + j] = 0;
-            for (int o = 0; o < m; o++) curvature[i * m + j] += V[i * m + o] * real_max(W[o * m + o], 0) * V[j * m + o];
-        }
+    mend_diagonalize(m, A, V);
+    mend_compose(m, A, V, 0, curvature);
 }
 
 /* Correct a state at 0 by a line, and by a state of its own for what the line does not explain. */
@@ -368,7 +357,7 @@ static int correct_by_line(held *h, PyObject *filter, const judge *by, const fil
     made.prior_x = array_of(h, NULL, 1, n, 0, 0), made.prior_P = array_of(h, now->P, 2, n, n, 0);
     made.x = array_of(h, NULL, 1, n, 0, 0), made.P = array_of(h, NULL, 2, n, n, 0);
     made.curvature = array_of(h, NULL, 2, m, m, 0);
-    work = h->failed ? NULL : work_of(stack, own + correct_work(rule, all, m) + (size_t)(m * m) + 3 * k * k + k);
+    work = h->failed ? NULL : work_of(stack, own + correct_work(rule, all, m) + (size_t)(m * m) + 2 * k * k + k);
     if (!work) return -1;
     double *const x = work, *const P = x + all, *const p = P + all * all, *const whole = p + 3 * all;
     double *const rest = whole + m * all, *const H = numbers_of(made.H), *const bend = numbers_of(made.curvature);
@@ -484,37 +473,12 @@ static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize
     Py_RETURN_NONE;
 }
 
-/* Whether the numbers of an array lie in one piece. */
-static int in_one_piece(PyArrayObject *array) {
-    const int one = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_F_CONTIGUOUS;
-    return PyArray_TYPE(array) == NPY_DOUBLE && (PyArray_FLAGS(array) & one) != 0;
-}
-
-/* What arrays in one piece hold, one after another: a copy of each as an array of its own takes as long as a step. */
-static PyObject *contents_of(PyObject *arrays) {
-    const Py_ssize_t count = PyList_Size(arrays);
-    Py_ssize_t total = 0;
-    PyObject *contents;
-    char *to;
-    for (Py_ssize_t i = 0; i < count; i++) {
-        PyObject *const array = PyList_GetItem(arrays, i);
-        if (PyArray_CheckExact(array)) total += PyArray_NBYTES((PyArrayObject *)array);
-    }
-    contents = PyBytes_FromStringAndSize(NULL, total);
-    to = contents ? PyBytes_AsString(contents) : NULL;
-    for (Py_ssize_t i = 0; to && i < count; i++) {
-        PyArrayObject *const array = (PyArrayObject *)PyList_GetItem(arrays, i);
-        if (!PyArray_CheckExact(array)) continue;
-        memcpy(to, PyArray_DATA(array), (size_t)PyArray_NBYTES(array));
-        to += PyArray_NBYTES(array);
-    }
-    return contents;
-}
-
-/* The writable arrays of a dictionary that nobody else has, and what they hold: see robust_filterpy.filters.snapshot. */
+/* The writable arrays of a dictionary that nobody else has, and what they hold, one after another: a copy of each as an array
+   of its own takes as long as a step. None if one is not of numbers in one piece. See robust_filterpy.filters.snapshot. */
 static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
     PyObject *arrays, *contents, *found, *key, *value;
-    Py_ssize_t place = 0;
+    Py_ssize_t place = 0, total = 0;
+    char *to;
     (void)self;
     if (!PyDict_CheckExact(attributes)) {
         PyErr_SetString(PyExc_TypeError, "copied_arrays: expected a dictionary");
@@ -522,21 +486,22 @@ static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
     }
     arrays = PyList_New(0);
     while (arrays && PyDict_Next(attributes, &place, &key, &value)) {
-        PyObject *copy, *pair;
-        int added;
-        if (!PyArray_CheckExact(value) || !PyArray_ISWRITEABLE((PyArrayObject *)value)) continue;
-        if (in_one_piece((PyArrayObject *)value)) {
-            added = PyList_Append(arrays, value);
-        } else {
-            copy = PyArray_NewCopy((PyArrayObject *)value, NPY_KEEPORDER);
-            pair = copy ? PyTuple_Pack(2, value, copy) : NULL;
-            added = pair ? PyList_Append(arrays, pair) : -1;
-            Py_XDECREF(copy);
-            Py_XDECREF(pair);
+        PyArrayObject *const array = (PyArrayObject *)value;
+        if (!PyArray_CheckExact(value) || !PyArray_ISWRITEABLE(array)) continue;
+        if (!PyTypeNum_ISNUMBER(PyArray_TYPE(array)) || !PyArray_ISONESEGMENT(array)) {
+            Py_DECREF(arrays);
+            Py_RETURN_NONE;
         }
-        if (added < 0) Py_CLEAR(arrays);
+        total += PyArray_NBYTES(array);
+        if (PyList_Append(arrays, value) < 0) Py_CLEAR(arrays);
     }
-    contents = arrays ? contents_of(arrays) : NULL;
+    contents = arrays ? PyBytes_FromStringAndSize(NULL, total) : NULL;
+    to = contents ? PyBytes_AsString(contents) : NULL;
+    for (Py_ssize_t i = 0; to && i < PyList_Size(arrays); i++) {
+        PyArrayObject *const array = (PyArrayObject *)PyList_GetItem(arrays, i);
+        memcpy(to, PyArray_DATA(array), (size_t)PyArray_NBYTES(array));
+        to += PyArray_NBYTES(array);
+    }
     found = contents ? PyTuple_Pack(2, arrays, contents) : NULL;
     Py_XDECREF(arrays);
     Py_XDECREF(contents);
@@ -544,8 +509,8 @@ static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
 }
 
 PyMethodDef step_functions[] = {
-    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL, "Predict a filter's next state: (filter, u, B, F, Q), None for its own."},
-    {"predict_covariance", covariance_step, METH_O, "Predict a filter's P, and leave x where it is."},
+    {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL,
+     "Predict a filter's next state: (filter, u, B, F, Q, moves), None for its own; moves: x too, not P alone."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
      "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M; a slice for H: those rows."},
     {"correct_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,

@@ -72,24 +72,15 @@ INLINE void one_actuator(const job *const j, const int n, const npy_intp i, doub
     j->done[i] = k;
 }
 
-typedef void span(const job *j, int n, double *work);
-
-static void any_size(const job *const j, const int n, double *const work) {
-    for (npy_intp i = 0; i < j->actuators; i++) one_actuator(j, n, i, work);
-}
-
-#define SIZE(size) \
-    static void size_##size(const job *const j, const int n, double *const work) { \
-        (void)n; \
-        for (npy_intp i = 0; i < j->actuators; i++) one_actuator(j, size, i, work); \
+/* Take all of them, with sizes that the compiler knows. */
+static void every_actuator(const job *const j, const int n, double *const work) {
+    for (npy_intp i = 0; i < j->actuators; i++) {
+        if (n == 2) one_actuator(j, 2, i, work);
+        else if (n == 4) one_actuator(j, 4, i, work);
+        else if (n == 8) one_actuator(j, 8, i, work);
+        else one_actuator(j, n, i, work);
     }
-SIZE(2)
-
-SIZE(4)
-
-SIZE(8)
-
-static span *const spans[] = {any_size, any_size, size_2, any_size, size_4, any_size, any_size, any_size, size_8};
+}
 
 #define PLACES 12 /* na nc nd nf, a c d f, inputs, lags, length, starts; then start, used, source */
 
@@ -161,7 +152,7 @@ static PyObject *track(PyObject *self, PyObject *arguments) {
         (R != Py_None && !take_matrices(&j.R, R, j.actuators, j.samples, -1, 0)))
         goto refused;
     Py_BEGIN_ALLOW_THREADS;
-    spans[n < (npy_intp)(sizeof spans / sizeof *spans) ? n : 0](&j, (int)n, work);
+    every_actuator(&j, (int)n, work);
     Py_END_ALLOW_THREADS;
     PyMem_Free(work);
     PyMem_Free(room);

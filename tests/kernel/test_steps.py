@@ -165,7 +165,7 @@ def test_states_of_every_number_are_predicted(n):
     """The kernel takes four columns at a time where there are some, and four rows of more than eight states."""
     problem = support.random_problem(n, n, 1)
     kf = support.make(RobustKalmanFilter, problem, 1)
-    assert EXTENSION.predict(kf, *NONE)
+    assert EXTENSION.predict(kf, *NONE, True)
     np.testing.assert_allclose(kf.x, problem.F @ np.ravel(problem.x), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(kf.P, problem.F @ problem.P @ problem.F.T + problem.Q, rtol=1e-12, atol=1e-12)
 
@@ -224,11 +224,11 @@ def test_what_is_out_of_the_ordinary_is_declined_and_nothing_changes(noise, name
     elif noise:
         kf._kept = kf._kept._replace(means=SPOILT[how](kf._kept.means))
     predict, correct = EXTENSION.predict, EXTENSION.correct
-    for call in (lambda: predict(kf, *NONE), lambda: correct(kf, [1.0, 2.0], *NONE[1:])):
+    for call in (lambda: predict(kf, *NONE, True), lambda: correct(kf, [1.0, 2.0], *NONE[1:])):
         outcome, same = before_and_after(kf, call)
         assert outcome is True or same
     # One of the two reads each of them.
-    both = predict(kf, *NONE) and correct(kf, [1.0, 2.0], *NONE[1:])
+    both = predict(kf, *NONE, True) and correct(kf, [1.0, 2.0], *NONE[1:])
     assert not both or name == "_kept" or (name, how) in MADE_PLAIN
 
 
