@@ -51,7 +51,8 @@ def snapshot(kf: Any) -> tuple[Any, ...]:
     """Return what a filter holds, contents of arrays too: a user's function may write into one that is still held."""
     attributes = kf.__dict__.copy()
     # Not an object of a class of its own, which takes as long to make as all the rest.
-    return attributes, _in_slots(kf), _copied_arrays(attributes) or _copied(attributes), "rng" in attributes and _drawn(attributes["rng"])
+    contents, drawn = _copied_arrays(attributes) or _copied(attributes), "rng" in attributes and _drawn(attributes["rng"])
+    return attributes, _in_slots(kf), contents, drawn
 
 
 def put_back(kf: Any, held: tuple[Any, ...]) -> None:
