@@ -21,7 +21,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _copied(attributes: dict[str, Any]) -> tuple[list[Any], bytes]:
-    """Return the writable arrays of a dictionary, each with a copy of its contents; the kernel returns the arrays alone,
+    """Return the writable arrays of a dictionary, each with a copy of its contents; the kernel returns arrays alone,
     and what they hold one after another, or None where it does not serve.
     """
     arrays = [value for value in attributes.values() if type(value) is np.ndarray]
@@ -51,8 +51,8 @@ def snapshot(kf: Any) -> tuple[Any, ...]:
     """Return what a filter holds, contents of arrays too: a user's function may write into one that is still held."""
     attributes = kf.__dict__.copy()
     # Not an object of a class of its own, which takes as long to make as all the rest.
-    contents, drawn = _copied_arrays(attributes) or _copied(attributes), "rng" in attributes and _drawn(attributes["rng"])
-    return attributes, _in_slots(kf), contents, drawn
+    contents = _copied_arrays(attributes) or _copied(attributes)
+    return attributes, _in_slots(kf), contents, "rng" in attributes and _drawn(attributes["rng"])
 
 
 def put_back(kf: Any, held: tuple[Any, ...]) -> None:
