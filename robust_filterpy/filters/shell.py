@@ -215,9 +215,7 @@ class Shell(StateMixin):
 
     def _predict_extended(self, u: Any, moves: bool) -> bool:
         """Predict by F, or P alone where x has been moved by a function."""
-        if _extension is None:
-            return False
-        return bool(_extension.predict(self, u, None, None, None, moves))
+        return _extension is not None and bool(_extension.predict(self, u, None, None, None, moves))
 
     def _linear_step(self) -> Any:
         """Return the kernel's correction by a linear sensor, None where it is not this filter's."""
