@@ -122,9 +122,9 @@ def _left(search: Search, problem: Problem, best: Explanation, model: Model) -> 
 
 def _slow_noise(model: Model, residual: Array) -> tuple[Finding, ...]:
     """Find out whether what a model with measured outputs in its regressor leaves follows itself."""
-    e, structure = np.nan_to_num(residual), model.structure
-    gain = 2.0 * colour_of(model.noise.psi(e)).gain
-    if not structure.na or model.noise.is_rounding or gain < PRICE * np.log(e.size):
+    seen, structure = ~np.isnan(residual), model.structure
+    gain = 2.0 * colour_of(np.where(seen, model.noise.psi(np.nan_to_num(residual)), np.nan)).gain
+    if not structure.na or model.noise.is_rounding or gain < PRICE * np.log(seen.sum()):
         return ()
     summed = ", integrated=True" * structure.integrated
     text = (
@@ -133,7 +133,7 @@ def _slow_noise(model: Model, residual: Array) -> tuple[Finding, ...]:
         f"OutputError({structure.na + structure.nf}, {structure.nb}, {structure.nk}{summed}); else BoxJenkins, or more "
         "a's"
     )
-    return (Finding("noise that follows itself", text, gain, (0, e.size)),)
+    return (Finding("noise that follows itself", text, gain, (0, seen.size)),)
 
 
 def _judged(model: Model, y: Array, u: Array, predicted: Array, several: bool) -> tuple[Array, Array]:

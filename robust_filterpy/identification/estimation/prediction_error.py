@@ -293,11 +293,13 @@ class Colour(NamedTuple):
 
 
 def colour_of(signal: Array) -> Colour:
-    """Return the color of a signal without outliers."""
-    most = min(_MOST, signal.size // _SAMPLES_EACH)
+    """Return the color of a signal without outliers, NaN where it is missing."""
+    # White noise is that of the samples that are measured, each against those that are measured before it.
+    seen, signal = ~np.isnan(signal), np.nan_to_num(signal)
+    most = min(_MOST, int(seen.sum()) // _SAMPLES_EACH)
     if most < 1 or not signal.any():
         return Colour(np.ones(1), 0.0)
-    lagged = sliding_window_view(signal, most + 1)[:, ::-1]
+    lagged = sliding_window_view(signal, most + 1)[seen[most:], ::-1]
     triangle = np.asarray(np.linalg.qr(np.column_stack((lagged[:, 1:], lagged[:, 0])), mode="r"))
     shared = triangle[:, -1]
     left = np.maximum(np.cumsum(shared[::-1] ** 2)[::-1], 1e-12 * (shared @ shared))
@@ -310,9 +312,9 @@ def colour_of(signal: Array) -> Colour:
 def evidence(noise: Noise, residual: Array, rows: Any) -> float:
     """Return the log-likelihood of residuals of an output with the color that they have."""
     shown = residual[rows]
-    alone = noise.log_likelihood(shown) + colour_of(np.where(rows, noise.psi(residual), 0.0)).gain
+    alone = noise.log_likelihood(shown) + colour_of(np.where(rows, noise.psi(residual), np.nan)).gain
     reach = _CLIP * float(np.sqrt(np.mean(np.square(shown))))
-    carried = colour_of(np.where(rows, np.clip(residual, -reach, reach), 0.0)).polynomial
+    carried = colour_of(np.where(rows, np.clip(residual, -reach, reach), np.nan)).polynomial
     if carried.size == 1:
         return alone
     left = lfilter(carried, [1.0], np.where(rows, residual, 0.0))[rows]

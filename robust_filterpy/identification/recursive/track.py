@@ -238,8 +238,10 @@ def _near(form: Form, now: State, i: int, start: ColdStart) -> Model | None:
     structure, theta, places = form.structure, now.theta[i][form.own], form.structure.polynomials
     a, f = (1.0 + float(theta[part].sum()) for part in (places.a, places.f))
     stable = are_stable(theta, structure.stable_parts) and abs(f) > _INTEGRATES
-    # The first model, and that of another plant, are searched for from every start.
-    if start.is_first_look(structure.n_theta) or not (now.begun[i] and stable):
+    # The first model, and that of another plant, are searched for from every start; so is the last one where noise has
+    # dynamics: of the several ends of such a search the nearest need not be the best.
+    stays = start.is_last_look and structure.nc + structure.nd > 0
+    if stays or start.is_first_look(structure.n_theta) or not (now.begun[i] and stable):
         return None
     begin = np.zeros(structure.n_theta + form.has_offset + structure.nf)
     begin[: structure.n_theta] = theta
