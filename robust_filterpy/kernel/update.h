@@ -77,8 +77,9 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
     real *spread = work + correction_work(n, m), *rest = spread + m;
     spread_memory *const learnt = (spread_memory *)rest;
     spread_change change = {NULL, NULL, NULL, NULL, NULL, 0};
+    const int learns = rule->scaling == SCALING_LEARNT;
     if (H ? !innovate(n, m, y, x, P, H, R, M, c) : !update_take(m, y, c)) return 0;
-    if (rule->scaling == SCALING_LEARNT) {
+    if (learns) {
         for (int i = 0; i < m; i++) {
             learnt[i] = memory[i];
             if (c->left[i] != 0 && !(c->S[i * m + i] > 0)) return 0;
@@ -95,7 +96,7 @@ SIZED int update(const int n, const int m, const correction_rule *const rule, co
         real_copy(m * m, c->S, shown);
         real_copy(m * n, c->C, shown + m * m);
     }
-    if (rule->scaling != SCALING_LEARNT) {
+    if (!learns) {
         if (!correct_grouped(n, m, rule, NULL, x, P, c)) return 0;
         /* "unit" takes off more than there is where H P H' > 1. */
         return rule->scaling != SCALING_UNIT || update_is_positive(n, P, REAL_PIVOT, rest);
