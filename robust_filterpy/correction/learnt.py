@@ -187,7 +187,7 @@ def _corrected(
     models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
     if alike:
         memory[part] = learning.jumped(memory[part], believed[seen], noise)
-    models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new)
+    models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new, noise.scales[-1])
     if alike:
         memory[part], chances = learning.began(memory[part], models.parts[seen], *begun, R.diagonal())
     now, N = _begin(models, z, H, R, r, M)

@@ -5,9 +5,10 @@ more, the candidate, is for a state that has jumped, to which Q says nothing. It
 three standard deviations, at the place that the measurement tells, with a P in which it would be just three, since what
 has moved one state may have moved all (`with_candidates`). Since it is made to fit, that measurement is no evidence for
 it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
-while three to one is against it (`merged`), taken over when it is all but certain (`settled`) and dropped when it has
-lost, so that there is one at a time; a reading that is far from it and from all others decides (`decided`). A start is
-a jump from a guess, with a probability of .2.
+while three to one is against it, and all else while that is for it (`merged`), taken over when it is all but certain
+(`settled`) and dropped when it has lost, so that there is one at a time; a reading that is far from it and from all
+others decides (`decided`). A start is a jump from a guess, with a probability of .2, of .96 where its first reading is
+beyond all outliers.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's center and its shape. Each part has its own probabilities of the models, its own jumps and its own candidate, so
@@ -31,8 +32,8 @@ from robust_filterpy.correction.spread import FAR
 
 __all__ = ["Models", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
 
-# Chance that the state is not where the start says.
-_START = 0.2
+# Chance that the state is not where the start says; where not even the widest outliers reach the first reading.
+_START, _LOST = 0.2, 0.96
 # Standard deviations from which on an innovation that asks for a jump cannot tell where to.
 _FARTHEST = 1e12
 # A jump of more standard deviations makes P no wider, which would leave rounding. Of its square, this part is left of
@@ -43,7 +44,7 @@ _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
 # where its part becomes one with another.
 _TAKEN, _DROPPED = 0.999, 0.01
-# One that is less probable is hidden.
+# One that is less probable is hidden; one whose contrary is, is all that is shown.
 _SHOWN = 0.25
 
 
@@ -306,7 +307,7 @@ class Begun(NamedTuple):
 
 
 def with_candidates(
-    models: Models, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray
+    models: Models, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray, widest: float
 ) -> tuple[Models, Begun]:
     """Return the models, a candidate in each new part where an innovation asks for one, and who asked."""
     # The models are coupled as H has it; noise (m,) is the variance of ordinary noise.
@@ -329,8 +330,11 @@ def with_candidates(
         first = not begun.y[seen == seen[i]].any()
         begun.alone[seen == seen[i]] = False
         if first:
-            begun.y[i], begun.variance[i], begun.alone[i] = y[i], H[i] @ spread @ H[i] + noise[i], True
-        chance[own] = belief[_UNSEEN, own]
+            variance = float(H[i] @ spread @ H[i])
+            begun.y[i], begun.variance[i], begun.alone[i] = y[i], variance + noise[i], True
+            chance[own] = belief[_UNSEEN, own]
+            if chance[own][0] >= _START and y[i] ** 2 > FAR**2 * (variance + widest * noise[i]):
+                chance[own] = _LOST
         at, spread = _moved(at, spread, y[i], H[i], noise[i], own)
     belief[:q, new] = ((1.0 - chance) * shares)[:, new]
     belief[q, new], belief[_UNSEEN, new] = chance[new], 0.0
@@ -412,11 +416,12 @@ def begun_again(models: Models, given: Given, states: np.ndarray, process: Scale
 
 
 def merged(models: Models, process: Scales) -> tuple[Array, Array]:
-    """Return mean and covariance of the state; a candidate is hidden while three to one is against it."""
+    """Return mean and covariance of the state; what three to one is against, a candidate or all else, is hidden."""
     x, P, p, q = models.x, models.P, models.probabilities, len(process.scales)
     if process.jump > 0.0:
         hidden = np.concatenate([slow(models, process), np.zeros((1, p.shape[1]))])
         p = np.where(p[q] > _SHOWN, p, hidden)
+        p = np.where(p[q] > 1.0 - _SHOWN, np.eye(len(p))[:, -1:], p)
     x, P = collapse(p, x, P, models.parts)
     if models.given is None or not models.given.shown.any():
         return x, P

@@ -30,6 +30,9 @@
 #define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TELLS REAL(30.0)       /* one that is worth so much for a jump tells nothing of the scale of Q */
+#define LEARNT_START REAL(0.2)        /* how likely a start is wrong, */
+#define LEARNT_LOST REAL(0.96)        /* where its first reading is beyond all outliers */
+#define LEARNT_SHOWN REAL(0.25)       /* a candidate is hidden below, all else beyond 1 minus it */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
 #define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped, or is this where parts join */
 
@@ -222,14 +225,15 @@ INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt
     learnt_collapse(n, rule->q, work, s->x, s->P, learnt_part(n, rule, s), x, P);
 }
 
-/* Mean and covariance of the state; a jump is hidden while three to one is against it. Return whether they are finite. */
+/* Mean and covariance of the state; what three to one is against, a jump or else, is hidden. Return whether finite. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
     const int q = rule->q, models = learnt_models(rule);
     real check = 0;
     real_copy(models * n, s->p, work);
     for (int i = 0; i < n; i++) {
-        if (models > q && !(work[q * n + i] > REAL(0.25))) work[q * n + i] = 0;
+        if (models > q && !(work[q * n + i] > LEARNT_SHOWN)) work[q * n + i] = 0;
+        for (int c = 0; models > q && work[q * n + i] > 1 - LEARNT_SHOWN && c < q; c++) work[c * n + i] = 0;
         learnt_normalize(n, i, models, work);
     }
     learnt_collapse(n, models, work, s->x, s->P, learnt_part(n, rule, s), x, P);
@@ -626,6 +630,7 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         const real noise = w->N[i * m + i], *RESTRICT h = H + i * n;
         const real square = real_min(y[i] * y[i], LEARNT_FAR * (S[i * m + i] + noise)), most_of = square / LEARNT_ASKS;
         const real times = (most_of - noise) / S[i * m + i];
+        const int beyond = y[i] * y[i] > LEARNT_ASKS * (S[i * m + i] + rule->scales[rule->K - 1] * noise);
         real *RESTRICT C = w->C + (q * m + i) * n, whole;
         for (int k = 0; k < n; k++) seen += h[k] * P[k * n + k] * h[k];
         for (int k = 0; k < n; k++) d[k] = P[k * n + k] * h[k] / seen;
@@ -633,8 +638,9 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
             const real own = h[o] * h[o] * P[o * n + o];
             if (part[o] != w->head[i]) continue;
             if (!(s->p[q * n + o] > 0)) {
-                for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - unseen[o];
-                s->p[q * n + o] = unseen[o];
+                const real chance = beyond && unseen[o] >= LEARNT_START ? LEARNT_LOST : unseen[o];
+                for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - chance;
+                s->p[q * n + o] = chance;
             }
             x[o] += y[i] * d[o];
             /* No state is less certain than if it alone had moved. */

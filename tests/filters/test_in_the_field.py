@@ -272,3 +272,23 @@ def test_what_is_learned_of_r_and_q_has_the_factor_in_it(c):
 def test_no_reading_moves_the_estimate_beyond_bounds_while_the_factor_is_looked_for():
     errors, _ = wrong_by(1e-6, at_first=(0.3, -0.2, 0.4, 1e300))
     assert np.isfinite(errors).all() and np.abs(errors[4:]).max() < 20.0
+
+
+@pytest.mark.parametrize("off, P", [(500.0, 1e3), (500.0, 1.0), (1e6, 1e3)])
+def test_a_program_that_starts_at_zero_far_from_its_first_reading_is_followed_at_once(off, P):
+    """Programs begin with x = 0 and a P that does not say how far that may be: nothing is an outlier yet."""
+    truth = off + np.arange(12.0)
+    zs = truth + np.random.default_rng(1).normal(size=12)
+    errors = []
+    for kind in (KalmanFilter, AdaptiveKalmanFilter):
+        kf = mover(kind, 1.0)
+        kf.P = P * np.eye(2)
+        errors.append(np.abs([step(kf, z) for z in zs] - truth))
+    assert errors[1].max() < 4.0 and errors[1].max() < 1.5 * errors[0].max() + 1.0
+
+
+def test_a_first_reading_that_was_wild_is_left_with_the_next_ones():
+    zs = np.random.default_rng(2).normal(size=12)
+    zs[0] = 1e6
+    kf = mover(AdaptiveKalmanFilter, 1.0)
+    assert np.abs([step(kf, z) for z in zs][2:]).max() < 4.0
