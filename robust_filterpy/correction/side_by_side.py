@@ -5,10 +5,10 @@ more, the candidate, is for a state that has jumped, to which Q says nothing. It
 three standard deviations, at the place that the measurement tells, with a P in which it would be just three, since what
 has moved one state may have moved all (`with_candidates`). Since it is made to fit, that measurement is no evidence for
 it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
-while three to one is against it, and all else while that is for it (`merged`), taken over when it is all but certain
-(`settled`) and dropped when it has lost, so that there is one at a time; a reading that is far from it and from all
-others decides (`decided`). A start is a jump from a guess, with a probability of .2, of .96 where its first reading is
-beyond all outliers.
+while three to one is against it, shown alone while nineteen to one is for it (`merged`), taken over when it is all but
+certain (`settled`) and dropped when it has lost, so that there is one at a time; a reading that is far from it and from
+all others decides (`decided`). A start is a jump from a guess, with a probability of .2, of .96 where its first reading
+is beyond all outliers.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's center and its shape. Each part has its own probabilities of the models, its own jumps and its own candidate, so
@@ -44,8 +44,8 @@ _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
 # where its part becomes one with another.
 _TAKEN, _DROPPED = 0.999, 0.01
-# One that is less probable is hidden; one whose contrary is, is all that is shown.
-_SHOWN = 0.25
+# One that is less probable is hidden; one that is more probable than the second is shown alone.
+_SHOWN, _ALONE = 0.25, 0.95
 
 
 @dataclass(frozen=True)
@@ -416,12 +416,12 @@ def begun_again(models: Models, given: Given, states: np.ndarray, process: Scale
 
 
 def merged(models: Models, process: Scales) -> tuple[Array, Array]:
-    """Return mean and covariance of the state; what three to one is against, a candidate or all else, is hidden."""
+    """Return mean and covariance of the state; an unlikely candidate is hidden, or all but a likely one."""
     x, P, p, q = models.x, models.P, models.probabilities, len(process.scales)
     if process.jump > 0.0:
         hidden = np.concatenate([slow(models, process), np.zeros((1, p.shape[1]))])
         p = np.where(p[q] > _SHOWN, p, hidden)
-        p = np.where(p[q] > 1.0 - _SHOWN, np.eye(len(p))[:, -1:], p)
+        p = np.where(p[q] > _ALONE, np.eye(len(p))[:, -1:], p)
     x, P = collapse(p, x, P, models.parts)
     if models.given is None or not models.given.shown.any():
         return x, P

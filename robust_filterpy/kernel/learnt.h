@@ -32,7 +32,8 @@
 #define LEARNT_TELLS REAL(30.0)       /* one that is worth so much for a jump tells nothing of the scale of Q */
 #define LEARNT_START REAL(0.2)        /* how likely a start is wrong, */
 #define LEARNT_LOST REAL(0.96)        /* where its first reading is beyond all outliers */
-#define LEARNT_SHOWN REAL(0.25)       /* a candidate is hidden below, all else beyond 1 minus it */
+#define LEARNT_SHOWN REAL(0.25)       /* a candidate that is less probable is hidden, */
+#define LEARNT_ALONE REAL(0.95)       /* and all else while it is more probable than that */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
 #define LEARNT_DROPPED REAL(0.01)     /* one whose probability is this part of a jump's is dropped, or is this where parts join */
 
@@ -225,7 +226,7 @@ INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt
     learnt_collapse(n, rule->q, work, s->x, s->P, learnt_part(n, rule, s), x, P);
 }
 
-/* Mean and covariance of the state; what three to one is against, a jump or else, is hidden. Return whether finite. */
+/* Mean and covariance of the state; an unlikely jump is hidden, or all but a likely one. Return whether finite. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
     const int q = rule->q, models = learnt_models(rule);
@@ -233,7 +234,7 @@ INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt
     real_copy(models * n, s->p, work);
     for (int i = 0; i < n; i++) {
         if (models > q && !(work[q * n + i] > LEARNT_SHOWN)) work[q * n + i] = 0;
-        for (int c = 0; models > q && work[q * n + i] > 1 - LEARNT_SHOWN && c < q; c++) work[c * n + i] = 0;
+        for (int c = 0; models > q && work[q * n + i] > LEARNT_ALONE && c < q; c++) work[c * n + i] = 0;
         learnt_normalize(n, i, models, work);
     }
     learnt_collapse(n, models, work, s->x, s->P, learnt_part(n, rule, s), x, P);
