@@ -33,7 +33,8 @@ YIELD = 1.5  #: threshold over 1 + 1.5 share of outliers
 FEW = 10.0  #: the share starts from so many without an outlier; so many far ones in a row, and another one is typical
 RUN_LENGTH = 4.0  #: a jump: so many clipped in a row, until some have lasted,
 AGREE = 2.5  #: each within 2.5 spreads of where the last left x
-RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump
+RARE, RETURN = 0.05, 0.2  #: a share of outliers with which one innovation is a return, if within a fifth of the jump;
+# and the chance of a jump, over the number of readings that the state stands on
 SPARED = 0.1  #: states that tell a tenth as much of the prediction as the one that tells most do not jump with it
 WHOLE = 0.01  #: so little wider is as usual
 SUDDEN = 4.0  #: what is so many spreads off has not crept there
@@ -118,7 +119,9 @@ def prepared(
     # What others that see the same are not off by is a sensor's own noise, no jump.
     growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * nominal * wider
     for i in np.flatnonzero(out & (added == 0) & (np.diag(B) > 0)):
-        if not _believed(memory[i], y[i], unit[i], back[i], patience):
+        # What its last reading says of the whole run, against no jump of a state that stands on R / H P H' readings.
+        tells = memory[i, RUN] * size[i] ** 2 / 2 >= -math.log(RARE * ratio[i]) * s[i] ** 2
+        if not _believed(memory[i], y[i], unit[i], back[i], tells, patience):
             continue
         wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
         # What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees.
@@ -214,12 +217,12 @@ def _as_jumps(own: np.ndarray, far: float, unit: float) -> bool:
     return far > FAR * unit and (reach == 0 or (far < FAR * reach and FAR * far > reach))
 
 
-def _believed(own: np.ndarray, y: float, unit: float, back: bool, patience: int | None) -> bool:
-    """Tell whether a run is a jump rather than outliers: by the odds of those before, or by its length."""
+def _believed(own: np.ndarray, y: float, unit: float, back: bool, tells: bool, patience: int | None) -> bool:
+    """Tell whether a run is a jump, no outliers nor chance: by the odds of those before, or by length and evidence."""
     if patience is not None:
         return bool(own[RUN] >= patience)
     # What has not lasted yet is undone at once.
-    if own[RUN] >= RUN_LENGTH or (back and (own[AGE] > 0 or own[SHARE] < RARE)):
+    if (own[RUN] >= RUN_LENGTH and tells) or (back and (own[AGE] > 0 or own[SHARE] < RARE)):
         return True
     again = (own[ON] + 1) / (own[VAIN] + own[ON] + 2)
     odds = own[LASTED] / ((own[VAIN] + 1) * math.exp((own[RUN] - 1) * math.log(again)))

@@ -49,6 +49,7 @@ typedef struct {
 #define SPREAD_RUN 4                             /* a jump: so many clipped in a row, until some have lasted, */
 #define SPREAD_AGREE REAL(2.5)                   /* each within so many spreads of where the last one left x */
 #define SPREAD_RARE REAL(0.05)                   /* a share of outliers with which one innovation is a return, */
+                                                 /* the chance of a jump, over the readings a state stands on, */
 #define SPREAD_RETURN REAL(0.2)                  /* if it is within a fifth of the jump */
 #define SPREAD_SPARED REAL(0.1)                  /* states that tell a tenth as much as another do not jump with it */
 #define SPREAD_WHOLE REAL(0.01)                  /* so little wider is as usual */
@@ -171,12 +172,13 @@ INLINE int spread_as_jumps(const spread_memory *const own, const real far, const
            (own->reach == 0 || (far < SPREAD_FAR * own->reach && SPREAD_FAR * far > own->reach));
 }
 
-/* Whether a run is a jump rather than outliers: by its length, or by the odds of those before; back: it undoes one. */
+/* Whether a run is a jump rather than outliers or chance: by its length where its evidence tells, or by the odds of
+   those before; back: it undoes one. */
 INLINE int spread_believed(const spread_memory *const own, const real y, const real unit, const int back,
-                           const int patience) {
+                           const int tells, const int patience) {
     const real again = (own->on + 1) / (own->vain + own->on + 2);
     if (patience) return own->run >= patience;
-    if (own->run >= SPREAD_RUN || (back && (own->age > 0 || own->share < SPREAD_RARE))) return 1;
+    if ((own->run >= SPREAD_RUN && tells) || (back && (own->age > 0 || own->share < SPREAD_RARE))) return 1;
     if (!(own->reach > 0 && spread_as_jumps(own, real_abs(y), unit))) return 0;
     return own->lasted * SPREAD_ROUNDING >= (own->vain + 1) * real_exp((own->run - 1) * real_log(again));
 }
@@ -361,8 +363,12 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
         spread_memory *const own = &memory[i];
         const real variance = c->S[i * m + i], b = variance - R[i * m + i];
         real bent, wanted;
-        if (c->left[i] == 0 || out[i] == 0 || !spread_believed(own, c->y[i], units[i], out[i] == 2, patience))
-            continue;
+        int tells;
+        if (c->left[i] == 0 || out[i] == 0) continue;
+        /* What its last reading says of the run, against no jump of a state that stands on R / H P H' readings. */
+        e = c->y[i] / units[i];
+        tells = own->run * e * e / 2 >= -real_log(SPREAD_RARE * ratio[i]);
+        if (!spread_believed(own, c->y[i], units[i], out[i] == 2, tells, patience)) continue;
         if (change->added[i] > 0 || !(b > 0)) continue;
         bent = size[i] / (SPREAD_BEND * s[i]);
         wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance;
