@@ -251,4 +251,4 @@ def test_an_interrupt_leaves_no_half_step(name, call, every):
         update(later, 0.3)
         make = lambda one: one.restore(later.state())  # noqa: E731
     half, lines = half_steps(kf, make, seen, every=every)
-    assert half == [] and lines > 1
+    assert half == [] and lines > 0
