@@ -57,11 +57,13 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "it knows no last class": (
         ("learnt_typical(K, &memory, w->after)", "learnt_predicted(rule->K, &memory, w->after)"),
     ),
-    "it is hidden while three to one is against it": (("!(work[q * n + i] > REAL(0.25))", "0"),),
+    "it is hidden while three to one is against it": (("!(work[q * n + i] > LEARNT_SHOWN)", "0"),),
+    "it is shown alone at nineteen to one": (("work[q * n + i] > LEARNT_ALONE", "0"),),
     "a start elsewhere, with .2": (
         ("waits[j] > 0 && S[j * m + j] > 0",
-         "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < REAL(0.2)"),
+         "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < LEARNT_START"),
     ),
+    "one beyond all outliers, with .96": (("beyond && unseen[o] >= LEARNT_START", "0"),),
     "a candidate doubts all of P": (("(most_of - noise) / S[i * m + i]", "1"),),
     "classes come in runs": (
         ("learnt_predicted(K, &memory, w->after)", "learnt_typical(K, &memory, w->after)"),
