@@ -52,21 +52,6 @@ def test_one_is_biased_and_another_false_for_a_while(both):
     assert np.abs(error[[t > 33.0 for t, *_ in found]]).max() < 2.5
 
 
-def test_each_says_what_it_says_alone(both):
-    readings, _, found = both
-    first = {}
-    for t, _, said in found:
-        for item in said.items():
-            first.setdefault(item, t)
-    for options in ({"reacquire": False}, {"watch": False}):
-        alone, other = followed(made(**options), readings), {}
-        for t, _, said in alone:
-            for item in said.items():
-                other.setdefault(item, t)
-        fault = ("b", "biased") if options.get("watch", True) else ("c", "false")
-        assert first[fault] == pytest.approx(other[fault], abs=1.0)
-
-
 def test_any_order_of_arrival_and_a_state_on_the_way_give_the_same_bits(both):
     readings, _, found = both
     rng = np.random.default_rng(1)
