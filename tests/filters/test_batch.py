@@ -87,20 +87,6 @@ def test_a_step_that_the_kernel_declines_is_taken_by_the_filter(count):
     assert count == [2, N - 4]  # the last step is always the filter's own
 
 
-def test_a_fault_late_in_a_long_recording_is_named_and_undone(count):
-    kf = support.make(RobustKalmanFilter, support.cart())
-    kf.predict()
-    kf.update(0.3)
-    x, P, y = kf.x.copy(), kf.P.copy(), kf.y.copy()
-    zs = np.zeros(N)
-    zs[1200] = np.inf
-    with pytest.raises(ValueError, match="step 1200: z"):
-        kf.batch_filter(zs)
-    assert count[0] == 1200
-    for ours, before in [(kf.x, x), (kf.P, P), (kf.y, y)]:
-        np.testing.assert_array_equal(ours, before)
-
-
 class Foreign:
     """Huber's function by somebody else."""
 

@@ -307,13 +307,3 @@ def test_batch_filter_and_smoother(ndim, case, missing):
     smoothed = robust.rts_smoother(*ours[:2], **matrices), plain.rts_smoother(*theirs[:2], **matrices)
     for a, b in zip(*smoothed, strict=True):
         support.assert_close(a, b, rtol=1e-9)
-
-
-def test_batch_filter_of_an_array_and_of_scalars():
-    robust, plain = pair(support.cart())
-    zs = support.simulate(support.cart(), 30, seed=3)[0]
-    for form in (zs, zs[:, 0], list(zs[:, 0]), zs[:, :, None]):
-        for kf in (robust, plain):
-            support.load(kf, support.cart())
-        for a, b in zip(robust.batch_filter(form), plain.batch_filter(form), strict=True):
-            support.assert_close(a, b)

@@ -212,22 +212,6 @@ def test_every_path_bounds_the_correction(path, ndim, policy):
 
 
 @pytest.mark.parametrize("ndim", NDIMS)
-def test_update_sequential_is_one_correction_for_each_block(ndim):
-    problem = support.random_problem(27, 4, 3)
-    kf, x, P = robust(problem, ndim), problem.x, problem.P
-    for rows, z in ((slice(0, 2), np.array([0.3, 80.0])), (slice(2, 3), np.array([-60.0]))):
-        reference = support.reference_correction(x, P, z, problem.H[rows], problem.R[rows, rows], FORMULAS)
-        kf.update_sequential(rows.start, z)
-        x, P = reference.x, reference.P
-        support.assert_close(np.ravel(kf.x), x, 1e-9, "x")
-        support.assert_close(kf.P, P, 1e-9, "P")
-        for name in ("y", "e", "weights"):
-            support.assert_close(np.ravel(getattr(kf, name))[rows], getattr(reference, name), 1e-9, name)
-        support.assert_close(kf.K[:, rows], reference.K, 1e-9, "K")
-    assert kf.x.shape == ((4, 1) if ndim == 2 else (4,))
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
 def test_steady_state_is_not_spoilt_by_the_outlier_before(ndim):
     problem = support.random_problem(28, 4, 2)
     zs, states = support.simulate(problem, 60, seed=1)[0], []

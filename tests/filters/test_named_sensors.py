@@ -93,24 +93,6 @@ def test_a_state_has_what_is_known_of_them_and_a_copy_too(kf):
     np.testing.assert_allclose(run(other, readings[40:]), expected, rtol=1e-12)
 
 
-def test_a_name_costs_nothing_that_rows_of_their_own_do_not():
-    """Error, over two rows with NaN for the one that has nothing to say, and without names."""
-    errors = dict.fromkeys(("rows", "names", "none"), 0.0)
-    for seed in range(10, 16):
-        readings = drawn(seed, 600)
-        truth = np.array([x for x, *_ in readings])
-        for way in errors:
-            kf = of_matrices(AdaptiveKalmanFilter, F, np.vstack([H, H]) if way == "rows" else H, Q, P=10.0)
-            if way == "rows":
-                zs = np.full((600, 2), np.nan)
-                zs[np.arange(600), np.arange(600) % 2] = [z for *_, z in readings]
-                path = kf.batch_filter(zs)[0][:, :, 0]
-            else:
-                path = run(kf, readings, way == "names")
-            errors[way] += np.mean((path - truth)[100:, 0] ** 2)
-    assert errors["names"] < 1.1 * errors["rows"] < 0.2 * errors["none"]
-
-
 @pytest.mark.parametrize("option", [{}, {"noise": "learnt", "process": "scales"}])
 def test_the_kernel_and_the_definition_learn_the_same(option, monkeypatch):
     needs_kernel()

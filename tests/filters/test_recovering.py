@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import TrimmedMean
-from support import make, of_matrices, random_problem, recovering, through, with_, without_kernel
+from support import of_matrices, recovering, through, without_kernel
 
 from robust_filterpy import Huber, RobustKalmanFilter, TukeyBiweight, filter_series
 from robust_filterpy.influence import Hampel
@@ -90,17 +90,6 @@ def test_patience_is_the_number_of_refused_measurements(monkeypatch, patience, b
     kf = level(patience=patience)
     path = advance(kf, zs)
     assert np.abs(path[:-1]).max() < 2.0 and abs(path[-1] - 40.0) < 5.0
-
-
-def test_a_vector_jump_and_missing_components():
-    problem = with_(random_problem(4, 3, 2), F=np.eye(3), H=np.eye(2, 3), Q=0.01 * np.eye(3), R=np.eye(2))
-    for grouping in ("component", "joint"):
-        kf = make(recovering, problem, grouping=grouping)
-        zs = np.random.default_rng(0).normal(size=(100, 2))
-        zs[50:] += [0.0, 60.0]
-        zs[55, 1], zs[60] = np.nan, np.nan
-        through(kf, zs)
-        assert abs(kf.x[1, 0] - 60.0) < 2 and abs(kf.x[0, 0]) < 2
 
 
 def test_kernel_definition_recordings_and_series_believe_the_same_jumps(monkeypatch):

@@ -52,19 +52,6 @@ def test_linear_is_filterpys_filter_and_the_exact_smoother():
     assert ours.count == theirs.count and len(ours.xSmooth) == len(theirs.xSmooth)
 
 
-def test_it_is_better_than_filterpys_on_clean_data():
-    """filterpy's recursion has the corrected covariance where the predicted one belongs."""
-    error = {"ours": [], "theirs": []}
-    for seed in range(8):
-        truth, zs = drive(seed, 0.0)
-        for name, cls, choices in (
-            ("ours", FixedLagSmoother, {"influence": Linear()}), ("theirs", filterpy.kalman.FixedLagSmoother, {}),
-        ):  # fmt: skip
-            states, _ = ready(cls, N=5, **choices).smooth_batch(list(zs), 5)
-            error[name].append(np.mean((states[:, 0, 0] - truth) ** 2))
-    assert np.mean(error["ours"]) < 0.9 * np.mean(error["theirs"])
-
-
 def test_with_no_options_it_is_close_to_the_smoother_of_the_whole_recording():
     apart = []
     for seed in range(10):
@@ -98,15 +85,6 @@ def test_it_is_the_backward_pass_over_what_the_filter_made_of_each_measurement(c
             x = states[i][0] + gain @ (x - kf.F @ states[i][0])
             expected.insert(0, x)
         np.testing.assert_allclose(smoother.xSmooth[-len(expected) :], expected, rtol=1e-7, atol=1e-7)
-
-
-def test_a_step_is_carried_back_to_where_it_was_once_it_is_believed():
-    level = support.with_(CART, F=np.eye(2), Q=np.diag([0.3, 0.0]))
-    smoother, levels = ready(problem=level, N=6), []
-    for z in [0.0] * 20 + [6.0] * 7:
-        smoother.smooth(z)
-        levels.append(smoother.x[0, 0])
-    assert levels[20] < 0.5 and smoother.xSmooth[20][0, 0] > 2.0 and levels[26] > 5.0
 
 
 @pytest.mark.parametrize("N", [8, 15])
