@@ -24,7 +24,7 @@ from robust_filterpy.correction.learning import (
     weigh_together,
 )
 from robust_filterpy.correction.learnt import _inverted, correct
-from robust_filterpy.correction.side_by_side import Scales, collapse
+from robust_filterpy.correction.side_by_side import Scales
 from robust_filterpy.correction.spread import NUMBERS
 
 TRUSTED = Scales((1.0,), jump=0.0)
@@ -97,28 +97,6 @@ def test_the_excess_of_an_outlier_is_independent_of_everything_else():
     assert_allclose(found.models.x[0], exact.models.x[0], rtol=0.15, atol=0.05)
 
 
-@pytest.mark.parametrize("grouping", ["joint", ((0, 1),), ((1, 0), (2,))])
-def test_sensors_that_fail_together_are_one_vector(grouping):
-    """The merged moments of the classes, each a Kalman correction."""
-    rng = np.random.default_rng(2)
-    P, R, H, y = spd(rng, 3), spd(rng, 2), rng.normal(size=(2, 3)), np.array([4.0, -3.0])
-    noise = NoiseClasses(scales=(1.0, 50.0), probabilities=(0.8, 0.2), grouping=grouping)
-    found = correct(one(np.zeros(3), P), noise.start(2), y, H, R, noise, TRUSTED)
-    means, covariances, weights = [], [], []
-    for share, scale in ((0.8, 1.0), (0.2, 50.0)):
-        S = H @ P @ H.T + scale * R
-        K = P @ H.T @ np.linalg.inv(S)
-        means.append(K @ y)
-        covariances.append(P - K @ H @ P)
-        weights.append(share * multivariate_normal.pdf(y, cov=S))
-    mean, covariance = collapse(
-        np.tile(np.array(weights)[:, None] / sum(weights), 3), np.array(means), np.array(covariances), np.zeros(3)
-    )
-    assert_allclose(found.models.x[0], mean, rtol=1e-9)
-    assert_allclose(found.models.P[0], covariance, rtol=1e-8, atol=1e-11)
-    assert found.log_density == pytest.approx(np.log(sum(weights)))
-
-
 def test_the_prior_is_a_stationary_chain():
     assert_allclose(predicted(start(4), 4), [0.85, 0.05, 0.05, 0.05], rtol=1e-12)
     assert_allclose(start(1)[2:5], [1.0, 1.0, 10.0])
@@ -149,20 +127,6 @@ def test_a_sample_counts_by_the_square_of_the_part_that_is_noise_and_one_is_neve
     assert counts == pytest.approx({1.0: 51.0, 0.2: 3.0, 1e-9: 1.0})
     # E[v^2] of an innovation that is all noise, nine times as large.
     assert learn(start(4), ordinary, 1.0, 8.0, 1.0, noise)[0] == pytest.approx(1.0 + 8.0 / (1.0 + 0.98 * 19.0 + 1.0))
-
-
-def test_a_sensor_whose_noise_hides_in_the_motion_is_learnt_with_one_that_takes_turns_with_it():
-    """Sigma 5 and .1, R 1, steps of .3: were each sample counted as one, the better r would still be at .13."""
-    rng, noise, process = np.random.default_rng(3), NoiseClasses(), Scales((1.0,), jump=0.0)
-    models, memory, x = one([0.0], [[1.0]]), noise.start(2), 0.0
-    for k in range(400):
-        x += 0.3 * rng.standard_normal()
-        z = np.array([x, np.nan]) + 0.1 * rng.standard_normal()
-        if k % 2:
-            z = np.array([np.nan, x]) + 5.0 * rng.standard_normal()
-        models = side_by_side.predict(models, np.eye(1), 0.09 * np.eye(1), process)
-        models, memory = correct(models, memory, z, np.ones((2, 1)), np.eye(2), noise, process)[:2]
-    assert memory[0, 0] < 0.08 and 10.0 < memory[1, 0] < 45.0
 
 
 def test_when_ordinary_samples_are_few_r_starts_from_the_class_of_the_median():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 import support
-from filterpy.kalman import IMMEstimator, KalmanFilter
+from filterpy.kalman import IMMEstimator
 from statsmodels.robust import norms
 from support import of_matrices
 
@@ -77,35 +77,18 @@ def test_log_likelihood_of_a_measurement():
     assert kf.log_likelihood_of(z) == pytest.approx(expected, rel=1e-9)
 
 
-def two_models(cls):
-    """A bank of two levels that drift to either side; the first is the true one."""
-    filters = [of_matrices(cls, 1.0, [[1.0]], 0.01, dim_u=1) for _ in range(2)]
+@pytest.mark.parametrize("outlier", [300.0, 1e6])
+def test_an_imm_still_discriminates_after_an_outlier(outlier):
+    """A bank of two levels that drift to either side, the first is the true one; one of eleven samples is wild."""
+    filters = [of_matrices(RobustKalmanFilter, 1.0, [[1.0]], 0.01, dim_u=1) for _ in range(2)]
     for kf, drift in zip(filters, (1.0, -1.0), strict=True):
         kf.B = np.array([[drift]])
-    return IMMEstimator(filters, (0.5, 0.5), np.array([[0.95, 0.05], [0.05, 0.95]]))
-
-
-def run(bank, outlier):
-    """Five good samples, the outlier, five good samples; yield the bank after each."""
-    rng = np.random.default_rng(8)
+    bank, rng = IMMEstimator(filters, (0.5, 0.5), np.array([[0.95, 0.05], [0.05, 0.95]])), np.random.default_rng(8)
     for k in range(1, 12):
         bank.predict(np.ones((1, 1)))
         bank.update(np.array([[k + rng.normal() + (outlier if k == 6 else 0.0)]]))
-        yield k
-
-
-@pytest.mark.parametrize("outlier", [300.0, 1e6])
-def test_an_imm_still_discriminates_after_an_outlier(outlier):
-    robust, plain = two_models(RobustKalmanFilter), two_models(KalmanFilter)
-    for k in run(robust, outlier):
-        assert np.all(np.isfinite(robust.mu)) and np.all(np.isfinite(robust.x))
+        assert np.all(np.isfinite(bank.mu)) and np.all(np.isfinite(bank.x))
         if k in (4, 5, 9, 10, 11):
-            assert robust.mu[0] > 0.5, f"sample {k}"
-    assert robust.mu[0] > 0.9
-    assert abs(robust.x.item() - 11) < 3
-
-    # What it is measured against: the same bank of filterpy's filters.
-    smallest = []
-    for _ in run(plain, outlier):
-        smallest.append(max(kf.likelihood for kf in plain.filters) <= np.finfo(float).tiny)
-    assert any(smallest[5:]), "filterpy's likelihood did not underflow, so nothing was shown"
+            assert bank.mu[0] > 0.5, f"sample {k}"
+    assert bank.mu[0] > 0.9
+    assert abs(bank.x.item() - 11) < 3

@@ -1,4 +1,4 @@
-"""One test for each numbered equation of section 3.1 of the paper (26-52), on its own problem (31-34).
+"""One test for each numbered equation of section 3.1 of the paper (26-52) but those of its own problem (31-34).
 
 The right-hand sides are written out here as the paper prints them (with the corrections of the package's
 documentation), with a scalar measurement and plain floats; phi, Phi and psi come from scipy and numpy.
@@ -12,7 +12,7 @@ import scipy.stats
 import support
 from scipy.integrate import quad
 
-from robust_filterpy import Contaminated, Huber, RobustKalmanFilter
+from robust_filterpy import Huber, RobustKalmanFilter
 from robust_filterpy.influence.information import expected_information
 from robust_filterpy.noise import LeastFavorable, fisher_information
 
@@ -116,33 +116,6 @@ def test_equation_30():
 
     assert fisher_information(density) == pytest.approx(2 * quad(integrand, 0, np.inf)[0], rel=1e-6)
     assert fisher_information(LeastFavorable(CONTAMINATION)) == pytest.approx(EXPECTATION, rel=1e-6)
-
-
-def test_equations_31_to_33():
-    """x(k+1) = F x(k); y(k) = [1 0 0 0] x(k); W = 0.001 I is what a prediction adds to the covariance."""
-    kf = support.make(RobustKalmanFilter, PROBLEM)
-    kf.x, P = np.array([[1.0], [2.0], [3.0], [4.0]]), kf.P.copy()
-    assert kf.measurement_of_state(kf.x).item() == 1.0
-    kf.predict()
-    by_hand = [
-        0.99 - 0.012 * 2 + 0.001 * 3 - 0.001 * 4,
-        -0.005 + 0.98 * 2 - 0.001 * 3 + 0.005 * 4,
-        -0.001 + 0.01 * 2 + 3 - 0.001 * 4,
-        0.01 + 0.001 * 2 - 0.002 * 3 + 4,
-    ]
-    support.assert_close(kf.x[:, 0], by_hand)
-    np.testing.assert_allclose(kf.P - F @ P @ F.T, 0.001 * np.eye(4), atol=1e-16)
-    kf.update(3.5)
-    assert kf.y.item() == pytest.approx(3.5 - by_hand[0])
-
-
-def test_equation_34():
-    """The noise 0.9 N(0, 0.1) + 0.1 N(0, 10), the second arguments being variances."""
-    noise = Contaminated(0.1, 10.0, np.sqrt(0.1))
-    v = np.linspace(-12, 12, 49)
-    by_hand = 0.9 * np.exp(-(v**2) / 0.2) / np.sqrt(2 * np.pi * 0.1) + 0.1 * np.exp(-(v**2) / 20) / np.sqrt(20 * np.pi)
-    np.testing.assert_allclose(noise.pdf(v), by_hand, rtol=1e-12)
-    assert noise.var() == pytest.approx(0.9 * 0.1 + 0.1 * 10)
 
 
 @pytest.mark.parametrize("threshold", [1.0, 1.14, 1.345, 2.0, 3.0])

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import scipy.stats
 import support
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -10,7 +9,6 @@ from hypothesis.extra.numpy import arrays
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError
-from robust_filterpy.correction.hypotheses import corrected
 from robust_filterpy.correction.spread import _ratio
 from robust_filterpy.influence import Hampel
 
@@ -75,15 +73,6 @@ def updated(problem, z, **options):
 
 
 @fewer
-@given(st.data(), problems())
-def test_the_bounded_transformation_never_amplifies(data, problem):
-    """No sensor is scaled by more than 1 or by more than its standard deviation asks for."""
-    kf = updated(problem, data.draw(measurements(len(problem.R))), scaling="bounded")
-    assert np.abs(np.diag(kf.T)).max() <= 1 + 1e-7
-    assert (np.diag(kf.T) <= 1 / np.sqrt(np.diag(kf.S)) * np.sqrt(np.maximum(np.diag(kf.S), 1)) + 1e-7).all()
-
-
-@fewer
 @given(st.data(), problems(), choices(scalings=st.just("unit")))
 def test_unit_scaling_keeps_p_positive_definite_or_says_that_it_cannot(data, problem, options):
     kf = support.make(RobustKalmanFilter, problem, **options)
@@ -106,21 +95,6 @@ def away_from_kinks(kf):
     assume(all(abs(abs(component) - kink) > 1e-5 for component in e for kink in kinks))
 
 
-def other_order(data, p, options):
-    order = np.array(data.draw(st.permutations(range(len(p.R)))))
-    if options["grouping"] not in ("component", "joint"):
-        options["grouping"] = tuple(tuple(int(np.argsort(order)[i]) for i in g) for g in options["grouping"])
-    changed = support.with_(p, H=p.H[order], R=p.R[np.ix_(order, order)], M=p.M[:, order])
-    return changed, np.eye(len(p.R))[order], np.eye(len(p.x)), 0.0 * p.x
-
-
-def other_units(data, p, options):
-    unit, m = 10.0 ** data.draw(st.integers(-6, 6)), len(p.R)
-    options["scaling"] = "innovation"
-    changed = support.with_(p, x=unit * p.x, P=unit**2 * p.P, R=unit**2 * p.R)
-    return changed, unit * np.eye(m), unit * np.eye(len(p.x)), 0.0 * p.x
-
-
 def other_coordinates(data, p, options):
     L = data.draw(matrices(len(p.x), len(p.x))) + 5 * np.eye(len(p.x))
     assume(np.linalg.cond(L) < 50)
@@ -140,15 +114,11 @@ def another_place(data, p, options):
     return support.with_(p, x=p.x + shift), np.eye(len(p.R)), np.eye(len(p.x)), shift
 
 
-@pytest.mark.parametrize(
-    "change",
-    [other_order, other_units, other_coordinates, rotated_sensors, another_place],
-    ids=lambda one: one.__name__,
-)
+@pytest.mark.parametrize("change", [other_coordinates, rotated_sensors, another_place], ids=lambda one: one.__name__)
 @fewer
 @given(data=st.data(), problem=problems(), options=choices())
 def test_what_must_not_matter_does_not(change, data, problem, options):
-    """z' = A z and x' = L x + shift, for another problem that says the same."""
+    """z' = A z and x' = L x + shift, for another problem that says the same; check_filter has units and order."""
     z, other = data.draw(measurements(len(problem.R), st.floats(-1e3, 1e3))), dict(options)
     changed, A, L, shift = change(data, problem, other)
     options["scaling"] = other["scaling"]
@@ -158,62 +128,6 @@ def test_what_must_not_matter_does_not(change, data, problem, options):
     away_from_kinks(one)
     support.assert_close(two.x - shift, L @ one.x, 1e-6, "x", np.abs(L).max() * spread(problem) + np.abs(shift).max())
     support.assert_close(two.P, L @ one.P @ L.T, 1e-6, "P")
-    if change in (other_order, other_units):
-        np.testing.assert_allclose(two.weights, (A != 0.0) @ one.weights, rtol=1e-6)
-    if change is other_order:
-        assert two.log_likelihood == pytest.approx(one.log_likelihood, rel=1e-6)
-
-
-def test_component_grouping_is_not_rotation_invariant():
-    """So that the test above can fail."""
-    problem = support.random_problem(3, 3, 2)
-    U, z = np.linalg.qr(np.array([[1.0, 2.0], [-2.0, 1.0]]))[0], np.array([[50.0], [0.1]])
-    rotated = support.with_(problem, H=U @ problem.H, R=U @ problem.R @ U.T)
-    assert np.abs(updated(problem, z).x - updated(rotated, U @ z).x).max() > 1e-3
-
-
-@fewer
-@given(st.data(), problems(), choices())
-def test_the_correction_is_bounded_in_z(data, problem, options):
-    """|x_post - x_prior| <= m sqrt(|P|) max |psi|, whatever z: no C_i t_i is longer than the root of P's eigenvalue."""
-    kf = updated(problem, data.draw(measurements(len(problem.R))), **options)
-    influence, m = kf.influence, len(problem.R)
-    bound = max(getattr(influence, "threshold", 0), getattr(influence, "a", 0), getattr(influence, "df", 0) + 1)
-    gain = np.sqrt(np.linalg.eigvalsh(problem.P)[-1])
-    moved = np.linalg.norm(kf.x_post - problem.x)
-    assert moved <= gain * bound * m * (1 + 1e-6) + 1e-9 * np.linalg.norm(problem.x)
-
-
-@fewer
-@given(st.data(), problems(), choices())
-def test_information_is_gained_and_never_more_than_kalmans(data, problem, options):
-    """P - C S^-1 C' <= P+ <= P: what D between 0 and 1 means."""
-    kf = updated(problem, data.draw(measurements(len(problem.R))), **options)
-    C = problem.P @ problem.H.T
-    kalman = problem.P - C @ np.linalg.solve(kf.S, C.T)
-    tolerance = 1e-8 * np.abs(problem.P).max()
-    assert np.linalg.eigvalsh(problem.P - kf.P).min() >= -tolerance
-    assert np.linalg.eigvalsh(kf.P - kalman).min() >= -tolerance
-
-
-def test_many_models_are_corrected_by_the_posterior_over_the_scales_of_a_sensors_noise():
-    """Mean, covariance and density of each, written out."""
-    rng = np.random.default_rng(4)
-    n, scales, shares = 3, np.array([1.0, 25.0]), np.array([0.9, 0.1])
-    x, P = rng.normal(size=(n, 2)), np.array([support.spd(rng, 2) for _ in range(n)])
-    h, r, z, kept = rng.normal(size=(n, 2)), np.array([0.5, 1.0, 2.0]), 3.0, (x.copy(), P.copy())
-    found = corrected(x, P, z, h, scales[:, None] * r, np.log(shares)[:, None])
-    for k, (mean, cov) in enumerate(zip(*kept, strict=True)):
-        S = h[k] @ cov @ h[k] + scales * r[k]
-        density = shares * scipy.stats.norm(h[k] @ mean, np.sqrt(S)).pdf(z)
-        gains, weights = np.outer(1.0 / S, cov @ h[k]), density / density.sum()
-        means = mean + gains * (z - h[k] @ mean)
-        covs = cov - np.einsum("s,si,sj->sij", S, gains, gains)
-        apart = means - weights @ means
-        assert found[k] == pytest.approx(np.log(density.sum()), rel=1e-9)
-        np.testing.assert_allclose(x[k], weights @ means, rtol=1e-9)
-        expected = np.einsum("s,sij->ij", weights, covs + np.einsum("si,sj->sij", apart, apart))
-        np.testing.assert_allclose(P[k], expected, rtol=1e-8, atol=1e-12)
 
 
 def test_how_much_a_prediction_is_worth_to_a_sensor_does_not_depend_on_units():

@@ -118,34 +118,25 @@ def diagnosed(name, seed=0):
     return diagnose(*SETUPS[name][0](seed))
 
 
-def assert_named(name, seed):
-    _, cause, sensor = SETUPS[name]
-    d = diagnosed(name, seed)
-    if cause is None:
-        assert not d.findings and str(d).startswith("Nothing unusual")
-        return
-    assert d.causes[:1] == (cause,), str(d)
-    if sensor is not None:
-        assert d.findings[0].sensor == sensor
-
-
-# R that is too small or too large is diagnosed below.
+# What is found by day; R that is too small or too large is diagnosed below.
 QUICK = (
     "healthy", "Q too small, one sensor", "wrong row of H", "mm instead of m, one sensor",
     "state jumps, one sensor", "saturating sensor", "frozen sensor", "correlated noise",
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", QUICK)
-def test_names_the_true_cause(name):
-    assert_named(name, 0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("name", SETUPS)
-def test_names_the_true_cause_for_every_seed(name, seed):
-    assert_named(name, seed)
+@pytest.mark.parametrize("seed, name", [
+    *((0, name) for name in QUICK),
+    *(pytest.param(seed, name, marks=pytest.mark.slow) for name in SETUPS for seed in range(5)),
+])  # fmt: skip
+def test_names_the_true_cause(seed, name):
+    _, cause, sensor = SETUPS[name]
+    d = diagnosed(name, seed)
+    if cause is None:
+        assert not d.findings and str(d).startswith("Nothing unusual")
+    else:
+        assert d.causes[:1] == (cause,), str(d)
+        assert sensor is None or d.findings[0].sensor == sensor
 
 
 def test_a_saver_and_filterpys_filter_are_diagnosed_in_words_with_the_factor_and_left_as_they_were():

@@ -36,12 +36,6 @@ def test_outliers_of_any_size_in_several_sensors_are_diagnosed(seed):
     assert str(diagnose(kf, z))
 
 
-def test_nothing_is_said_of_nothing():
-    found = diagnose(level(), np.full(50, np.nan))
-    assert found.findings == () and str(found).startswith("Nothing was measured")
-    assert "Nothing unusual" not in str(found)
-
-
 @pytest.mark.parametrize("n", by_night([20, 40, 60], 20, 60))
 def test_a_short_recording_names_what_it_cannot_show(n):
     found = diagnose(level(Q=0.1), recording(n))
