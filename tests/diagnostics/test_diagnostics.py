@@ -278,16 +278,6 @@ def test_a_recording_of_nothing_says_nothing():
     assert "Nothing was measured" in str(d)
 
 
-def test_a_data_frame_is_diagnosed_by_its_rows():
-    pd = pytest.importorskip("pandas")
-    plain = robust(1, cls=KalmanFilter)
-    zs = np.random.default_rng(4).normal(size=(60, 2))
-    for kf, measurements in ((robust(), zs), (plain, zs[:, :1])):
-        ours, theirs = diagnose(kf, pd.DataFrame(measurements)), diagnose(kf, measurements)
-        assert ours.samples == 60
-        np.testing.assert_array_equal(ours.scale, theirs.scale)
-
-
 @pytest.mark.parametrize("R, cause", [
     (1.0, ()), (100.0, ("R too large",)), pytest.param(0.01, ("R too small",), marks=pytest.mark.nightly),
 ])  # fmt: skip

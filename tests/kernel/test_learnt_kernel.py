@@ -135,22 +135,6 @@ def test_a_colour_and_sensors_that_fail_together_are_learnt_by_both():
     assert (compare(problem, alike, NoiseClasses(), Scales())[1][:, -16] > 0.9).all()
 
 
-def test_what_is_out_of_the_ordinary_is_declined_with_nothing_changed():
-    problem, zs = recording(3, (3, 2))
-    zs, noise, process = np.nan_to_num(zs, nan=1.0), NoiseClasses(), Scales()
-    for spoilt in (
-        {"R": np.zeros((2, 2)), "H": np.ones((2, 3))}, {"P": 1e20 * np.eye(3)},
-        {"F": np.full((3, 3), np.nan)}, {"zs": np.full_like(zs, np.inf)},
-    ):  # fmt: skip
-        models = side_by_side.start(problem.x[:, 0], spoilt.get("P", problem.P), process)
-        state = begin_models(models, noise.start(2))
-        before = [a.copy() for a in state]
-        model = tuple(spoilt.get(name, getattr(problem, name))[None] for name in "FQHR")
-        assert run(mixture_rule(noise, process), state, spoilt.get("zs", zs), (*model, None), Rows()) == 0
-        for was, now in zip(before, state, strict=True):
-            np.testing.assert_array_equal(was, now)
-
-
 def test_arrays_that_do_not_fit_are_refused():
     problem, zs = recording(3, (3, 2))
     noise, process = NoiseClasses(), Scales()

@@ -40,64 +40,40 @@ AS_ONE = [
 ]
 
 
-def walked(problem, zs, ndim, options, names):
-    """What a filter shows after each step, and how many of the corrections are the kernel's."""
+def walked(problem, zs, ndim, options):
+    """What a filter shows after each step of a recording with an input, and how many corrections are the kernel's."""
     kf, rows, served = support.make(RobustKalmanFilter, problem, ndim, **options), [], 0
     kf.B = np.ones((len(kf.x), 1))
     for k, z in enumerate(zs):
-        if k == 10 and options.get("scaling") != "unit":
+        if k == 10 and options["scaling"] != "unit":
             # From outside.
             kf.x = kf.x + 1.0
         kf.predict(0.1)
         kf.update(z)
         served += type(kf._last) is np.ndarray
-        rows.append(shown(kf, "_memory", *names))
-        if "noise" not in options:
-            rows[-1]["information"] = kf._arrays().information
+        rows.append(shown(kf, "_memory") | {"information": kf._arrays().information})
     return rows, served
-
-
-def assert_steps_are_the_definitions(both, options, *names, rtol, looser):
-    """Recordings of several sizes, with an input, outliers and gaps; return how many steps were the kernel's."""
-    taken = 0
-    for seed, (n, m) in enumerate(((1, 1), (2, 1), (4, 2), (3, 4), (7, 3))):
-        draw = (
-            support.mild if options.get("scaling") == "unit" else lambda n, m, seed: support.random_problem(seed, n, m)
-        )
-        problem = draw(n, m, seed)
-        zs, _ = support.simulate(problem, 25, seed, 0.15, 20.0)
-        # Sensors of every other problem are read in coarse steps, so that readings repeat.
-        zs = np.round(zs) if seed % 2 else zs
-        zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
-        (ours, served), (theirs, _) = both(partial(walked, problem, zs, 1 + seed % 2, options, names))
-        assert_alike(ours, theirs, rtol, looser)
-        taken += served
-    return taken
 
 
 @pytest.mark.pairwise
 @pytest.mark.parametrize(("grouping", "scaling", "information"), SENSOR_BY_SENSOR + AS_ONE)
 @pytest.mark.parametrize("influence", INFLUENCES, ids=lambda f: type(f).__name__)
 def test_a_step_is_the_definition(both, influence, grouping, scaling, information):
+    """Recordings of several sizes, with outliers and gaps."""
     options = {"influence": influence, "scaling": scaling, "information": information, "grouping": grouping}
-    # After a jump that was believed P is a million times what is left of it.
-    rtol = 1e-10 if scaling == "learnt" else 1e-11
-    looser = {"_memory": 1e-9, "information": 1e-6}
-    assert assert_steps_are_the_definitions(both, options, rtol=rtol, looser=looser) > 60
-
-
-MIXTURES = {
-    "scales and jumps": {"noise": "learnt", "process": "scales"},
-    "one copy": {"noise": "learnt"},
-    "no jumps": {"noise": "learnt", "process": Scales((1.0, 10.0), jump=0.0)},
-}
-
-
-@pytest.mark.parametrize("how", MIXTURES)
-def test_a_step_under_learnt_noise_is_the_definition(both, how):
-    # Kernel and definition order sums differently, and a mixture of classes doubts at its border.
-    learnt = "R_learnt", "process_scale", "outlier_probability"
-    assert_steps_are_the_definitions(both, MIXTURES[how], *learnt, rtol=1e-7, looser={"_memory": 1e-6})
+    draw, taken = support.random_problem if scaling != "unit" else lambda seed, n, m: support.mild(n, m, seed), 0
+    for seed, (n, m) in enumerate(((1, 1), (2, 1), (4, 2), (3, 4), (7, 3))):
+        problem = draw(seed, n, m)
+        zs, _ = support.simulate(problem, 25, seed, 0.15, 20.0)
+        # Sensors of every other problem are read in coarse steps, so that readings repeat.
+        zs = np.round(zs) if seed % 2 else zs
+        zs[np.random.default_rng(seed).random(zs.shape) < 0.1] = np.nan
+        (ours, served), (theirs, _) = both(partial(walked, problem, zs, 1 + seed % 2, options))
+        # After a jump that was believed P is a million times what is left of it.
+        rtol = 1e-10 if scaling == "learnt" else 1e-11
+        assert_alike(ours, theirs, rtol, {"_memory": 1e-9, "information": 1e-6})
+        taken += served
+    assert taken > 60
 
 
 @pytest.mark.parametrize("information", ["realized", "weight"])
@@ -170,9 +146,10 @@ def test_states_of_every_number_are_predicted(n):
     np.testing.assert_allclose(kf.P, problem.F @ problem.P @ problem.F.T + problem.Q, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("how", MIXTURES)
-def test_what_a_correction_under_learnt_noise_leaves_cannot_be_changed_from_outside(how):
-    one, two = (support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), **MIXTURES[how]) for _ in range(2))
+@pytest.mark.parametrize("process", ["scales", None, Scales((1.0, 10.0), jump=0.0)], ids=["jumps", "one", "no jumps"])
+def test_what_a_correction_under_learnt_noise_leaves_cannot_be_changed_from_outside(process):
+    options = {"noise": "learnt", "process": process}
+    one, two = (support.make(RobustKalmanFilter, support.random_problem(1, 3, 2), **options) for _ in range(2))
     for kf in (one, two):
         kf.predict()
         kf.update([1.0, 2.0])
@@ -351,44 +328,38 @@ def test_a_density_of_variances_whose_product_is_no_number_is_the_definitions(bo
     assert (np.abs(ours) > 400.0).all()
 
 
-def taken(kf, zs):
-    """What a filter shows after each reading, and what it has learned."""
-    return [(support.predict_and_update(kf, z), shown(kf, "_memory"))[1] for z in zs]
-
-
-EXACTLY = {
+CREEPING = 0.7 * np.random.default_rng(0).normal(size=140) + np.where(np.arange(140) < 80, 0.0, 3.0)
+rng = np.random.default_rng(2)
+LOUDER = np.where(np.arange(140) < 60, 1.0, 30.0) * rng.choice([-1.0, 1.0], 140) * rng.uniform(0.5, 1.5, 140)
+KNOWN = np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)
+READ = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0, 30.0, 30.0])
+MOVES, SEES = [[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]]
+#: A filter and what it reads.
+COURSES = {
     # No sensor makes it jump, and readings that are as predicted have no spread.
-    "known": (0.0, [0.0, 0.0], np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)),
-    "as predicted": (0.01, [-1.0, 1.0], np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0, 30.0, 30.0])),
-}
+    "a state that is known exactly": (partial(support.of_matrices, F=MOVES, H=SEES, Q=0.0, P=0.0, x=[0, 0]), KNOWN),
+    "readings as predicted": (partial(support.of_matrices, F=MOVES, H=SEES, Q=0.01, P=1.0, x=[-1, 1]), READ),
+    # What correlates moves by a sensor of either sign.
+    **{f"a jump that creeps, {sign}": (partial(support.mover, H=[[sign, 0.0]], q=1e-4), sign * CREEPING)
+       for sign in (-1.0, 1.0)},
+    # Ten far ones in a row are outliers, the next ones are what is usual.
+    "noise thirty times larger": (partial(support.of_matrices, F=1.0, H=[[1.0]], Q=0.01), LOUDER),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", EXACTLY)
-def test_what_is_known_exactly_and_what_is_read_exactly_are_the_definitions(both, name):
-    q, x, zs = EXACTLY[name]
+@pytest.mark.parametrize("name", COURSES)
+def test_the_course_of_a_filter_is_the_definitions(both, name):
+    make, zs = COURSES[name]
 
-    model = [[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]], q, 1.0, 100.0 * q, x
-    ours, theirs = both(lambda: taken(support.of_matrices(RobustKalmanFilter, *model), zs))
+    def course():
+        kf = make(RobustKalmanFilter)
+        return [(support.predict_and_update(kf, z), shown(kf, "_memory"))[1] for z in zs]
+
+    ours, theirs = both(course)
     assert_alike(ours, theirs, 1e-9)
-    assert (np.all(ours[-1]["x"] == 0.0)) == (name == "known") and np.all(theirs[3]["y"] == 0.0) == (name != "known")
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_jump_that_creeps_moves_what_correlates_by_a_sensor_of_either_sign(both, sign):
-    zs = sign * (0.7 * np.random.default_rng(0).normal(size=140) + np.where(np.arange(140) < 80, 0.0, 3.0))
-
-    ours, theirs = both(lambda: taken(support.mover(RobustKalmanFilter, H=[[sign, 0.0]], q=1e-4), zs))
-    assert_alike(ours, theirs, 1e-9)
-    # Readings are no farther off than a few spreads.
-    assert max(np.trace(row["P_post"]) - np.trace(row["P_prior"]) for row in theirs) > 0.0
-
-
-def test_noise_that_is_thirty_times_larger_from_now_on_is_typical_after_ten_readings(both):
-    """Ten far ones in a row are outliers, the next ones are what is usual."""
-    rng = np.random.default_rng(2)
-    zs = np.where(np.arange(140) < 60, 1.0, 30.0) * rng.choice([-1.0, 1.0], 140) * rng.uniform(0.5, 1.5, 140)
-
-    ours, theirs = both(lambda: taken(support.of_matrices(RobustKalmanFilter, 1.0, [[1.0]], 0.01), zs))
-    assert_alike(ours, theirs, 1e-9)
-    clipped = [row["weights"][0] < 0.5 for row in theirs]
-    assert all(clipped[60:69]) and not any(clipped[80:])
+    if make.func is support.mover:
+        # Readings are no farther off than a few spreads.
+        assert max(np.trace(row["P_post"]) - np.trace(row["P_prior"]) for row in theirs) > 0.0
+    elif zs is LOUDER:
+        clipped = [row["weights"][0] < 0.5 for row in theirs]
+        assert all(clipped[60:69]) and not any(clipped[80:])
