@@ -5,17 +5,10 @@ import warnings
 
 import numpy as np
 import pytest
-from filterpy.kalman import MerweScaledSigmaPoints
 from recordings import silence, unheard
+from support import Extended, of_matrices
 
-from robust_filterpy import (
-    AdaptiveKalmanFilter,
-    RobustExtendedKalmanFilter,
-    RobustKalmanFilter,
-    RobustUnscentedKalmanFilter,
-    _warning,
-    fusion,
-)
+from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, _warning, fusion
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
 
 
@@ -60,28 +53,13 @@ def watched(call, things, said):
         call(things[1])
 
 
-class Extended(RobustExtendedKalmanFilter):
-    def update(self, z):
-        super().update(z, lambda x: np.eye(1, 2), lambda x: x[:1])
-
-
-def unscented(**options):
-    points = MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)
-    moved = lambda x, dt: np.array([x[0] + x[1], x[1]])  # noqa: E731
-    return RobustUnscentedKalmanFilter(2, 1, 1.0, lambda x: x[:1], moved, points, **options)
-
-
 FILTERS = {
-    "default": lambda: RobustKalmanFilter(2, 1),
-    "innovation": lambda: RobustKalmanFilter(2, 1, scaling="innovation"),
-    "patience": lambda: RobustKalmanFilter(2, 1, patience=5),
-    "learnt": lambda: RobustKalmanFilter(2, 1, noise="learnt"),
-    "adaptive": lambda: AdaptiveKalmanFilter(2, 1),
-    "extended": lambda: Extended(2, 1),
-    "extended learnt": lambda: Extended(2, 1, noise="learnt"),
-    "unscented": unscented,
-    "unscented learnt": lambda: unscented(noise="learnt"),
-}
+    "default": (RobustKalmanFilter, {}), "innovation": (RobustKalmanFilter, {"scaling": "innovation"}),
+    "patience": (RobustKalmanFilter, {"patience": 5}), "learnt": (RobustKalmanFilter, {"noise": "learnt"}),
+    "adaptive": (AdaptiveKalmanFilter, {}), "extended": (Extended, {}),
+    "extended learnt": (Extended, {"noise": "learnt"}), "unscented": (RobustUnscentedKalmanFilter, {}),
+    "unscented learnt": (RobustUnscentedKalmanFilter, {"noise": "learnt"}),
+}  # fmt: skip
 
 
 def readings(rng, steps=100):
@@ -95,9 +73,8 @@ def test_a_reading_that_a_warning_refuses_has_not_happened(name):
     said = set()
     # What is clipped is judged after 198 of them.
     for zs in readings(np.random.default_rng(3), 200 if name == "innovation" else 100):
-        things = FILTERS[name](), FILTERS[name]()
-        for kf in things:
-            kf.F, kf.H, kf.P, kf.Q = np.eye(2) + np.eye(2, k=1), np.eye(1, 2), 10.0 * np.eye(2), 0.01 * np.eye(2)
+        (kind, options), moves = FILTERS[name], [[1.0, 1.0], [0.0, 1.0]]
+        things = [of_matrices(kind, moves, np.eye(1, 2), 0.01, P=10.0, x=np.zeros(2), **options) for _ in "ab"]
         for z in zs[:, None]:
             for call in (lambda kf: kf.predict(), lambda kf, z=z: kf.update(z)):
                 watched(call, things, said)
