@@ -95,6 +95,8 @@ def test_sample_autocovariance_equals_statsmodels(seed, size, data):
     ([0.25, 0.1, 0.0, -0.1, 0.01], (0, 1), 2, 40), ([1.0, 0.0, 0.0, 0.0], (-1, 1), 7, 40),
     # 2^13 tuples take two blocks.
     ([0.6, 0.5, 0.4], (-1, 1), 13, 3),
+    # On the edge of the positive semidefinite ones: that of the alternating signal.
+    ([(-1.0) ** k for k in range(9)], (-1, 1), 1, 100),
 ])  # fmt: skip
 def test_identical_to_the_steps_as_printed(r, levels, m, length):
     found = receding_horizon_binary(r, length, m, levels)
@@ -102,42 +104,14 @@ def test_identical_to_the_steps_as_printed(r, levels, m, length):
 
 
 @pytest.mark.parametrize("size", range(1, 13))
-def test_the_first_sample_begins_the_best_signal_of_an_exhaustive_search(size):
+def test_a_first_sample_drawn_among_equals_begins_a_best_signal_of_an_exhaustive_search(size):
     r = bandlimited_pink_autocovariance(*BAND, 5)
     target = zero_one_target(r, -1, 1)
     distance = {s: np.linalg.norm(lag_sums(s, 5) / size - target) for s in product((0, 1), repeat=size)}
     least = min(distance.values())
-    best = [s for s, d in distance.items() if d <= least + 1e-12]
-    assert receding_horizon_binary(r, 1, size)[0] == 2 * best[0][0] - 1
-    starts = {2 * s[0] - 1 for s in best}
+    starts = {2 * s[0] - 1 for s, d in distance.items() if d <= least + 1e-12}
     drawn = {receding_horizon_binary(r, 1, size, rng=seed)[0] for seed in range(30)}
-    assert drawn <= starts
-    if size == 1:
-        assert drawn == starts == {-1, 1}
-
-
-@pytest.mark.parametrize(("m", "expected"), [(1, 0.0078), (3, 0.0090)])
-def test_the_autocovariance_comes_within_a_hundredth(m, expected):
-    r = bandlimited_pink_autocovariance(*BAND, 40)
-    rms = lambda s: np.sqrt(np.mean((sample_autocovariance(s, 40) - r) ** 2))  # noqa: E731
-    assert rms(receding_horizon_binary(r, 10_000, m)) == pytest.approx(expected, abs=0.0001)
-    # Drawing among ties costs no accuracy; a fair coin misses r by its own size.
-    assert rms(receding_horizon_binary(r, 10_000, m, rng=5)) < 0.011
-    assert rms(np.random.default_rng(0).choice((-1.0, 1.0), 10_000)) > 10 * expected
-
-
-def test_less_variance_than_the_greatest_moves_the_mean_up():
-    s = receding_horizon_binary([0.36, 0.0, 0.0], 5000)
-    # mean^2 + variance = 1 at levels -1, 1.
-    assert s.mean() == pytest.approx(0.8, abs=0.01)
-    assert s.var() == pytest.approx(0.36, abs=0.01)
-
-
-def test_equation_55_scales_with_the_levels():
-    r = bandlimited_pink_autocovariance(*BAND, 20)
-    np.testing.assert_array_equal(
-        receding_horizon_binary(25 * r, 500, 2, (-3, 7)), 5 * receding_horizon_binary(r, 500, 2) + 2
-    )
+    assert drawn <= starts and (size > 1 or drawn == {-1, 1})
 
 
 def test_without_rng_the_signal_is_always_the_same_and_with_it_the_seed_decides():
@@ -148,12 +122,6 @@ def test_without_rng_the_signal_is_always_the_same_and_with_it_the_seed_decides(
         np.testing.assert_array_equal(drawn, receding_horizon_binary(r, 200, m, rng=np.random.default_rng(3)))
         assert (drawn != receding_horizon_binary(r, 200, m, rng=4)).any()
         assert (drawn != receding_horizon_binary(r, 200, m)).any()
-
-
-def test_the_extreme_autocovariances_are_allowed():
-    # The one of the alternating signal is on the edge of the positive semidefinite ones.
-    alternating = receding_horizon_binary([(-1.0) ** k for k in range(9)], 100)
-    assert (alternating[1:] == -alternating[:-1]).all()
 
 
 # --- pseudo-random binary sequence ---
