@@ -6,7 +6,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 pytest.importorskip("sktime")
-from sktime.forecasting.naive import NaiveForecaster
 from sktime.utils.estimator_checks import check_estimator
 
 from robust_filterpy.adapters.series import SeriesModel
@@ -40,10 +39,3 @@ def test_every_series_of_a_panel_is_filtered_by_itself():
     found = RobustKalmanTransformer(smoothed=True).fit_transform(panel)
     assert found.index.equals(panel.index)
     assert_allclose(found.loc["b"], 100.0 * found.loc["a"], rtol=1e-3)
-
-
-def test_a_forecast_from_estimates_is_not_that_from_an_outlier():
-    series = recording()
-    series.iloc[-1] = 1000.0
-    forecast = (RobustKalmanTransformer() * NaiveForecaster()).fit(series, fh=[1]).predict()
-    assert abs(forecast.iloc[0] - np.median(series[-10:])) < 20

@@ -1,4 +1,4 @@
-"""Parts of two studies: the paper's figures and claims, which come out of one command, and the servo's."""
+"""Parts of a study: the paper's figures and claims, which come out of one command."""
 
 import importlib
 import os
@@ -47,13 +47,6 @@ def paper(monkeypatch):
     return importlib.import_module
 
 
-def test_unknown_figure_is_refused(paper, tmp_path):
-    for wrong in (("--only", "20"), ("--only", "0"), ("--runs", "1")):
-        with pytest.raises(SystemExit) as refused:
-            paper("reproduce").main([*wrong, "--out", str(tmp_path)])
-        assert refused.value.code == 2
-
-
 def test_verdicts_are_one_sided_and_join(paper):
     report, Interval = paper("report"), paper("robust_filterpy.testing.studies").Interval
     # Far better than asked for is no failure of "no worse".
@@ -93,37 +86,9 @@ def test_information_is_made_of_the_derivative_of_the_output(paper):
     assert_allclose(information, g[:, :, None] * g[:, None, :] / 0.25, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.nightly
-def test_comparison_with_a_loop_checks_the_numbers(paper, tmp_path):
-    done = reproduce(tmp_path, "--compare-loop")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("numbers agree to") == 3
-    speed = paper("speed")
-    with pytest.raises(RuntimeError, match="numbers differ"):
-        speed.compared("x", lambda way: way(), lambda: np.ones(3), lambda: np.ones(3) + 1e-6)
-
-
 def test_bound_without_drift_and_prior_is_the_cramer_rao_bound(paper):
     identification = paper("identification")
     plant = replace(identification.WELL, contamination=0.0, P0=1e8, Q=0.0)
     g = np.repeat(np.random.default_rng(1).standard_normal((1, identification.STEPS, 4)), 2, axis=0)
     bound, cramer_rao = identification.bounds(g[..., :, None] * g[..., None, :], plant)
     assert bound[-1] ** 0.5 == pytest.approx(cramer_rao, rel=1e-4)
-
-
-# The servo study: what it draws, how it fits, and whose gain it compares with whose.
-
-@pytest.fixture
-def servo(monkeypatch):
-    """Import a module of the folder."""
-    monkeypatch.syspath_prepend(str(PAPER.parent))
-    return lambda name: importlib.import_module(f"servo.{name}")
-
-
-def test_sliding_gain_is_that_of_choked_venting(servo):
-    experiment, models = servo("experiment"), servo("models")
-    given = experiment.conditions(300, 0.1, np.random.default_rng(10_000))
-    recording, p = experiment.drive(given, experiment.NONE), experiment.SERVO
-    # What leaves the vented chamber is C_d W sqrt(R T) 0.6847 of its air per second, and the piston follows it.
-    air = recording.beta[200] / recording.alpha[200] * p.valve_area * np.sqrt(p.gas_constant * p.temperature) * 0.6847
-    assert models.sliding_gain(recording, 200) == pytest.approx(air * (1 / p.area_a + 1 / p.area_b) / 2, rel=5e-3)

@@ -1,8 +1,7 @@
-"""On real engines, with workers that die and queries that are started again, the result is that of one process."""
+"""On real engines, with queries that are started again, the result is that of one process."""
 
 import os
 import pickle
-import signal
 import subprocess
 import sys
 import time
@@ -55,29 +54,6 @@ def dask_frame():
     return lambda table, parts: dd.from_pandas(table, npartitions=parts)
 
 
-def on_a_cluster(frame):
-    """Compute on two worker processes, one of which is killed on the way."""
-    distributed = pytest.importorskip("distributed")
-    from robust_filterpy.fleet.dask import filter_frame
-
-    options = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": "2GB", "dashboard_address": None}
-    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
-        pids = client.run(os.getpid)
-        future = client.compute(filter_frame(frame, model()))
-        while client.run_on_scheduler(finished) < 3 and not future.done():
-            time.sleep(0.02)
-        os.kill(next(iter(pids.values())), signal.SIGKILL)
-        result = future.result(timeout=300)
-        after = client.run(os.getpid)
-    assert set(after.values()) != set(pids.values())
-    return result
-
-
-def finished(dask_scheduler):
-    """Number of tasks that are in memory."""
-    return sum(task.state == "memory" for task in dask_scheduler.tasks.values())
-
-
 def test_on_dask_the_result_is_that_of_one_process(dask_frame):
     from robust_filterpy.fleet.dask import filter_frame
 
@@ -88,12 +64,6 @@ def test_on_dask_the_result_is_that_of_one_process(dask_frame):
     pd.testing.assert_frame_equal(already, filter_table(model(), whole))
     with pytest.raises(ValueError, match="time: expected"):
         filter_frame(dask_frame(table, 5), FilterModel(model().template(), measurements=["z"]))
-
-
-@pytest.mark.slow
-def test_on_dask_a_worker_may_be_killed_midway(dask_frame):
-    table = samples(2000, 12)
-    assert_same(on_a_cluster(dask_frame(table, 8)), table)
 
 
 # Spark

@@ -16,7 +16,6 @@ from test_state import FILTERS, F, extended, observe, recording, signals
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
-from robust_filterpy.fleet.states import _ragged
 from robust_filterpy.identification import ARMA, FIR
 
 pd = pytest.importorskip("pandas")
@@ -116,17 +115,6 @@ def driven():
     kf = RobustKalmanFilter(2, 1, dim_u=2)
     kf.F, kf.H, kf.Q, kf.B = F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.array([[0.5, 0.1], [0.0, 1.0]])
     return kf
-
-
-def test_a_filter_with_inputs_gives_its_own_numbers():
-    rng, kf = np.random.default_rng(1), driven()
-    batch = rng.normal(size=(30, 3))
-    state, _ = step(FilterModel(driven(), inputs=["u", "v"]), None, batch)
-    for row in batch:
-        kf.predict(u=row[1:])
-        kf.update(row[0])
-    np.testing.assert_allclose(state["x"], kf.x, rtol=1e-9)
-    assert state["x"].shape == (2, 1)
 
 
 # Forms of a batch.
@@ -557,17 +545,6 @@ def test_states_of_a_fleet_print_on_a_line_and_a_missing_column_says_who_names_i
         step(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="device")
 
 
-def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
-    pa = pytest.importorskip("pyarrow")
-    lists = pa.array([[1.0, 2.0, 3.0, 4.0], [], [5.0, None], None], pa.list_(pa.float64()))
-    rows = [[1.0, 2.0], [3.0, 4.0]], np.zeros((0, 2)), [[5.0, np.nan]], np.zeros((0, 2))
-    for found, expected in zip(_ragged(lists, [2]), rows, strict=True):
-        np.testing.assert_array_equal(found, expected)
-    # Four numbers are two rows of two, but not as three and one.
-    with pytest.raises(ValueError, match="reshape"):
-        _ragged(pa.array([[1.0, 2.0, 3.0], [4.0]], pa.list_(pa.float64())), [2])
-
-
 def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
     # Exact sensors of a state at rest: P is rounding, and the step after an absurd reading is for the definition.
     rng = np.random.default_rng(0)
@@ -625,12 +602,14 @@ def test_a_flat_batch_is_a_column_and_inputs_may_be_absent():
     model, z = MODELS["linear"](), [0.1, -0.2, 0.3]
     for flat, column in zip(step(model, None, z), step(model, None, [[one] for one in z]), strict=True):
         same(flat, column)
-    kf = driven()
-    state, _ = step(FilterModel(kf), None, z)
-    for one in z:
-        kf.predict()
-        kf.update(one)
-    np.testing.assert_allclose(state["x"], kf.x, rtol=1e-9)
+    inputs = np.random.default_rng(1).normal(size=(3, 2))
+    for u in (inputs, None):
+        kf = driven()
+        state, _ = step(FilterModel(driven(), inputs=["u", "v"]), None, z if u is None else np.column_stack((z, u)))
+        for k, one in enumerate(z):
+            kf.predict(u=0.0 if u is None else u[k])
+            kf.update(one)
+        np.testing.assert_allclose(state["x"], kf.x, rtol=1e-9)
     same(step(FilterModel(driven()), None, pd.DataFrame({"z": z}))[0], state)
     for width in (2, 4):
         with pytest.raises(ValueError, match=r"expected shape \(samples, 1 or 3\), 1 measurement\(s\), 2 input\(s\)"):

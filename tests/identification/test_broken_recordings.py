@@ -64,33 +64,6 @@ def test_a_tracker_and_a_bank_take_fill_values_for_gaps():
         np.testing.assert_array_equal(result.theta[:, i], ParameterTracker(FIR(1, nk=0), start=0).run(column, u).theta)
 
 
-@support.draws(1, 3)
-def test_wild_values_of_any_size_that_do_not_repeat_are_outliers(draws):
-    for seed in range(draws):
-        rng, y, u = recording(seed, 500)
-        spoilt = np.where(rng.random(y.size) < 0.1, 1e7 * rng.normal(size=y.size), y)
-        model = identify(spoilt, u, OutputError(2, 2))
-        assert model.noise.influence.scale_ratio > 1e5
-        assert np.linalg.norm(lfilter(B, A, u) - model.simulate(u) + model.level) < 0.03 * np.linalg.norm(y)
-
-
-# A constant in u.
-
-
-@pytest.mark.pairwise(1)
-@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
-@pytest.mark.parametrize("constant", [1e4, -1e8])
-def test_a_constant_in_u_changes_nothing(structure, constant):
-    _, y, u = recording(3, 400)
-    one, other = identify(y, u, structure), identify(y, u + constant, structure)
-    np.testing.assert_allclose(other.theta, one.theta, atol=1e-3 * one.std.min())
-    np.testing.assert_allclose(other.std, one.std, rtol=1e-3)
-    np.testing.assert_allclose(other.simulate(u + constant)[200:], one.simulate(u)[200:], atol=1e-2)
-    assert other.fit(y, u + constant) == pytest.approx(one.fit(y, u), abs=1e-3)
-    assert validate(other, y, u + constant).verdict == validate(one, y, u).verdict
-    assert ParameterTracker(other).predict() == pytest.approx(ParameterTracker(one).predict(), abs=1e-2)
-
-
 # Steps and ramps of the level.
 
 
@@ -153,19 +126,6 @@ def test_a_ramp_and_a_line_are_taken_off():
 
 
 # Another plant in a part.
-
-
-@support.draws(1, 4)
-@pytest.mark.parametrize("slow", [1, 5])
-def test_much_noise_is_no_change_of_the_gain(slow, draws):
-    for seed in range(draws):
-        rng = np.random.default_rng([28, seed])
-        u = rng.choice([-1.0, 1.0], 1500).repeat(slow)[:1500]
-        clean = lfilter(B, A, u)
-        noise = lfilter([1.0], [1.0, -0.5], rng.normal(size=1500))
-        # Twice as much of it in the second half.
-        y = clean + clean.std() * noise / noise.std() * np.where(np.arange(1500) < 750, 0.5, 1.0)
-        assert identify(y, u, OutputError(2, 2)).findings == ()
 
 
 @pytest.mark.parametrize("seed", [0, 4])
@@ -232,14 +192,6 @@ def driven(seed, length=600, share=0.1):
     return recordings.recording([29, seed], length, share, 0.1, inside=True)
 
 
-def test_wild_outputs_next_to_each_other_and_in_the_first_samples_are_found():
-    y, u = driven(0, 400)
-    right = identify(y, u, ARX(2, 2))
-    y[[1, 60, 61, 62, 200, 202]] = 1e7 * np.array([1.0, -2.0, 0.7, 0.4, 1.0, -1.0])
-    model = identify(y, u, ARX(2, 2))
-    np.testing.assert_allclose(model.theta, right.theta, atol=0.02)
-
-
 def test_a_shock_of_the_process_is_not_taken_for_wild_outputs():
     y, u = driven(1)
     shock = np.zeros(y.size)
@@ -247,13 +199,6 @@ def test_a_shock_of_the_process_is_not_taken_for_wild_outputs():
     model = identify(y + lfilter([1.0], A, shock), u, ARX(2, 2))
     # Such a shock tells A better than all the rest, and does not if what follows it is left out.
     np.testing.assert_allclose(model.theta[:2], A[1:], atol=1e-4)
-
-
-@support.draws(1, 4)
-def test_outliers_of_the_process_are_no_other_plant(draws):
-    for seed in range(draws):
-        y, u = driven(seed, 1500)
-        assert not identify(y, u, ARX(2, 2)).findings
 
 
 @pytest.mark.parametrize("rest, says", [(4.5, False), (-4.5, False), (5.5, True), (-5.5, True)])
@@ -348,6 +293,7 @@ def test_standard_deviations_count_that_residuals_follow_one_another():
         y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + lfilter([0.3], [1.0, -1.5, 0.7], rng.normal(size=1500))
         model = quiet(y, u, OutputError(2, 2), trend="constant")
         inside.append(np.abs(model.theta - truth) < 2.0 * model.std)
+        assert "another plant" not in {one.kind for one in model.findings}
     assert np.mean(inside) >= 0.8
     assert model.colour > 1.3 and "Colored residuals" in str(model.summary())
 

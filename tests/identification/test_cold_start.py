@@ -211,24 +211,6 @@ def test_the_drift_is_found(contamination):
     assert Q_TRUE / 4.0 <= np.median(chosen) <= 4.0 * Q_TRUE
 
 
-def test_without_outliers_the_ranking_is_that_of_the_gaussian_likelihood():
-    y, u = drifting_gain(0.0)
-    found = tracker().tuned(y, u, over={"Q": GRID}, leave_out=100)
-    gaussian = []
-    for Q in GRID:
-        residual = tracker(Q=Q).run(y, u).residual[100:]
-        gaussian.append(norm.logpdf(residual, scale=residual.std()).sum())
-    assert int(np.argmax(gaussian)) == found.rows.index(found.best)
-
-
-def test_a_wild_sample_changes_no_choice():
-    y, u = drifting_gain()
-    wild = y.copy()
-    wild[300:900:100] = 1e9
-    pairs = [tracker().tuned(signal, u, over={"Q": GRID}).best.values for signal in (y, wild)]
-    assert pairs[0] == pairs[1]
-
-
 def test_the_chosen_tracker_has_the_value_and_has_seen_nothing():
     y, u = drifting_gain()
     given = tracker(forgetting=0.99)

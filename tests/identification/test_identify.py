@@ -197,6 +197,10 @@ def test_neither_units_nor_the_offset_change_the_model(structure):
     np.testing.assert_allclose(other.P / np.outer(size, size), one.P, rtol=1e-4, atol=1e-12)
     assert other.R == pytest.approx(unit**2 * one.R, rel=1e-6)
     np.testing.assert_allclose(identify(y, unit * u, structure).theta * size, one.theta, atol=1e-6)
+    # Nor does a constant in u.
+    other = identify(y, u + 1e4, structure)
+    np.testing.assert_allclose(other.theta, one.theta, atol=1e-3 * one.std.min())
+    assert other.fit(y, u + 1e4) == pytest.approx(one.fit(y, u), abs=1e-3)
 
 
 def test_without_offset_the_constant_is_zero():

@@ -1,7 +1,6 @@
 """Models of the noise: ARMA is statsmodels', Box and Jenkins' is scipy's least squares, online as from a recording."""
 
 
-import control
 import numpy as np
 import pytest
 import support
@@ -13,7 +12,7 @@ from statsmodels.tsa.arima.model import ARIMA
 
 from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import START, Contaminated
-from robust_filterpy.identification import AR, ARMA, ARMAX, BoxJenkins, compare, validate
+from robust_filterpy.identification import AR, ARMA, ARMAX, BoxJenkins, validate
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.influence import Linear
 from robust_filterpy.influence.regression import mad_scale
@@ -113,19 +112,6 @@ def model():
     return identify(*recorded(share=0.0, level=3.0), BJ)
 
 
-def test_simulation_and_transfer_function_are_those_of_b_over_f(model):
-    u = np.random.default_rng(5).normal(size=60)
-    _, b, c, d, f = model.coefficients
-    np.testing.assert_array_equal(np.concatenate((b, f, c, d)), model.theta)
-    expected = lfilter([0.0, *b], [1.0, *f], u)
-    np.testing.assert_allclose(model.simulate(u) - model.level, expected, rtol=1e-9, atol=1e-12)
-    plant = model.transfer_function(dt=0.1)
-    assert plant.dt == 0.1
-    np.testing.assert_allclose(
-        control.forced_response(plant, 0.1 * np.arange(60), u).outputs, expected, rtol=1e-8, atol=1e-10
-    )
-
-
 def test_predictions_are_those_of_the_innovations_form(model):
     y, u = recorded(share=0.0, level=3.0)
     _, _, c, d, _ = model.coefficients
@@ -137,12 +123,6 @@ def test_predictions_are_those_of_the_innovations_form(model):
     # Far ahead nothing is known of the disturbance.
     np.testing.assert_allclose(model.predict(y, u, steps=400)[500:], w[498:], atol=0.02)
     assert model.fit(y, u) < 100.0 * (1.0 - np.std(model.residuals(y, u)[2:]) / np.std(y))
-
-
-def test_the_true_structure_wins_a_comparison_one_step_ahead(model):
-    y, u = recorded(share=0.0, level=3.0, seed=9)
-    found = {row.name: row for row in compare({"bj": model, "oe": identify(y, u, OutputError(2, 2))}, y, u).rows}
-    assert found["bj"].one_step > found["oe"].one_step + 5.0
 
 
 # Online.
@@ -181,18 +161,6 @@ def test_the_tracker_of_a_model_predicts_the_next_sample(structure):
         assert tracker.R == pytest.approx(model.R)
         np.testing.assert_allclose(tracker.theta, model.theta, atol=1e-6 * model.std.min())
         np.testing.assert_allclose(tracker.P, model.P, rtol=1e-6, atol=1e-15)
-
-
-@pytest.mark.parametrize("structure", support.by_night([BJ, AR(2), ARMA(2, 1)], ARMA(2, 1)), ids=str)
-def test_the_recursion_ends_where_the_recording_does(structure):
-    c = [1.0, 0.5][: 1 + structure.nc]
-    y, u = recorded(2000, share=0.0) if structure.n_inputs else (series([1.0, -1.5, 0.7], c, 2000), None)
-    y[::50] += 10.0
-    tracker = ParameterTracker(identify(y[:400], None if u is None else u[:400], structure))
-    model = identify(y, u, structure)
-    tracker.run(y[400:], None if u is None else u[400:])
-    assert np.abs((tracker.theta - model.theta) / model.std).max() < 4.0
-    assert pytest.approx(model.R, rel=0.5) == tracker.R
 
 
 # The noise as it is learned: a density and the mixture that made the residuals.

@@ -11,7 +11,6 @@ from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate
 from robust_filterpy._progress import progress_bar, stage, stages
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.identification import ARMAX, ARX, ParameterTracker, StateSpace, TrackerBank, select_structure
-from robust_filterpy.identification.estimation import prediction_error as _threads
 from robust_filterpy.identification.estimation import search
 
 
@@ -83,12 +82,6 @@ def test_a_fit_of_several_factors_counts_its_stages(monkeypatch):
     assert list(dict.fromkeys(counted)) == [*(f"stage {k} of 6" for k in range(1, 6)), "last stage"]
 
 
-def test_how_many_structures_there_are_to_be_is_said(clock, capsys):
-    select_structure(*SHORT, na=[1, 2], nk=[1])
-    counts = [line.split(", ")[1].split() for line in capsys.readouterr().err.splitlines()]
-    assert all(of == "of" and int(done) <= int(total) for done, of, total, _ in counts)
-
-
 def test_an_error_ends_the_stages(clock, capsys):
     with pytest.raises(ZeroDivisionError), stages("one", None):
         raise ZeroDivisionError
@@ -133,9 +126,3 @@ def test_a_search_has_one_thread_and_gives_the_others_back(monkeypatch):
         identify(*SHORT, OutputError(0, 1))
         assert counted() == before
     assert seen and set(seen[0]) == {1}
-
-
-def test_without_threadpoolctl_it_goes_its_way(monkeypatch):
-    monkeypatch.setattr(_threads, "_controller", lambda: None)
-    with _threads.one_thread():
-        pass

@@ -345,18 +345,6 @@ def test_only_the_output_that_is_wrong_is_named(states):
     assert validate(one, 1.5 * (y[:, 0] - 5.0) + 5.0, u).verdict.startswith("dynamics are missing")
 
 
-@pytest.mark.nightly
-def test_a_gain_that_has_changed_and_equations_that_lack_a_state_are_named(states, box):
-    assert "dynamics are missing" in validate(states, *judged(8, gain=1.2)).verdict
-    y, u, t = cascade(8, gain=2.4)
-    assert validate(box, y, u, lags=10, t=t).verdict != RIGHT
-    y, u, t = cascade(0)
-    simple = identify(y, u, ONE, t=t)
-    y, u, t = cascade(9)
-    assert validate(simple, y, u, lags=10, t=t).verdict != RIGHT
-    assert compare({"lag": simple, "two": box}, y, u, t).rows[0].name == "two"
-
-
 def test_another_level_is_said_and_is_no_missing_dynamics(states, model):
     y, u = judged(10)
     found = validate(states, y + [0.0, 40.0], u)

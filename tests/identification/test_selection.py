@@ -36,13 +36,6 @@ def test_a_first_b_below_the_band_is_found_by_the_likelihood():
     assert selection.best.structure.nk == 4
 
 
-def test_wild_outliers_and_gaps_change_no_choice():
-    y, u = recorded(1, length=300)
-    y[::17] = 1e6
-    y[100:130] = np.nan
-    assert select_structure(y, u, na=range(1, 4)).best.structure == OutputError(2, 2, 4)
-
-
 def test_all_structures_have_the_same_samples():
     y, u = recorded(length=400)
     y[50:60] = np.nan

@@ -128,13 +128,6 @@ def test_an_order_beyond_the_recording_is_said():
         identify(*recorded(11, outliers=0.0, noise=1e-7), StateSpace(5))
 
 
-def test_responses_are_tabled():
-    model = identify(*recorded(14), StateSpace(3))
-    assert list(model.step_response(10).to_frame().columns[:2]) == ["response[0]", "response[1]"]
-    assert model.frequency_response([0.1, 1.0]).to_frame().shape == (2, 12)
-    assert model.poles().to_frame().shape == (3, 4)
-
-
 def test_a_summary_has_every_entry():
     y, u = recorded(5, samples=300)
     y[50:60, 0] = np.nan

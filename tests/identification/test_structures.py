@@ -152,15 +152,6 @@ def test_the_jacobian_is_the_derivative_of_the_residuals(structure, offset):
     np.testing.assert_allclose(model.jacobian(p), np.transpose(differences), atol=1e-8)
 
 
-def test_residuals_of_linear_structures_are_those_of_the_regression():
-    for structure in (ARX(2, 2), FIR((2, 1), nk=(0, 3)), LinearRegression(3), ARX(1, (1, 2))):
-        y, u = recorded(structure)
-        model = PolynomialModel(structure, y, u, True)
-        p = np.random.default_rng(1).normal(size=model.n)
-        expected = y - structure.regressors(u, y) @ p[:-1] - p[-1]
-        np.testing.assert_allclose(model.residuals(p), expected[model.first :], rtol=1e-10)
-
-
 def test_residuals_of_an_output_error_model_are_measured_less_filtered():
     structure = OutputError(2, 2)
     y, u = recorded(structure)
@@ -171,17 +162,6 @@ def test_residuals_of_an_output_error_model_are_measured_less_filtered():
     start = lfilter([1.0, -1.2, 0.6], [1.0], np.concatenate((w[:2], np.zeros(2))))[2:]
     residuals = model.residuals(np.concatenate((p, -start)))
     np.testing.assert_allclose(residuals, (y - w - 3.0)[2:], rtol=1e-10)
-
-
-def test_residuals_of_an_armax_model_make_the_output_again():
-    structure = ARMAX(2, 1, 1)
-    rng = np.random.default_rng(2)
-    u, v = rng.normal(size=200), rng.normal(size=200)
-    a, c = [1.0, -1.5, 0.7], [1.0, 0.4]
-    y = lfilter([0.0, 1.0], a, u) + lfilter(c, a, v)
-    residuals = PolynomialModel(structure, y, u[:, None], False).residuals(np.array([-1.5, 0.7, 1.0, 0.4]))
-    # What is unknown of the noise before the first residual fades with the powers of -c.
-    np.testing.assert_allclose(residuals[40:], v[42:], atol=1e-12)
 
 
 def test_a_delay_moves_the_first_residual_not_the_others():

@@ -79,18 +79,6 @@ def test_recordings_may_be_lists_or_pandas_columns():
     same(both, support.paper_tracker(two).run(frame["y"], frame[["u", "w"]]))
 
 
-def test_result_has_a_row_for_each_sample():
-    y, u = recording()
-    result = support.paper_tracker(OutputError(2, 2), R=0.25).run(y, u)
-    assert result.theta.shape == result.std.shape == (150, 4)
-    gap = np.isnan(y)
-    for column in (result.residual, result.weights):
-        np.testing.assert_array_equal(np.isnan(column), gap)
-    np.testing.assert_allclose(result.residual[~gap], (y - result.prediction)[~gap])
-    assert np.isfinite(result.prediction).all() and result.guard.dtype.kind == "i"
-    assert ((result.weights[~gap] > 0) & (result.weights[~gap] <= 1)).all() and (result.weights < 0.5).any()
-
-
 # The model
 
 
@@ -134,12 +122,6 @@ def test_fit_and_intervals():
     same([band[-1] for band in result.confidence_intervals(0.5)], tracker.confidence_intervals(0.5))
     with pytest.raises(ValueError, match="level"):
         tracker.confidence_intervals(95)
-
-
-def test_print_shows_parameters_with_their_deviations_level_and_noise():
-    shown = str(support.paper_tracker(FIR(1), theta=2.0, P=0.25)).splitlines()
-    assert shown[1].split() == ["b1", "2", "+-", "0.5"] and [line.split()[0] for line in shown[2:]] == ["level", "R"]
-    assert len(str(ParameterTracker(ARX(20, 20))).splitlines()) <= 16
 
 
 # Missing samples, freezing, forgetting

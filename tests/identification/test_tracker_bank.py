@@ -15,7 +15,6 @@ from robust_filterpy import ARX, Contaminated, Huber, OutputError, ParameterTrac
 from robust_filterpy.filters import StuckSensorWarning
 from robust_filterpy.identification import ARMAX, FIR, BoxJenkins, LinearRegression, LostTrackerWarning, TrackerBank
 from robust_filterpy.identification.models.regressor import GUARDS
-from robust_filterpy.identification.recursive import following, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
 from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.plants import simulate_output_error
@@ -257,20 +256,6 @@ def test_pickle_and_a_file_continue_bit_for_bit(structure):
         same(expected, other.run(y[70:], u[70:]))
 
 
-@pytest.mark.parametrize("state", [
-    support.paper_bank(N, ARX(1, 3)).state(),
-    support.paper_bank(N + 1, ARX(2, 2)).state(),
-    support.paper_tracker(ARX(2, 2)).state(),
-    {"theta": np.zeros((N, 4))},
-    {**support.paper_bank(N, ARX(2, 2)).state(), "theta": "a"},
-    None, "state.npz", 3,
-])  # fmt: skip
-def test_state_of_another_bank_is_refused(state):
-    bank = support.paper_bank(N, ARX(2, 2))
-    with unchanged(bank), pytest.raises((ValueError, TypeError), match=r"state: (expected|theta: )|numpy\.load makes"):
-        bank.restore(state)
-
-
 @pytest.mark.parametrize(("name", "value", "words"), [
     ("R", 0.0, "R > 0, got"),
     ("alpha_sq", 0.0, "alpha_sq >= 1, got"),
@@ -406,23 +391,6 @@ def test_a_sample_that_one_filter_refuses_changes_no_actuator_and_is_named(scali
     tracker = support.paper_tracker(ARX(2, 2), P=1.0, scaling="unit", influence=Linear())
     with pytest.raises(np.linalg.LinAlgError, match="sample 1"):
         tracker.run(y[:, 2], u[:, 2])
-
-
-def test_an_interrupted_run_changes_nothing(monkeypatch):
-    y, u = recording(ARX(2, 2))
-    bank = support.paper_bank(N, ARX(2, 2))
-    bank.run(y[:20], u[:20])
-    monkeypatch.setattr(following, "_CHUNK", 7 * N * 4)
-    advance, chunks = track.advance, iter(range(5))
-
-    def interrupted(*args):
-        if next(chunks) == 4:
-            raise KeyboardInterrupt
-        return advance(*args)
-
-    monkeypatch.setattr(track, "advance", interrupted)
-    with unchanged(bank), pytest.raises(KeyboardInterrupt):
-        bank.run(y[20:], u[20:])
 
 
 # Whatever is asked of them, a bank does what as many trackers do: defaults, starts, watch, warnings, restore.

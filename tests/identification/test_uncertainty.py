@@ -288,11 +288,6 @@ def test_units_do_not_matter_to_the_profile():
     assert_allclose(other.std / [1.0, 1e9], one.std, rtol=1e-3)
 
 
-def test_a_linear_model_has_nothing_to_profile():
-    y, u = profiled_recording(2, [1.0, -0.8], [1.0])
-    assert not identify(y, u, ARX(1, 1)).profiled
-
-
 @pytest.fixture(scope="module")
 def too_large():
     """Return a recording of a plant of order 2, and its model of order 4."""
@@ -312,9 +307,3 @@ def test_the_pole_that_nothing_tells_has_no_narrow_interval(too_large):
     with pytest.warns(DeprecationWarning, match="sampled has no effect"):
         again = identify(y, u, OutputError(4, 4), trend="constant", sampled=False, progress=False)
     assert_array_equal(again.P, model.P)
-
-
-def test_what_is_given_goes_nowhere(too_large):
-    y, u, model = too_large
-    held = identify(y, u, OutputError(4, 4), trend="constant", fixed={"a1": float(model.theta[0])}, progress=False)
-    assert held.std[0] == 0.0

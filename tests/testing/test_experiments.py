@@ -16,7 +16,6 @@ import pytest
 from numpy.random import SeedSequence, default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from recordings import assert_refused
-from support import by_night
 
 from robust_filterpy.testing import bootstrap_interval, fit_percent, monte_carlo, rerun
 
@@ -73,20 +72,6 @@ def test_another_joblib_backend_gives_the_same_result():
         monte_carlo(draw, 2)
 
 
-@pytest.mark.slow
-def test_dask_cluster_gives_the_same_result():
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster),
-        joblib.parallel_config(backend="dask"),
-    ):
-        study = monte_carlo(lambda rng: (os.getpid(), draw(rng)), 40, seed=1)
-    pids, values = study.stacked()
-    assert os.getpid() not in pids
-    assert_array_equal(values, monte_carlo(draw, 40, seed=1).stacked())
-
-
 def test_a_study_can_be_extended():
     whole = monte_carlo(draw, 10, seed=5).stacked()
     assert_array_equal(monte_carlo(draw, range(6, 10), seed=5).stacked(), whole[6:])
@@ -139,56 +124,41 @@ def test_keyboard_interrupt_returns_what_is_done():
         study = monte_carlo(trial, 20)
     assert study.results == done and len(study) == 7 and study.runs == 20
     assert study.stopped == "KeyboardInterrupt"
-
-
-def test_keyboard_interrupt_before_the_first_run_comes_through():
-    def trial(rng):
-        raise KeyboardInterrupt
-
+    done[:] = range(7)
+    # Before the first run it comes through.
     with pytest.raises(KeyboardInterrupt):
         monte_carlo(trial, 3)
 
 
 SCRIPT = """
-    import sys, time, warnings
-    from typing import NamedTuple
+    import time, warnings
     from robust_filterpy.testing import monte_carlo
-
-    class Out(NamedTuple):
-        value: float
 
     def trial(rng):
         time.sleep(0.05)
-        return Out(rng.normal())
+        return rng.normal()
 
     if __name__ == "__main__":
         warnings.simplefilter("ignore")
         monte_carlo(trial, 2, n_jobs=2)
         print("ready", flush=True)
         study = monte_carlo(trial, 2000, seed=4, n_jobs=2)
-        stack = study.stacked()
-        assert type(stack) is Out and list(study.indices) == list(range(len(study)))
-        print(len(study), study.stopped, float(stack.value.sum()), flush=True)
+        print(len(study), study.stopped, float(study.stacked().sum()), flush=True)
 """
 
 
-def start_script(tmp_path):
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_ctrl_c_returns_what_the_workers_have_done(tmp_path):
     script = tmp_path / "study.py"
     script.write_text(textwrap.dedent(SCRIPT))
     # A shell's background jobs ignore Ctrl-C, and their children would too.
     default = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, script], stdout=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=default
     )
-
-
-@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
-@pytest.mark.parametrize("send", by_night([os.kill, os.killpg], os.killpg), ids=["parent alone", "group"])
-def test_ctrl_c_returns_what_the_workers_have_done(tmp_path, send):
-    process = start_script(tmp_path)
     assert process.stdout.readline() == "ready\n"
     time.sleep(1.5)
-    send(process.pid, signal.SIGINT)
+    os.killpg(process.pid, signal.SIGINT)
     output, _ = process.communicate(timeout=30)
     count, stopped, total = output.split()
     assert process.returncode == 0 and stopped == "KeyboardInterrupt"
@@ -278,8 +248,6 @@ def test_fit_percent_is_the_root_of_the_coefficient_of_determination():
     determination = 1 - np.sum((y - model) ** 2) / np.sum((y - y.mean()) ** 2)
     assert_allclose(fit_percent(y, model), 100 * (1 - np.sqrt(1 - determination)))
     assert fit_percent(y, y) == 100
-    assert_allclose(fit_percent(y, np.full(50, y.mean())), 0, atol=1e-10)
-    assert_allclose(fit_percent(7 * y - 2, 7 * model - 2), fit_percent(y, model))
     both = fit_percent(np.stack([y, 2 * y]), np.stack([model, y]), axis=1)
     assert_allclose(both, [fit_percent(y, model), fit_percent(2 * y, y)])
 
@@ -325,27 +293,14 @@ def test_paired_resampling_profits_from_common_noise():
     assert_allclose(paired.standard_error, residual.std() / luck.mean() / np.sqrt(200), rtol=0.15)
 
 
-def test_bootstrap_interval_depends_on_its_generator_alone():
-    sample = default_rng(6).normal(size=30)
-    same = [bootstrap_interval(sample, rng=default_rng(7), n_resamples=99) for _ in range(2)]
-    assert same[0] == same[1] == bootstrap_interval(sample, rng=7, n_resamples=99)
-    assert same[0] != bootstrap_interval(sample, rng=8, n_resamples=99)
-
-
-@pytest.mark.parametrize("method", ["BCa", "percentile", "basic"])
-def test_a_step_common_to_all_runs_gives_a_point(method):
+def test_a_step_common_to_all_runs_gives_a_point_and_a_statistic_has_a_name_or_is_a_function():
     sample = np.stack([np.full(20, 3.0), np.arange(20.0)], axis=1)
-    interval = bootstrap_interval(sample, "mean", rng=0, n_resamples=199, method=method)
-    assert interval.low[0] == interval.high[0] == 3.0
-    assert interval.low[1] < 9.5 < interval.high[1]
-
-
-def test_batches_and_callables_change_nothing():
-    sample = default_rng(8).normal(size=(40, 3))
     named = bootstrap_interval(sample, "rms", rng=0, n_resamples=199)
-    own = bootstrap_interval(sample, lambda s, axis: np.sqrt(np.mean(s**2, axis=axis)), rng=0, n_resamples=199)
-    for found, expected in zip(own, named, strict=True):
-        assert_allclose(found, expected)
+    own = bootstrap_interval(
+        sample, lambda s, axis: np.sqrt(np.mean(s**2, axis=axis)), rng=default_rng(0), n_resamples=199
+    )
+    assert named.low[0] == named.high[0] == 3.0 and named.low[1] < named.high[1]
+    assert_array_equal(named, own)
 
 
 def test_wrong_bootstrap_arguments_are_named():
