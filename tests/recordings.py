@@ -30,6 +30,21 @@ def recording(seed, length=400, share=0.1, sigma=0.3, inside=False, a=A, b=B):
     return lfilter(b, a, u) + (lfilter([1.0], a, noise) if inside else noise), u
 
 
+STATES = np.array([[0.8, 0.4, 0.0], [-0.4, 0.8, 0.0], [0.0, 0.0, 0.6]])
+INPUTS = np.array([[1.0, 0.3], [0.2, -0.6], [0.5, 1.0]])
+OUTPUTS = np.array([[1.0, 0.0, 0.7], [0.3, -1.0, 0.4]])
+
+
+def of_states(seed, samples=500, outliers=0.1, noise=0.2, driven=0.0, gain=1.0):
+    """Two outputs at levels of their own, from a state that is not at rest, and two inputs."""
+    rng = np.random.default_rng(seed)
+    u, x, y = rng.choice([-1.0, 1.0], (samples, 2)), rng.normal(size=3), np.empty((samples, 2))
+    for k in range(samples):
+        y[k] = OUTPUTS @ x
+        x = STATES @ x + gain * INPUTS @ u[k] + driven * rng.normal(size=3)
+    return y + wild(rng, y.shape, noise, outliers) + [5.0, -300.0], u
+
+
 @contextmanager
 def silence(category=Warning):
     """Let a warning be an error."""

@@ -1,43 +1,19 @@
-"""Parts of a study: the paper's figures and claims, which come out of one command."""
+"""Parts of two studies: the paper's claims, which come out of one command, and the servo's loop on bad sensors."""
 
 import importlib
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose
 
+from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.plants import simulate_output_error
+from robust_filterpy.plants.servo import simulate_servo
 
 PAPER = Path(__file__).parents[2] / "examples" / "paper"
-
-
-def reproduce(out, *arguments):
-    """Run the command in a process of its own."""
-    return subprocess.run(
-        [sys.executable, str(PAPER / "reproduce.py"), "--runs", "2", "--out", str(out), *map(str, arguments)],
-        env={**os.environ, "MPLBACKEND": "Agg"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-
-
-@pytest.mark.nightly
-def test_figures_that_are_asked_for_and_a_report_that_does_not_depend_on_the_number_of_jobs(tmp_path):
-    reports = []
-    for jobs in (1, 2):
-        out = tmp_path / str(jobs)
-        done = reproduce(out, "--jobs", jobs, "--only", 4, 11)
-        assert done.returncode == 0, done.stderr
-        assert {path.name for path in out.glob("*.png")} == {"fig04.png", "fig11.png"}
-        reports.append((out / "report.md").read_text(encoding="utf-8"))
-    assert reports[0] == reports[1]
-    assert "does not hold" in reports[0]
 
 
 @pytest.fixture
@@ -92,3 +68,24 @@ def test_bound_without_drift_and_prior_is_the_cramer_rao_bound(paper):
     g = np.repeat(np.random.default_rng(1).standard_normal((1, identification.STEPS, 4)), 2, axis=0)
     bound, cramer_rao = identification.bounds(g[..., :, None] * g[..., None, :], plant)
     assert bound[-1] ** 0.5 == pytest.approx(cramer_rao, rel=1e-4)
+
+
+def test_outliers_move_the_piston_less_when_the_robust_filter_runs_the_loop(monkeypatch):
+    monkeypatch.syspath_prepend(str(PAPER.parent))
+    ServoObserver = importlib.import_module("servo.observer").ServoObserver
+    n, dt, std = 1000, 0.01, np.array([5e-5, 500.0, 500.0])
+    reference = 0.02 * np.where(np.random.default_rng(0).random(n // 20) < 0.5, -1.0, 1.0).repeat(20)
+
+    def drive(noise, filter):
+        return simulate_servo(reference, dt, noise=noise, observer=ServoObserver(filter(6, 3, 6), dt, std))
+
+    deviations, travels = np.empty((2, 3, 2))
+    for i, seed in enumerate((11, 12, 13)):
+        rng = np.random.default_rng(seed)
+        noise = np.column_stack([Contaminated(0.1, 40.0, s).rvs(size=n, random_state=rng) for s in std])
+        without = drive(np.where(np.abs(noise) > 5 * std, noise / 40, noise), KalmanFilter)
+        for j, filter in enumerate((KalmanFilter, RobustKalmanFilter)):
+            recording = drive(noise, filter)
+            deviations[i, j] = np.sqrt(np.mean((recording.position - without.position) ** 2))
+            travels[i, j] = np.abs(np.diff(recording.valve)).sum() - np.abs(np.diff(without.valve)).sum()
+    assert np.all(deviations[:, 1] < 0.7 * deviations[:, 0]) and np.all(travels[:, 1] < 0.4 * travels[:, 0])

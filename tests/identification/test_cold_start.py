@@ -35,22 +35,6 @@ def test_given_nothing_it_finds_the_plant_the_level_and_the_noise(structure):
         np.testing.assert_allclose(tracker.simulate(u[:50]), 20.0 + lfilter(B, A, u[:50]), atol=0.6)
 
 
-@pytest.mark.parametrize(
-    "structure", support.by_night([OutputError(2, 2), ARX(2, 2), FIR(4)], OutputError(2, 2), FIR(4)), ids=str
-)
-def test_neither_units_nor_the_level_matter(structure):
-    y, u = recording(0, 300)
-    one = ParameterTracker(structure)
-    one.run(y, u)
-    for factor, level in ((1e-3, 0.0), (1.0, 50.0)):
-        other = ParameterTracker(structure)
-        other.run(level + factor * y, u)
-        size = np.where(np.arange(structure.n_theta) < structure.na + structure.nf, 1.0, factor)
-        np.testing.assert_allclose(other.theta / size, one.theta, rtol=1e-5, atol=1e-6)
-        np.testing.assert_allclose(other.std / size, one.std, rtol=1e-4)
-        assert other.R / factor**2 == pytest.approx(one.R, rel=1e-4)
-
-
 def test_until_there_is_a_model_nothing_is_claimed():
     y, u = recording(0, 60)
     y += 5.0
@@ -242,9 +226,7 @@ def test_every_pair_of_values_is_tried_and_shown():
     y, u = drifting_gain()
     found = tracker().tuned(y, u, over={"Q": [0.0, 1e-3, 1.0], "forgetting": [0.5, 0.9, 1.0]})
     assert len(found.rows) == 9
-    assert {tuple(row.values) for row in found.rows} == {("Q", "forgetting")}
-    text = str(found)
-    assert len(text.splitlines()) == 11 and "chosen" in text
+    assert len(str(found).splitlines()) == 11 and "chosen" in str(found)
     frame = found.to_frame()
     assert list(frame) == ["Q", "forgetting", "log_likelihood"]
     assert frame.log_likelihood.max() == found.best.log_likelihood

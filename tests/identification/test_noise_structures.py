@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from statsmodels.tsa.arima.model import ARIMA
 
-from robust_filterpy import ARX, Huber, OutputError, ParameterTracker, identify
+from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import START, Contaminated
 from robust_filterpy.identification import AR, ARMA, ARMAX, BoxJenkins, validate
 from robust_filterpy.identification.models.noise import Noise
@@ -181,12 +181,6 @@ def test_rho_normalizer_and_likelihood_are_the_density():
     np.testing.assert_allclose(-MIXTURE.rho(E) - MIXTURE.log_normalizer(1), np.log(density(E)), rtol=1e-7)
     within = np.linspace(-20.9, 20.9, 101)
     assert Noise(MIXTURE, 1.0).log_likelihood(within) == pytest.approx(np.log(density(within)).sum(), rel=1e-7)
-
-
-def test_a_variance_that_is_given_stays():
-    r = np.random.default_rng(6).normal(size=500)
-    for influence in (Huber(), START):
-        assert Noise(influence, 9.0, given=True).refitted(r).R == 9.0
 
 
 def test_with_outliers_of_two_sizes_the_likelihood_tells_less_noise_from_more():

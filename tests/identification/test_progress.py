@@ -43,7 +43,7 @@ def watching():
     ("identify", lambda: identify(*SHORT, StateSpace(2)), " s, "),
     # Only the outer call speaks.
     ("select_structure", lambda: select_structure(*SHORT, na=[1, 2], nk=[1]), " of "),
-    ("estimate_noise", lambda: estimate_noise(level(), SHORT[0]), "stage"),
+    ("estimate_noise", lambda: estimate_noise(level(), SHORT[0]), "stage 1 of "),
     ("(estimate_noise|intervals)", lambda: estimate_noise(level(), SHORT[0]).intervals(), "intervals: "),
     ("Fusion.run", lambda: watching().run(WATCHED), " of 20"),
     ("ParameterTracker", lambda: ParameterTracker(OutputError(2, 2), start=100).run(Y, U), "a model of"),
@@ -70,16 +70,6 @@ def test_a_short_call_says_nothing_and_progress_asked_for_is_shown_from_the_begi
     assert capsys.readouterr().err == ""
     identify(*SHORT, OutputError(2, 2), progress=True)
     assert "identify: 0 s, search from" in capsys.readouterr().err
-
-
-def test_a_fit_of_several_factors_counts_its_stages(monkeypatch):
-    said = []
-    monkeypatch.setattr(_progress._Lines, "stage", lambda self, text: said.append(text))
-    kf = RobustKalmanFilter(2, 2)
-    kf.F, kf.H = np.eye(2), np.eye(2)
-    estimate_noise(kf, np.random.default_rng(1).normal(size=(60, 2)), R="each")
-    counted = [text.partition(",")[0] for text in said]
-    assert list(dict.fromkeys(counted)) == [*(f"stage {k} of 6" for k in range(1, 6)), "last stage"]
 
 
 def test_an_error_ends_the_stages(clock, capsys):

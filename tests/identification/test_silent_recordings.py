@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.identification import AR, ARMAX, FIR, GreyBox, StateSpace, compare, select_structure, validate
 from robust_filterpy.identification.models.noise import fit_percent
-from robust_filterpy.influence.regression import mad_scale, resolution, robust_regression, size_of
+from robust_filterpy.influence.regression import resolution, robust_regression
 
 SECOND = [0.0, 0.5, 0.2]
 LAG = np.exp(-0.3)
@@ -270,18 +270,6 @@ def test_parameters_that_no_noise_tells_apart_are_named():
         identify(y, u, ARX(3, 3))
     with pytest.warns(UserWarning, match="no noise but rounding: the coefficients of C and D"):
         identify(y, u, ARMAX(2, 2, 1))
-
-
-def test_size_is_that_of_what_moves_where_the_median_rests():
-    rng = np.random.default_rng(0)
-    noisy = rng.normal(size=1000)
-    wild = np.where(rng.random(1000) < 0.1, 1e9, noisy)
-    for signal in (noisy, wild, noisy.round(1), np.where(np.arange(1000) == 500, 1e30, noisy)):
-        assert size_of(signal) == mad_scale(signal)
-    y = driven("pulse")[0]
-    assert mad_scale(y) < 1e-9 and size_of(y) > 0.03
-    assert size_of(driven("pulse", 1)[0]) > 0.03
-    assert size_of(np.zeros(50)) == 0.0
 
 
 @pytest.mark.parametrize("step", [1.0, 0.1, 1e-3])

@@ -61,13 +61,8 @@ def test_a_structure_is_its_orders_and_says_how_it_was_made():
         assert eval(repr(structure)) == structure == Structure(**structure.get_params())
     assert Structure(na=2, nb=2, form="ARX") == ARX(2, 2) != ARMAX(2, 2, 0)
     assert Structure(1, 1, 1, 1, 1).names == ("a1", "b1", "f1", "c1", "d1")
-
-
-def test_names_follow_theta():
     assert ARMAX(1, (1, 2), 1).names == ("a1", "b1[0]", "b1[1]", "b2[1]", "c1")
     assert LinearRegression(2).names == ("theta1", "theta2")
-    for structure in (ARX(2, 1), FIR((1, 2)), ARMAX(1, 0, 2), LinearRegression(3)):
-        assert len(structure.names) == structure.n_theta
 
 
 def test_structures_are_values():
@@ -162,14 +157,3 @@ def test_residuals_of_an_output_error_model_are_measured_less_filtered():
     start = lfilter([1.0, -1.2, 0.6], [1.0], np.concatenate((w[:2], np.zeros(2))))[2:]
     residuals = model.residuals(np.concatenate((p, -start)))
     np.testing.assert_allclose(residuals, (y - w - 3.0)[2:], rtol=1e-10)
-
-
-def test_a_delay_moves_the_first_residual_not_the_others():
-    late, early = OutputError(1, 1, nk=5), OutputError(1, 1)
-    y, u = recorded(early)
-    moved = np.concatenate((np.zeros((4, 1)), u[:-4]))
-    p = np.array([-0.5, 1.0, 0.0])
-    now = PolynomialModel(late, y, u, False).residuals(p)
-    then = PolynomialModel(early, y, moved, False)
-    assert now.size == 55
-    np.testing.assert_allclose(now, then.residuals(p)[4:] * 1.0, atol=1e-12)

@@ -219,11 +219,8 @@ def test_tracker_goes_on_where_the_bank_is():
         close(tracker.run(y[70:, i], u[70:, i]), expected.tracker(i))
         tracker.reset()
         close(tracker.run(y[:70, i], u[:70, i]), first.tracker(i))
-    for outside in (N, -1):
-        with pytest.raises(IndexError, match="actuator: expected 0 to 4"):
-            bank.tracker(outside)
-    for wrong in ("a", True, 1.0, None):
-        with pytest.raises(TypeError, match="actuator: expected an integer from 0 to 4, got"):
+    for wrong in (N, -1, "a", True, 1.0, None):
+        with pytest.raises((IndexError, TypeError), match=r"actuator: expected .*0 to 4"):
             bank.tracker(wrong)
 
 
@@ -234,10 +231,10 @@ def test_which_actuators_learn_is_a_list_of_bools():
     bank = support.paper_bank(N, FIR(2))
     bank.enabled = np.arange(N) != 1
     bank.enabled[3] = False
-    for wrong in (np.ones(4, dtype=bool), [1, 0, 1, 0, 1], None):
-        with pytest.raises((TypeError, ValueError), match="enabled: expected"):
-            bank.enabled = wrong
     assert bank.enabled.tolist() == [True, False, True, False, True]
+    assert_refused(lambda enabled: setattr(bank, "enabled", enabled), {"enabled": True}, {
+        "enabled": [np.ones(4, dtype=bool), [1, 0, 1, 0, 1], None],
+    })  # fmt: skip
 
 
 @pytest.mark.parametrize("structure", MIXED, ids=str)
@@ -356,24 +353,6 @@ def test_a_refused_call_changes_nothing(call, good, wrong):
 def test_the_actuator_and_the_sample_are_named(call, words):
     with pytest.raises(ValueError, match=words):
         call(support.paper_bank(N, OutputError(2, 2)))
-
-
-@pytest.mark.parametrize(("name", "value", "words"), [
-    ("R", [1.0, 1.0, -1.0, 1.0, 1.0], "R: expected.*actuator 2"),
-    ("Q", np.ones(4), "Q: expected one for all or a list of 5"),
-    ("Q", np.full((4, 4), np.nan), "Q: expected finite numbers"),
-    ("F", 1e200 * np.eye(4), "finite"),
-])  # fmt: skip
-def test_settings_spoilt_between_samples_are_refused(name, value, words):
-    bank = support.paper_bank(N, OutputError(2, 2))
-    y, u = recording(OutputError(2, 2), missing=False)
-    bank.run(y[:20], u[:20])
-    good = getattr(bank, name)
-    with unchanged(bank):
-        with pytest.raises((ValueError, TypeError), match=words):
-            setattr(bank, name, value)
-            bank.update(y[20], u[20])
-        setattr(bank, name, good)
 
 
 @pytest.mark.parametrize("scaling", ["unit", ["innovation", "unit", "unit", "innovation", "innovation"]])

@@ -172,6 +172,7 @@ def test_several_inputs_have_a_row_each():
     for i in range(2):
         np.testing.assert_allclose(found.response[i], plant[0, i](np.exp(1j * found.omega)), rtol=1e-9)
     assert found.to_control().frdata.shape == (1, 2, 2)
+    assert list(model.step_response(5).to_frame().columns[:2]) == ["response[0]", "response[1]"]
     assert model.zeros(input=0).values.size == 0 and model.zeros(input=1).values == pytest.approx(
         -model.theta[3:4] / model.theta[2:3]
     )

@@ -190,17 +190,6 @@ def test_scores_that_scatter_more_than_their_information_says_are_judged_by_thei
     assert gain.changed(steady * [0.1, 1.0]) == 0.0
 
 
-@pytest.mark.nightly
-@support.draws(3, 12)
-def test_coloured_noise_and_an_input_that_hardly_moves_are_no_other_gain(draws):
-    for seed in range(draws):
-        rng = np.random.default_rng([34, seed])
-        u = rng.choice([-1.0, 1.0], 10).repeat(150)
-        u[:400] = rng.choice([-1.0, 1.0], 400)
-        y = lfilter(B, A, u) + 0.3 * lfilter([1.0], [1.0, -0.95], rng.normal(size=1500))
-        assert not any("its gain" in text for text in sentences(ParameterTracker(OutputError(2, 2)), y, u))
-
-
 def test_what_the_inputs_make_in_the_residuals_is_what_another_gain_leaves():
     structure, u = BoxJenkins(nb=2, nc=1, nd=1, nf=2), np.random.default_rng(33).normal(size=(200, 1))
     b, f, c, d = [1.0, 0.5], [-1.5, 0.7], [0.4], [-0.3]

@@ -48,17 +48,6 @@ def test_robust_deviates_less_than_kalman_in_every_disturbance(scores, name):
     assert scores[name].quiet < scores["KalmanFilter"].quiet
 
 
-def test_huber_believes_a_stop_that_lasts_and_tukey_never(scores):
-    for stop in STOPS:
-        assert scores["Robust, Tukey"].worst[stop] < 3.5 < 9 < scores["Robust, Huber"].worst[stop]
-    assert scores["KalmanFilter"].accepts < scores["Robust, Huber"].accepts < 72
-    assert scores["Robust, Huber, expected"].accepts > 2 * scores["Robust, Huber"].accepts
-    assert scores["Robust, Tukey"].accepts is None
-    # Redescending with expected information locks out.
-    assert scores["Robust, Tukey, expected"].back["stop 2"] is None
-    assert all(hours is not None for hours in scores["Robust, Tukey"].back.values())
-
-
 # -- README's first figure
 
 

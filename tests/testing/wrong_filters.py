@@ -295,12 +295,6 @@ def by_component(root, y):
     return root @ np.clip(np.linalg.solve(root, y), -1.5, 1.5)
 
 
-def capped(P):
-    """A covariance scaled to variances of at most 1e4."""
-    shrink = np.sqrt(np.minimum(1.0, 1e4 / np.diag(P)))
-    return shrink[:, None] * P * shrink
-
-
 def huber_without_constant(size, k):
     """-rho of a standardized innovation."""
     return -0.5 * min(size, k) ** 2 - k * max(size - k, 0.0)
@@ -330,8 +324,6 @@ fault("NaNDropsAll", "One missing component, and the others are not used either.
       read=lambda self, z: None if z is None or np.isnan(z).any() else Textbook.read(self, z))
 fault("RoundedToIntegers", "The new state is an array like the old one.", "integers_are_numbers_like_any_other",
       corrected=lambda self, x, K, y: (x + K @ y).astype(x.dtype))
-fault("VarianceWithACeiling", "No variance grows above 1e4.", "units_change_nothing",
-      spread=lambda self, P: capped(Textbook.spread(self, P)))
 fault("OneSided", "Cuts what is too large, not what is too small.", "mirror_image_of_the_data_gives_the_mirror_image",
       of=TextbookRobust,
       bounded=lambda self, y, size: (
@@ -355,8 +347,6 @@ fault("BiasedSensor", "An offset left in from a calibration.", "small_innovation
       "mirror_image_of_the_data_gives_the_mirror_image",
       innovation=lambda self, z: Textbook.innovation(self, z) + 0.2)
 fault("SignOfGain", "x+ = x - K y.", "small_innovations_are_believed", corrected=lambda self, x, K, y: x - K @ y)
-fault("GainWithoutS", "K = P H', not divided by S.", "small_innovations_are_believed",
-      gain=lambda self, P, S: P @ self.H.T)
 fault("PNotUpdated", "P+ = P.", "measurement_makes_the_state_more_certain", shrunk=lambda self, P, K, S: P)
 fault("PNeverSymmetrised",
       "P+ = P - K (H P) with K made of (H P)', which lets an asymmetry of P grow; with P H' it would die out.",
@@ -381,9 +371,6 @@ fault("RoundedState", "x is kept to eight digits after the point.", "units_chang
       corrected=lambda self, x, K, y: np.round(Textbook.corrected(self, x, K, y), 8))
 fault("LikelihoodWithoutConstant", "Without log 2 pi.", "likelihood_is_the_gaussian_density_of_the_innovation",
       likelihood=lambda self, y, S: Textbook.likelihood(self, y, S) + 0.5 * self.dim_z * math.log(2 * math.pi))
-fault("LikelihoodOfTheResidual", "That of z - H x+, after the update.",
-      "likelihood_is_the_gaussian_density_of_the_innovation",
-      likelihood=lambda self, y, S: Textbook.likelihood(self, y - self.H @ self.gain(self.P, S) @ y, S))
 fault("Overconfident", "A gain of its own, and a P that is a fifth of what it should be.",
       "errors_are_as_large_as_P_says", not_claimed=(*PLAIN, "exact"),
       shrunk=lambda self, P, K, S: 0.2 * Textbook.shrunk(self, P, K, S))
@@ -406,9 +393,6 @@ fault("GainTooLarge", "A fifth more than the Kalman gain.", "small_innovations_a
       corrected=lambda self, x, K, y: x + 1.2 * K @ y)
 fault("WeightsFromR", "The innovation is judged by R alone.", "innovations_are_judged_by_their_own_deviation",
       of=TextbookRobust, length=lambda self, y, S: TextbookRobust.length(self, y, self.noise()))
-fault("WeightsFromPredictedState", "The innovation is judged by H P H' alone.",
-      "innovations_are_judged_by_their_own_deviation", of=TextbookRobust,
-      length=lambda self, y, S: TextbookRobust.length(self, y, S - self.noise() + 1e-9 * S))
 fault("Timid", "Bounded far out only: most outliers come through.", "outliers_cost_little", of=TextbookRobust, k=9.5)
 fault("Deaf", "A threshold of .1: good data are cut, and P knows it.", "innovations_are_white",
       "clean_data_are_used_well", of=TextbookRobust, k=0.1)
