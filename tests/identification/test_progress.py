@@ -43,7 +43,7 @@ def watching():
     ("identify", lambda: identify(*SHORT, StateSpace(2)), " s, "),
     # Only the outer call speaks.
     ("select_structure", lambda: select_structure(*SHORT, na=[1, 2], nk=[1]), " of "),
-    ("estimate_noise", lambda: estimate_noise(level(), SHORT[0]), "stage 1 of "),
+    ("estimate_noise", lambda: estimate_noise(level(), SHORT[0]), "stage 2 of 3"),
     ("(estimate_noise|intervals)", lambda: estimate_noise(level(), SHORT[0]).intervals(), "intervals: "),
     ("Fusion.run", lambda: watching().run(WATCHED), " of 20"),
     ("ParameterTracker", lambda: ParameterTracker(OutputError(2, 2), start=100).run(Y, U), "a model of"),
