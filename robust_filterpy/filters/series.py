@@ -24,7 +24,7 @@ from robust_filterpy.filters.driver import run
 from robust_filterpy.filters.notices import say_stuck_among
 from robust_filterpy.filters.policies import Carried, Options, policy_of, with_options
 from robust_filterpy.kernel import series as kernel
-from robust_filterpy.kernel.series import Model, Output, Rows
+from robust_filterpy.kernel.series import Model, Rows
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -46,7 +46,7 @@ class SeriesArguments(NamedTuple):
     """Start of each series, (series, n); a copy, as P."""
     P: Array
     """(series, n, n)"""
-    output: Output
+    rows: Rows
     every: int
     """Distance of kept steps."""
     skips: bool
@@ -54,9 +54,8 @@ class SeriesArguments(NamedTuple):
 
     def covariances(self, covariance: str) -> Array | None:
         """Return what was asked for of the covariances."""
-        if covariance == "none":
-            return None
-        return self.output.covariances[:, :, 0] if covariance == "diagonal" else self.output.covariances
+        shape = (*self.rows.means.shape, self.P.shape[1])  # type: ignore[union-attr]
+        return self.rows.covariances.reshape(shape) if covariance == "full" else self.rows.covariances  # type: ignore
 
 
 def series_arguments(
@@ -96,13 +95,11 @@ def series_arguments(
     _checks.covariance("P0", started, _checks.GATHERED, _checks.ROUNDING)
     x, P = np.broadcast_to(x0, (series, n)).copy(), np.broadcast_to(P0, (series, n, n)).copy()
     every = _every(keep, steps)
-    rows = steps // every if every else 0
-    shape = {"full": (n, n), "diagonal": (1, n), "none": (0, 0)}[covariance]
-    output = Output(
-        np.empty((series, rows, n)), np.empty((series, rows, *shape)), np.empty((series, 0, n)),
-        np.empty((series, 0, n, n)), np.empty((series, rows, m)), np.zeros(series),
-    )  # fmt: skip
-    return SeriesArguments(z, model, x, P, output, every, skips)
+    kept, width = steps // every, {"full": n * n, "diagonal": n, "none": 0}[covariance]
+    covariances = np.empty((series, kept, width)) if width else None
+    weights, likelihood = np.empty((series, kept, m)), np.zeros(series)
+    rows = Rows(np.empty((series, kept, n)), covariances, weights=weights, log_likelihood=likelihood)
+    return SeriesArguments(z, model, x, P, rows, every, skips)
 
 
 def _in_parts(part: Callable[[int, int], None], series: int, n_threads: int | None) -> None:
@@ -342,28 +339,28 @@ def filter_series(
             raise TypeError(f"state: expected what filter_series returned as state, got {type(state).__name__}")
         x0, P0 = state["x"], state["P"]
     given = series_arguments(zs, F, H, Q, R, x0, P0, keep, covariance, refused)
-    steps, output = given.z.shape[1], given.output
+    steps, rows = given.z.shape[1], given.rows
     policy = policy_of(**options)
     is_mixture = policy.noise is not None
     stands = began(policy, given, learnt) if state is None else continued(policy, given, state)
     before = None if is_mixture or "spread" not in stands else stands["spread"][:, :, FILLED].copy()
-    scale = np.empty(output.means.shape) if is_mixture else None
-    outlying = np.empty(output.weights.shape) if is_mixture else None
+    if is_mixture:
+        rows = rows._replace(outlying=np.empty(rows.weights.shape), scale=np.empty(rows.means.shape))  # type: ignore
 
     def part(low: int, high: int) -> None:
         """Advance some series: all together by psi and the kernel, then each from where that declined."""
         done = np.zeros(high - low, dtype=int) if is_mixture else _together(policy.choices, given, stands, low, high)
         for s in (low + np.flatnonzero(done < steps)).tolist():
-            _alone(policy, given, stands, scale, outlying, s, int(done[s - low]))
+            _alone(policy, given, rows, stands, s, int(done[s - low]))
 
     _in_parts(part, len(given.z), n_threads)
     if is_mixture or before is not None:
-        stuck = (output.weights == 0.0).any(axis=1) if before is None else stands["spread"][:, :, FILLED] > before
+        stuck = (rows.weights == 0.0).any(axis=1) if before is None else stands["spread"][:, :, FILLED] > before
         say_stuck_among("filter_series", "series", stuck)
-    probability = None if outlying is None else policy.any_outlier(outlying)  # type: ignore[union-attr]
+    probability = None if rows.outlying is None else policy.any_outlier(rows.outlying)  # type: ignore[union-attr]
     return FilteredSeries(
-        output.means, given.covariances(covariance), output.log_likelihood, output.weights, probability, scale, stands
-    )  # fmt: skip
+        rows.means, given.covariances(covariance), rows.log_likelihood, rows.weights, probability, rows.scale, stands
+    )  # type: ignore[arg-type]  # fmt: skip
 
 
 def _together(choices: Choices, given: SeriesArguments, stands: dict[str, Array], low: int, high: int) -> np.ndarray:
@@ -372,19 +369,17 @@ def _together(choices: Choices, given: SeriesArguments, stands: dict[str, Array]
         return np.zeros(high - low, dtype=int)
     return kernel.filter_series(
         choices, given.z, Model(*given.model, np.zeros((1, 1, given.x.shape[1]))), stands["x"], stands["P"],
-        given.output, memory=stands.get("spread"), every=given.every, span=(low, high),
+        given.rows, memory=stands.get("spread"), every=given.every, span=(low, high),
     )[low:high]  # fmt: skip
 
 
 def _alone(
-    policy: Any, given: SeriesArguments, stands: dict[str, Array], scale: Array | None, outlying: Array | None,
-    s: int, first: int,
-) -> None:  # fmt: skip
+    policy: Any, given: SeriesArguments, rows: Rows, stands: dict[str, Array], s: int, first: int
+) -> None:
     """Take the steps of one series from one on."""
-    out, every, at = given.output, given.every, {name: array[s] for name, array in stands.items()}
-    covariances = out.covariances[s].reshape(len(out.means[s]), -1) if out.covariances[s].size else None
-    scales, odds = (None if column is None else column[s] for column in (scale, outlying))
-    into = Rows(out.means[s], covariances, None, None, out.weights[s], odds, scales, out.log_likelihood[s : s + 1])
+    every, at = given.every, {name: array[s] for name, array in stands.items()}
+    likelihood: Any = rows.log_likelihood
+    into = Rows(*(None if column is None else column[s] for column in rows[:-1]), likelihood[s : s + 1])
     apart = Carried(at["means"], at["covariances"], at["belief"], at["x"], at["P"]) if "means" in at else None
     memory = at.get("learnt", at.get("spread", policy.begin(given.z.shape[2])))
     state = policy.standing(apart, at["x"], at["P"], memory)
@@ -400,7 +395,7 @@ def _alone(
             if column is not None:
                 column[error.step // every :] = np.nan  # type: ignore[attr-defined]
         # What was learned of its noise stays.
-        out.log_likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
+        likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
     for name, value in zip(("means", "covariances", "belief", "spread", "x", "P"), state, strict=True):
         name = "learnt" if name == "spread" and "learnt" in at else name
         if name in at:

@@ -24,7 +24,7 @@ from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
 from robust_filterpy.identification.recursive.tracker import ParameterTracker, keeps_spread
 from robust_filterpy.kernel import series as kernel
-from robust_filterpy.kernel.series import Model, Output
+from robust_filterpy.kernel.series import Model, Rows
 
 #: What an impossible step raises.
 REFUSED = (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError)
@@ -207,28 +207,26 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, row
     z, Bu = work.z[every], series.model.Bu
     if work.u is not None and series.B is not None:
         Bu = np.ascontiguousarray(work.u[every] @ series.B.T)
-    output = Output(
-        np.empty((len(rows), steps, n)), np.empty((len(rows), steps, 1, n)), np.empty((len(rows), 0, n)),
-        np.empty((len(rows), 0, n, n)), np.empty((len(rows), steps, m)), np.zeros(len(rows)),
-    )  # fmt: skip
-
+    columns = [np.empty((len(rows), steps, width)) for width in (n, n, m)]
     moving, learns = _moving(work), "spread" in work.entries
 
     def by_kernel(own: slice, k: int) -> np.ndarray:
         """Take steps of some keys from one on and return the first that the kernel declines, of each."""
-        keys, out = rows[own], Output(*(a[own] for a in output))
+        keys, out = rows[own], [column[own] for column in columns]
         model = series.model._replace(Bu=Bu if len(Bu) == 1 else Bu[own])
         # Copies, since what is written to a part of a fancy index is lost.
         x, P, memory = (whole[keys] for whole in moving)
+        into = Rows(*out[:2], weights=out[2], log_likelihood=np.zeros(len(keys)))
         done = kernel.filter_series(
-            series.choices, z[own], model, x, P, out,
+            series.choices, z[own], model, x, P, into,
             memory=memory if learns else None, alpha_sq=series.alpha_sq, start=k,
         )  # fmt: skip
         for whole, part in zip(moving, (x, P, memory), strict=True):
             whole[keys] = part
         taken = slice(k, int(done.max()))
-        std = np.sqrt(np.maximum(out.covariances[:, taken, 0], 0.0))
-        work.columns[every[own, taken]] = np.concatenate((out.means[:, taken], std, out.weights[:, taken]), axis=2)
+        mean, variance, weight = (part[:, taken] for part in out)
+        std = np.sqrt(np.maximum(variance, 0.0))
+        work.columns[every[own, taken]] = np.concatenate((mean, std, weight), axis=2)
         return done
 
     done = by_kernel(slice(None), 0)

@@ -192,7 +192,7 @@ def _numbers(stretch: Stretch, bank: _Bank) -> Array:
 def _advance(numbers: Array, rows: tuple[Array, ...], shared: tuple[Array, ...], stamps: tuple[int, int]) -> None:
     """Take x, P and the sums of log-densities of hypotheses through some stamps, in place; shared: of a `Stretch`."""
     if (kernel := extension()) is not None:
-        kernel.advance_hypotheses(numbers, *rows, shared, *stamps)
+        kernel.advance_hypotheses((numbers, *rows), shared, *stamps)
         return
     (x, P, sums), (F, Q, drift, seconds, z, H, r, scales, shares, worth) = rows, shared
     component, onset, slack, sees, offset, grows, noise, spread = numbers[:, :8].T

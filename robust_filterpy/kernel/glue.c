@@ -31,13 +31,6 @@ int is_array(PyObject *object, int ndim) {
     return PyArray_CheckExact(object) && PyArray_NDIM((PyArrayObject *)object) == ndim;
 }
 
-/* Whether an object is an exact ndarray of float64 in C order with so many axes; read only, if that serves. */
-static int is_plain(PyObject *object, int ndim, int writable) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_array(object, ndim) || PyArray_TYPE(array) != NPY_DOUBLE) return 0;
-    return writable ? PyArray_ISCARRAY(array) : PyArray_ISCARRAY_RO(array);
-}
-
 PyObject *as_plain(held *h, PyObject *object) {
     PyArrayObject *const array = (PyArrayObject *)object;
     if (!PyArray_CheckExact(object)) return object;
@@ -89,55 +82,55 @@ const double *covariance_of(held *h, PyObject *object, npy_intp n) {
 
 double *numbers_of(PyObject *array) { return (double *)PyArray_DATA((PyArrayObject *)array); }
 
-/* The numbers, if all axes are so long. */
-static double *sized(PyObject *object, int ndim, const npy_intp *shape, int writable) {
-    if (!is_plain(object, ndim, writable)) return NULL;
-    for (int i = 0; i < ndim; i++)
-        if (PyArray_DIM((PyArrayObject *)object, i) != shape[i]) return NULL;
-    return numbers_of(object);
-}
-
 const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns) {
-    return sized(object, 2, (npy_intp[]){rows, columns}, 0);
+    PyArrayObject *const array = (PyArrayObject *)object;
+    const int plain = is_array(object, 2) && PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array);
+    return plain && PyArray_DIM(array, 0) == rows && PyArray_DIM(array, 1) == columns ? numbers_of(object) : NULL;
 }
 
 const double *vector_of(PyObject *object, npy_intp length) {
-    const npy_intp shape[2] = {length, 1};
-    return sized(object, is_array(object, 2) ? 2 : 1, shape, 0);
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!is_array(object, 1)) return matrix_of(object, length, 1);
+    const int plain = PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array);
+    return plain && PyArray_DIM(array, 0) == length ? numbers_of(object) : NULL;
 }
 
-double *writable(PyObject *object, int ndim, const npy_intp *shape) { return sized(object, ndim, shape, 1); }
-
-int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
-                  npy_intp columns) {
-    const npy_intp one = (npy_intp)sizeof(double), shape[2] = {rows, columns};
-    const int ndim = rows < 0 ? 2 : columns ? 4 : 3;
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_array(object, ndim) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISBEHAVED_RO(array)) return 0;
-    npy_intp apart = one, axes[2];
-    for (int i = ndim - 1; i > 1; apart *= shape[i - 2], i--)
-        if (PyArray_DIM(array, i) != shape[i - 2] || (shape[i - 2] > 1 && PyArray_STRIDE(array, i) != apart)) return 0;
-    for (int i = 0; i < 2; i++) {
-        axes[i] = PyArray_DIM(array, i) > 1 ? PyArray_STRIDE(array, i) : 0;
-        if (PyArray_DIM(array, i) != 1 && (i ? PyArray_DIM(array, 1) < steps : PyArray_DIM(array, 0) != series)) return 0;
-        if (axes[i] % one) return 0;
+int take_arrays(PyObject *tuple, const char *words, npy_intp lengths[AXES], void *const *places) {
+    const npy_intp one = (npy_intp)sizeof(double);
+    for (Py_ssize_t at = 0; *words; at++) {
+        PyObject *const object = PyTuple_Check(tuple) && at < PyTuple_Size(tuple) ? PyTuple_GetItem(tuple, at) : NULL;
+        PyArrayObject *const array = (PyArrayObject *)object;
+        int written = 0, optional = 0, strided = 0, type = NPY_DOUBLE;
+        for (; *words < 'a'; words++) {
+            written |= *words == '!', optional |= *words == '?', strided |= *words == '.';
+            if (*words == '#') type = NPY_INTP;
+        }
+        const char *const axes = words;
+        while (*words >= 'a') words++;
+        if (optional && object == Py_None) continue;
+        if (!object || !is_array(object, (int)(words - axes)) || PyArray_TYPE(array) != type) return 0;
+        if (!PyArray_CHKFLAGS(array, (strided ? NPY_ARRAY_ALIGNED : NPY_ARRAY_CARRAY_RO) |
+                                         (written ? NPY_ARRAY_WRITEABLE : 0)) || PyArray_ISBYTESWAPPED(array))
+            return 0;
+        npy_intp apart[2] = {0, 0}, inner = one;
+        for (int i = (int)(words - axes) - 1; i >= 0; i--) {
+            const npy_intp length = PyArray_DIM(array, i), stride = length > 1 ? PyArray_STRIDE(array, i) : 0;
+            if (AXIS(axes[i]) < 0) AXIS(axes[i]) = length;
+            if (length != AXIS(axes[i]) && !(strided && i < 2 && length == 1)) return 0;
+            if (strided && (i < 2 ? stride % one : stride && stride != inner)) return 0;
+            if (i < 2) apart[i] = stride / one;
+            inner *= length;
+        }
+        void *const data = PyArray_DATA(array);
+        if (strided) *(series_matrices *)places[at] = (series_matrices){data, apart[0], apart[1]};
+        else memcpy(places[at], &data, sizeof data);
     }
-    *found = (series_matrices){numbers_of(object), axes[0] / one, axes[1] / one};
     return 1;
 }
 
-npy_intp *integers(PyObject *object, const npy_intp rows, const npy_intp columns) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_array(object, columns < 0 ? 1 : 2) || PyArray_TYPE(array) != NPY_INTP || !PyArray_ISCARRAY(array) || (rows >= 0 && PyArray_DIM(array, 0) != rows) ||
-        (columns >= 0 && PyArray_DIM(array, 1) != columns))
-        return NULL;
-    return PyArray_DATA(array);
-}
-
-int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width) {
-    const npy_intp shape[3] = {series, rows, width};
-    *found = NULL;
-    return object == Py_None || (*found = writable(object, 3, shape)) != NULL;
+PyObject *refuse_arrays(const char *function, const char *module) {
+    return PyErr_Format(PyExc_ValueError, "%s: expected C-contiguous arrays of float64 of matching shapes, as "
+                                          "robust_filterpy.%s makes them", function, module);
 }
 
 PyObject *array_of(held *h, const double *numbers, int ndim, npy_intp first, npy_intp second, npy_intp third) {

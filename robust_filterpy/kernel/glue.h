@@ -58,15 +58,16 @@ int is_array(PyObject *object, int ndim);                            /* an exact
 /* The numbers of an exact ndarray of float64, C-contiguous, with these dimensions; NULL if it is anything else. */
 const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns);
 const double *vector_of(PyObject *object, npy_intp length);          /* also (length, 1) */
-double *writable(PyObject *object, int ndim, const npy_intp *shape); /* for what is written into */
-/* Matrices of shape (series or 1, steps or 1, rows, columns), columns 0 for vectors, rows -1 for numbers, each in one piece;
-   whether they are that. */
-int take_matrices(series_matrices *found, PyObject *object, npy_intp series, npy_intp steps, npy_intp rows,
-                  npy_intp columns);
-/* Integers, C-contiguous, with these dimensions; rows < 0: any number, columns < 0: a vector. */
-npy_intp *integers(PyObject *object, npy_intp rows, npy_intp columns);
-/* Take room for results, shape (series, rows, width), or None; return whether it is that. */
-int take_room(double **found, PyObject *object, npy_intp series, npy_intp rows, npy_intp width);
+/* Arrays of a tuple by their axes, a word for each, as "!snn ?.skm": letters, whose lengths stand in `lengths`, 'a' first,
+   where one that is not yet known, below 0, becomes that of the array. '!': it is written into; '?': it may be None, and its
+   place then stays as it is; '#': it has integers. A place is a pointer to the numbers or, of '.', a series_matrices, whose
+   first two axes may have the length 1 and any strides. Whether all is so; objects behind the last word are left aside. */
+#define AXES 26
+int take_arrays(PyObject *tuple, const char *words, npy_intp lengths[AXES], void *const *places);
+#define AXIS(letter) lengths[(letter) - 'a']
+#define UNKNOWN_AXES \
+    { -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1 }
+PyObject *refuse_arrays(const char *function, const char *module); /* an error that names who makes them; NULL */
 /* A new array, with these numbers or, where that is NULL, any, which is held; NULL with an exception. */
 PyObject *array_of(held *h, const double *numbers, int ndim, npy_intp first, npy_intp second, npy_intp third);
 double *numbers_of(PyObject *array);

@@ -86,44 +86,31 @@ static void through_any(const int n, const stretch *const s, const hypothesis *c
 }
 
 static PyObject *advance_hypotheses(PyObject *self, PyObject *arguments) {
-    PyObject *numbers, *x, *P, *sums, *given, *parts[10];
-    Py_ssize_t first, last;
+    npy_intp lengths[AXES] = UNKNOWN_AXES;
+    PyObject *moving, *given;
+    stretch s = {0};
+    double *rows, *means, *covariances, *logs;
+    int fine;
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "OOOOOnn", &numbers, &x, &P, &sums, &given, &first, &last)) return NULL;
-    if (take_objects(given, 10, parts) && is_array(parts[5], 3) && is_array(parts[7], 1) && is_array(x, 2)) {
-        PyArrayObject *const H = (PyArrayObject *)parts[5];
-        const npy_intp K = PyArray_DIM(H, 0), m = PyArray_DIM(H, 1), n = PyArray_DIM(H, 2), D = n + 1;
-        const npy_intp N = PyArray_DIM((PyArrayObject *)x, 0), classes = PyArray_DIM((PyArrayObject *)parts[7], 0);
-        const npy_intp lengths[10][3] = {{K, n, n}, {K, n, n}, {K, n}, {K}, {K, m}, {K, m, n}, {m}, {classes},
-                                         {m, classes}, {m}};
-        const int axes[10] = {3, 3, 2, 1, 2, 3, 1, 1, 2, 1};
-        const double *found[10], *const rows = matrix_of(numbers, N, HYPOTHESIS_NUMBERS + classes);
-        double *const means = writable(x, 2, (npy_intp[]){N, D});
-        double *const covariances = writable(P, 3, (npy_intp[]){N, D, D});
-        double *const logs = writable(sums, 1, &N);
-        int fine = rows && means && covariances && logs && 0 <= first && first <= last && last <= K;
-        for (int i = 0; i < 10; i++) fine = (found[i] = writable(parts[i], axes[i], lengths[i])) != NULL && fine;
-        for (npy_intp i = 0; fine && i < N; i++) {
-            const hypothesis *const one = (const hypothesis *)(rows + i * (HYPOTHESIS_NUMBERS + classes));
-            fine = one->component >= -1 && one->component < (double)m && one->onset >= 0 && one->onset < (double)K &&
-                   (one->component >= 0 || one->sees != 0);
-        }
-        if (fine) {
-            const stretch s = {found[0], found[1], found[2], found[3], found[4], found[5], found[6], found[7], found[8],
-                               found[9], first, last, m, (int)n, (int)classes};
-            const size_t needed = (size_t)(3 * D * D + 3 * D + classes) + predict_work(D);
-            double *const work = PyMem_Malloc(needed * sizeof(double));
-            if (!work) return PyErr_NoMemory();
-            for (npy_intp i = 0; i < N; i++)
-                through_any((int)n, &s, (const hypothesis *)(rows + i * (HYPOTHESIS_NUMBERS + classes)), means + i * D,
-                            covariances + i * D * D, logs + i, work);
-            PyMem_Free(work);
-            Py_RETURN_NONE;
-        }
+    if (!PyArg_ParseTuple(arguments, "OOnn", &moving, &given, &s.first, &s.last)) return NULL;
+    fine = take_arrays(given, "knn knn kn k km kmn m c mc m", lengths,
+                       (void *[]){&s.F, &s.Q, &s.control, &s.seconds, &s.z, &s.H, &s.r, &s.scales, &s.shares, &s.worth});
+    const npy_intp D = AXIS('d') = AXIS('n') + 1, width = AXIS('w') = HYPOTHESIS_NUMBERS + AXIS('c');
+    fine = fine && take_arrays(moving, "hw !hd !hdd !h", lengths, (void *[]){&rows, &means, &covariances, &logs}) &&
+           0 <= s.first && s.first <= s.last && s.last <= AXIS('k');
+    s.m = AXIS('m'), s.n = (int)AXIS('n'), s.classes = (int)AXIS('c');
+    for (npy_intp i = 0; fine && i < AXIS('h'); i++) {
+        const hypothesis *const one = (const hypothesis *)(rows + i * width);
+        fine = one->component >= -1 && one->component < (double)s.m && one->onset >= 0 &&
+               one->onset < (double)AXIS('k') && (one->component >= 0 || one->sees != 0);
     }
-    PyErr_SetString(PyExc_ValueError, "advance_hypotheses: expected C-contiguous arrays of float64 of matching shapes, "
-                                      "as robust_filterpy.fusion._faults makes them");
-    return NULL;
+    if (!fine) return refuse_arrays("advance_hypotheses", "fusion._faults");
+    double *const work = PyMem_Malloc(((size_t)(3 * D * D + 3 * D + s.classes) + predict_work(D)) * sizeof(double));
+    if (!work) return PyErr_NoMemory();
+    for (npy_intp i = 0; i < AXIS('h'); i++)
+        through_any(s.n, &s, (const hypothesis *)(rows + i * width), means + i * D, covariances + i * D * D, logs + i, work);
+    PyMem_Free(work);
+    Py_RETURN_NONE;
 }
 
 PyMethodDef hypothesis_functions[] = {

@@ -14,75 +14,63 @@ SPAN(span_5, 5) SPAN(span_6, 6) SPAN(span_7, 7) SPAN(span_8, 8)
 static void (*const spans[])(const series_job *, ptrdiff_t, ptrdiff_t, double *) = {
     span_any, span_1, span_2, span_3, span_4, span_5, span_6, span_7, span_8};
 
-/* Take x, P, memory and, under a mixture, x, P and p of the models, of so many series; whether they are that. */
-static int take_moving(series_job *job, PyObject *const of[6], npy_intp series) {
+/* Take x, P, memory and, under a mixture, x, P and p of the models; whether they are that. */
+static int take_moving(series_job *job, PyObject *of, npy_intp lengths[AXES]) {
     const learnt_rule *const rule = &job->mixture;
-    const npy_intp n = job->n, m = job->m, models = job->mixes ? learnt_rows(rule) : 0;
-    const npy_intp rows = job->mixes ? memory_rows(rule, m) : m;
-    const npy_intp width = job->mixes ? learnt_width(rule->K) : SPREAD_NUMBERS;
-    const npy_intp shapes[4][3] = {{rows, width, 1},
-                                   {models, n, 1}, {models, n, n}, {job->mixes ? learnt_beliefs(1, rule) : 0, n, 1}};
-    job->x = writable(of[0], 2, (npy_intp[]){series, n}), job->P = writable(of[1], 3, (npy_intp[]){series, n, n});
-    for (int a = 0; a < (job->mixes ? 4 : 1); a++) {
-        const npy_intp shape[4] = {series, shapes[a][0], shapes[a][1], shapes[a][2]};
-        if (!job->mixes && job->bounded.scaling != SCALING_LEARNT) continue;
-        if (!(job->moving[a] = writable(of[2 + a], a == 2 ? 4 : 3, shape))) return 0;
-        job->sizes[a] = (int)(shape[1] * shape[2] * shape[3]);
-    }
-    for (npy_intp s = 0; job->mixes && s < series; s++) {
+    const char *const words = job->mixes                                 ? "!sn !snn !srw !sqn !sqnn !sbn"
+                              : job->bounded.scaling == SCALING_LEARNT ? "!sn !snn !srw" : "!sn !snn";
+    AXIS('r') = job->mixes ? memory_rows(rule, job->m) : job->m;
+    AXIS('w') = job->mixes ? learnt_width(rule->K) : SPREAD_NUMBERS;
+    AXIS('q') = learnt_rows(rule), AXIS('b') = learnt_beliefs(1, rule);
+    if (!take_arrays(of, words, lengths, (void *[]){&job->x, &job->P, job->moving, job->moving + 1, job->moving + 2,
+                                                    job->moving + 3}))
+        return 0;
+    const npy_intp sizes[4] = {AXIS('r') * AXIS('w'), AXIS('q') * job->n, AXIS('q') * job->n * job->n, AXIS('b') * job->n};
+    for (int a = 0; a < 4; a++) job->sizes[a] = job->moving[a] ? (int)sizes[a] : 0;
+    for (npy_intp s = 0; job->mixes && s < AXIS('s'); s++) {
         const learnt_state state = {NULL, NULL, job->moving[3] + s * job->sizes[3], NULL};
         if (!learnt_has_parts(job->n, rule, &state)) return 0;
     }
-    return job->x && job->P;
+    return 1;
+}
+
+/* Whether there is all that a job wants. */
+static int take_job(series_job *job, PyObject *rule, PyObject *given, PyObject *state, PyObject *rooms, npy_intp *lengths) {
+    job->mixes = !rule_of(rule, &job->bounded);
+    const npy_intp most = job->mixes ? 1000 : 10000;
+    if ((job->mixes && !take_rule(&job->mixture, rule)) || job->every < 1 ||
+        !take_arrays(given, ".skm .skm .sknn .sknn .skmn .skmm ?.skn ?.sknm", lengths,
+                     (void *[]){&job->z, &job->readings, &job->F, &job->Q, &job->H, &job->R, &job->control, &job->M}))
+        return 0;
+    const npy_intp n = AXIS('n'), m = AXIS('m');
+    if (n < 1 || m < 1 || n > most || m > most || job->first < 0 || job->last < job->first || job->last > AXIS('k')) return 0;
+    job->n = (int)n, job->m = (int)m, job->rows = AXIS('e') = AXIS('k') / job->every;
+    if (!take_moving(job, state, lengths) ||
+        !take_arrays(rooms, "?!sen ?!sev ?!sen ?!sev ?!sem ?!sem ?!sen !s #!s", lengths,
+                     (void *[]){&job->means, &job->covariances, &job->means_p, &job->covariances_p, &job->weights,
+                                &job->outlying, &job->scale, &job->log_likelihood, &job->done}))
+        return 0;
+    job->width = (int)AXIS('v');
+    return AXIS('v') < 0 || AXIS('v') == n || AXIS('v') == n * n;
 }
 
 static PyObject *filter_series(PyObject *self, PyObject *arguments) {
-    PyObject *rule, *z, *readings, *matrices, *state, *rooms, *likelihood, *done, *model[6], *moving[6], *out[7];
-    Py_ssize_t first, last, low, high, every, width;
+    PyObject *rule, *given, *state, *rooms;
+    npy_intp lengths[AXES] = UNKNOWN_AXES, low, high;
     series_job job = {0};
     (void)self;
-    if (!PyArg_ParseTuple(arguments, "OOOOOOOO(nnnndpnin)", &rule, &z, &readings, &matrices, &state, &rooms, &likelihood,
-                          &done, &first, &last, &low, &high, &job.alpha_sq, &job.update_first, &every, &job.which, &width))
+    if (!PyArg_ParseTuple(arguments, "OOOO(nnnndpni)", &rule, &given, &state, &rooms, &job.first, &job.last, &low, &high,
+                          &job.alpha_sq, &job.update_first, &job.every, &job.which))
         return NULL;
-    if (!take_objects(matrices, 6, model) || !take_objects(state, 6, moving) || !take_objects(rooms, 7, out) ||
-        !is_array(z, 3) || !is_array(moving[0], 2))
-        goto refused;
-    {
-        const npy_intp series = PyArray_DIM((PyArrayObject *)z, 0), all = PyArray_DIM((PyArrayObject *)z, 1);
-        const npy_intp m = PyArray_DIM((PyArrayObject *)z, 2), n = PyArray_DIM((PyArrayObject *)moving[0], 1);
-        job.mixes = !rule_of(rule, &job.bounded);
-        const npy_intp most = job.mixes ? 1000 : 10000;
-        if ((job.mixes && !take_rule(&job.mixture, rule)) || n < 1 || m < 1 || n > most || m > most || every < 1 ||
-            first < 0 || last < first || last > all || low < 0 || high < low || high > series ||
-            (width != 0 && width != n && width != n * n))
-            goto refused;
-        const npy_intp rows = all / every;
-        job.n = (int)n, job.m = (int)m, job.first = first, job.last = last, job.every = every, job.rows = rows;
-        job.width = (int)width;
-        if (!take_matrices(&job.z, z, series, all, m, 0) || !take_matrices(&job.readings, readings, series, all, m, 0) ||
-            !take_matrices(&job.F, model[0], series, all, n, n) || !take_matrices(&job.Q, model[1], series, all, n, n) ||
-            !take_matrices(&job.H, model[2], series, all, m, n) || !take_matrices(&job.R, model[3], series, all, m, m) ||
-            (model[4] != Py_None && !take_matrices(&job.control, model[4], series, all, n, 0)) ||
-            (model[5] != Py_None && !take_matrices(&job.M, model[5], series, all, n, m)) ||
-            !take_moving(&job, moving, series) || !(job.log_likelihood = writable(likelihood, 1, &series)) ||
-            !take_room(&job.means, out[0], series, rows, n) || !take_room(&job.covariances, out[1], series, rows, width) ||
-            !take_room(&job.means_p, out[2], series, rows, n) ||
-            !take_room(&job.covariances_p, out[3], series, rows, width) ||
-            !take_room(&job.weights, out[4], series, rows, m) || !take_room(&job.outlying, out[5], series, rows, m) ||
-            !take_room(&job.scale, out[6], series, rows, n) || !(job.done = integers(done, series, -1)))
-            goto refused;
-        double *const work = PyMem_Malloc(series_work(job.n, job.m, &job) * sizeof(double));
-        if (!work) return PyErr_NoMemory();
-        Py_BEGIN_ALLOW_THREADS;
-        spans[n < (npy_intp)(sizeof spans / sizeof *spans) ? n : 0](&job, low, high, work);
-        Py_END_ALLOW_THREADS;
-        PyMem_Free(work);
-    }
+    if (!take_job(&job, rule, given, state, rooms, lengths) || low < 0 || high < low || high > AXIS('s'))
+        return refuse_arrays("filter_series", "kernel.series");
+    double *const work = PyMem_Malloc(series_work(job.n, job.m, &job) * sizeof(double));
+    if (!work) return PyErr_NoMemory();
+    Py_BEGIN_ALLOW_THREADS;
+    spans[job.n < (int)(sizeof spans / sizeof *spans) ? job.n : 0](&job, low, high, work);
+    Py_END_ALLOW_THREADS;
+    PyMem_Free(work);
     Py_RETURN_NONE;
-refused:
-    PyErr_SetString(PyExc_ValueError, "filter_series: expected C-contiguous arrays of float64 of matching shapes, as "
-                                      "robust_filterpy.kernel.series makes them");
-    return NULL;
 }
 
 PyMethodDef series_functions[] = {

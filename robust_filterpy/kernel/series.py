@@ -36,20 +36,6 @@ class Model(NamedTuple):
     """(series, step, n)"""
 
 
-class Output(NamedTuple):
-    """What a run writes into: arrays over (series, kept step, ..), of length 0 where nothing is wanted."""
-
-    means: Array
-    covariances: Array
-    """(.., n, n), or (.., 1, n) for the diagonals."""
-    means_p: Array
-    """Predicted, as covariances_p."""
-    covariances_p: Array
-    weights: Array
-    log_likelihood: Array
-    """(series,)"""
-
-
 class State(NamedTuple):
     """Where one recording stands; arrays that a run changes in place. Under psi x, P and learned alone move."""
 
@@ -68,12 +54,13 @@ class State(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What a run writes into, a row for each kept step; None where nothing is wanted."""
+    """What a run writes into, a row for each kept step, of many series with these in front; None: not wanted."""
 
     means: Array | None = None
     covariances: Array | None = None
     """(rows, n n) or, for the diagonals, (rows, n); as covariances_p."""
     means_p: Array | None = None
+    """Predicted, as covariances_p."""
     covariances_p: Array | None = None
     weights: Array | None = None
     outlying: Array | None = None
@@ -81,7 +68,7 @@ class Rows(NamedTuple):
     scale: Array | None = None
     """(rows, n)"""
     log_likelihood: Array | None = None
-    """(1,), added to."""
+    """(1,) or (series,), added to."""
 
 
 # As psi.h and correction.h number them, too.
@@ -138,7 +125,7 @@ def filter_series(
     model: Model,
     x: Array,
     P: Array,
-    output: Output,
+    rows: Rows,
     *,
     memory: Array | None = None,
     alpha_sq: float = 1.0,
@@ -147,11 +134,9 @@ def filter_series(
     span: tuple[int, int] | None = None,
 ) -> np.ndarray:
     """Advance series in place by psi and return the first step of each that was not taken."""
-    rows = zs.shape[1] // every
-    into = [a.reshape(len(zs), rows, -1) if a.shape[1] else None for a in output[:5]]
     return _taken(
-        rule(choices), zs, zs, (*model, None), (x, P, memory, None, None, None), (*into, None, None),
-        output.log_likelihood, (start, zs.shape[1]), span or (0, len(zs)), alpha_sq, False, every, BOTH,
+        rule(choices), zs, zs, (*model, None), (x, P, memory), rows, (start, zs.shape[1]), span or (0, len(zs)),
+        alpha_sq, False, every, BOTH,
     )  # fmt: skip
 
 
@@ -167,27 +152,25 @@ def run(
     if rule is None or not kernel.available():
         return first
     given = (None if a is None else plain(a)[None] for a in (*model, None if M is None else M[None]))
-    moving = (state.x, state.P, state.learnt, *state[:3])
+    moving = tuple(a[None] for a in (state.x, state.P, state.learnt, *state[:3]))
+    likelihood = np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood
     done = _taken(
-        rule, zs[None], (zs if readings is None else readings)[None], tuple(given), tuple(a[None] for a in moving),
-        tuple(None if a is None else a[None] for a in rows[:-1]),
-        np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood,
+        rule, zs[None], (zs if readings is None else readings)[None], given, moving,
+        Rows(*(None if a is None else a[None] for a in rows[:-1]), likelihood),
         (first, len(zs) if last is None else last), (0, 1), alpha_sq, update_first, every, which,
     )  # fmt: skip
     return int(done[0])
 
 
 def _taken(
-    rule: Array | None, zs: Array, readings: Array, model: Any, moving: Any, into: Any, log_likelihood: Array,
+    rule: Array | None, zs: Array, readings: Array, model: Any, moving: Any, rows: Rows,
     steps: tuple[int, int], span: tuple[int, int], alpha_sq: float, update_first: bool, every: int, which: int,
 ) -> np.ndarray:  # fmt: skip
     """Call the kernel, and return the first step of each series that was not taken."""
     done = np.full(len(zs), steps[0], dtype=np.intp)
-    width = next((a.shape[2] for a in (into[1], into[3]) if a is not None), 0)
     kernel.extension().filter_series(
-        rule, plain(zs), plain(readings), tuple(None if a is None else plain(a) for a in model), moving,
-        tuple(None if a is not None and a.shape[2] == 0 else a for a in into), log_likelihood, done,
-        (*steps, *span, float(alpha_sq), bool(update_first), every, which, width),
+        rule, tuple(None if a is None else plain(a) for a in (zs, readings, *model)), moving, (*rows, done),
+        (*steps, *span, float(alpha_sq), bool(update_first), every, which),
     )  # fmt: skip
     return done
 

@@ -81,9 +81,8 @@ SIZED real smoother_forward(const int n, const int m, const smoother_job *const 
         const real *RESTRICT d = series_at(&job->d, s, k), *RESTRICT o = series_at(&job->o, s, k);
         const real *RESTRICT z = series_at(&job->z, s, k), q = *series_at(&job->q, s, k);
         if (k == 0 || job->G.by_step || q != scale) {
-            for (int i = 0; i < n; i++)
-                for (int j = 0; j <= i; j++)
-                    room->Q[i * n + j] = room->Q[j * n + i] = q * real_dot(r, G + i * r, G + j * r);
+            real_multiply_symmetric(n, r, G, G, room->Q);
+            for (int i = 0; i < n * n; i++) room->Q[i] *= q;
             scale = q;
         }
         predict(n, room->x, room->P, series_at(&job->F, s, k), room->Q, series_at(&job->c, s, k), 1, room->x_next,

@@ -22,13 +22,11 @@ static int take_models(held *h, const learnt_rule *rule, PyObject *kept, const f
         if (rows != 1) return 0;
         f->x = array_of(h, now->x, 1, n, 0, 0), f->P = array_of(h, now->P, 2, n, n, 0);
     } else {
-        PyObject *of[5];
+        npy_intp lengths[AXES] = UNKNOWN_AXES;
         const double *x, *P;
-        if (!take_objects(kept, 5, of)) return 0;
-        means = writable(of[0], 2, (npy_intp[]){rows, n}), covariances = writable(of[1], 3, (npy_intp[]){rows, n, n});
-        p = writable(of[2], 2, (npy_intp[]){beliefs, n}), f->x = of[3], f->P = of[4];
-        x = vector_of(f->x, n), P = matrix_of(f->P, n, n);
-        if (!means || !covariances || !p || !x || !P) return 0;
+        AXIS('n') = n, AXIS('q') = rows, AXIS('b') = beliefs;
+        if (!take_arrays(kept, "qn qnn bn n nn", lengths, (void *[]){&means, &covariances, &p, &x, &P})) return 0;
+        f->x = PyTuple_GetItem(kept, 3), f->P = PyTuple_GetItem(kept, 4);
         if (memcmp(x, now->x, (size_t)n * sizeof *x) || memcmp(P, now->P, (size_t)(n * n) * sizeof *P)) return 0;
     }
     f->after[0] = array_of(h, means, 2, rows, n, 0), f->after[1] = array_of(h, covariances, 3, rows, n, n);

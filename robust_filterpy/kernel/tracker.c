@@ -85,9 +85,8 @@ static void every_actuator(const job *const j, const int n, double *const work) 
 #define PLACES 12 /* na nc nd nf, a c d f, inputs, lags, length, starts; then start, used, source */
 
 /* The layout from its integers: ints are written into room (as long). */
-static int take_layout(PyObject *object, const int n, const npy_intp width, tracker_layout *const l, int *const room) {
-    const npy_intp *const given = integers(object, -1, -1);
-    const npy_intp count = given ? PyArray_DIM((PyArrayObject *)object, 0) : 0;
+static int take_layout(const npy_intp *const given, const npy_intp count, const int n, const npy_intp width,
+                       tracker_layout *const l, int *const room) {
     if (count < PLACES) return 0;
     for (npy_intp i = 0; i < count; i++) {
         if (given[i] < -n - 1 || given[i] > 1000000) return 0;
@@ -110,60 +109,46 @@ static int take_layout(PyObject *object, const int n, const npy_intp width, trac
     return 1;
 }
 
+/* How many numbers of an actuator there are of each kind that moves; whether their sum is the width. */
+static int take_sizes(job *const j, const npy_intp n) {
+    const tracker_layout *const l = &j->layout;
+    const npy_intp past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
+    const npy_intp sizes[11] = {n, n * n, past, past, l->length, l->nc, l->nf, rows * n, l->nc * n,
+                                (npy_intp)(sizeof(tracker_scale) / sizeof(double)),
+                                (npy_intp)(sizeof(tracker_readings) / sizeof(double))};
+    npy_intp total = STAYS;
+    for (int a = 0; a < 11; a++) total += j->sizes[a] = sizes[a];
+    return total == j->width;
+}
+
 static PyObject *track(PyObject *self, PyObject *arguments) {
-    PyObject *groups[6], *given[5], *signals[3], *layout, *y, *u, *R;
+    npy_intp lengths[AXES] = UNKNOWN_AXES, *layout;
     job j = {0};
     double *work = NULL;
-    int *room = NULL;
+    int *room = NULL, fine;
     (void)self;
-    if (!take_objects(arguments, 6, groups) || !take_objects(groups[1], 5, given) ||
-        !take_objects(groups[2], 3, signals))
-        goto refused;
-    layout = groups[0], y = signals[0], u = signals[1], R = signals[2];
-    if (!is_array(y, 2) || !is_array(groups[4], 3) || !is_array(u, 3) || !is_array(layout, 1)) goto refused;
-    j.actuators = PyArray_DIM((PyArrayObject *)y, 0), j.samples = PyArray_DIM((PyArrayObject *)y, 1);
-    const npy_intp n = (PyArray_DIM((PyArrayObject *)groups[4], 2) - 4) / 2, width = PyArray_DIM((PyArrayObject *)u, 2);
-    if (n < 1 || n > 10000) goto refused;
-    room = PyMem_Malloc((size_t)(PyArray_DIM((PyArrayObject *)layout, 0) + 1) * sizeof(int));
+    AXIS('o') = 1, AXIS('r') = RULE_NUMBERS, AXIS('f') = 5;
+    fine = take_arrays(arguments, ".ak .aku ?.ak #l .aor .aonn .aonn a #af !aw !akc #!a", lengths,
+                       (void *[]){&j.y, &j.u, &j.R, &layout, &j.options, &j.F, &j.Q, &j.alpha_sq, &j.flags, &j.moved, &j.out,
+                                  &j.done});
+    const npy_intp n = AXIS('n');
+    if (!fine || n < 1 || n > 10000 || AXIS('c') != 2 * n + 4) return refuse_arrays("track", "identification.recursive.track");
+    j.actuators = AXIS('a'), j.samples = AXIS('k'), j.width = AXIS('w');
+    room = PyMem_Malloc((size_t)(AXIS('l') + 1) * sizeof(int));
     work = PyMem_Malloc(tracker_work((int)n) * sizeof(double));
-    if (!room || !work) {
+    fine = room && work;
+    if (!fine) {
         PyErr_NoMemory();
-        goto failed;
+    } else if ((fine = take_layout(layout, AXIS('l'), (int)n, AXIS('u'), &j.layout, room) && take_sizes(&j, n))) {
+        Py_BEGIN_ALLOW_THREADS;
+        every_actuator(&j, (int)n, work);
+        Py_END_ALLOW_THREADS;
+    } else {
+        refuse_arrays("track", "identification.recursive.track");
     }
-    if (!take_layout(layout, (int)n, width, &j.layout, room)) goto refused;
-    {
-        const tracker_layout *const l = &j.layout;
-        const npy_intp past = l->na + l->nd, rows = l->nf > l->nd ? l->nf : l->nd;
-        const npy_intp sizes[11] = {n, n * n, past, past, l->length, l->nc, l->nf, rows * n, l->nc * n,
-                                    (npy_intp)(sizeof(tracker_scale) / sizeof(double)),
-                                    (npy_intp)(sizeof(tracker_readings) / sizeof(double))};
-        j.width = STAYS;
-        for (int a = 0; a < 11; a++) j.width += j.sizes[a] = sizes[a];
-        j.moved = writable(groups[3], 2, (npy_intp[]){j.actuators, j.width});
-    }
-    j.alpha_sq = vector_of(given[3], j.actuators), j.flags = integers(given[4], j.actuators, 5);
-    j.out = writable(groups[4], 3, (npy_intp[]){j.actuators, j.samples, 2 * n + 4});
-    j.done = integers(groups[5], j.actuators, -1);
-    if (!take_matrices(&j.options, given[0], j.actuators, 1, RULE_NUMBERS, 0) ||
-        !take_matrices(&j.F, given[1], j.actuators, 1, n, n) || !take_matrices(&j.Q, given[2], j.actuators, 1, n, n) ||
-        !j.alpha_sq || !j.moved || !j.flags || !j.out || !j.done ||
-        !take_matrices(&j.y, y, j.actuators, j.samples, -1, 0) ||
-        !take_matrices(&j.u, u, j.actuators, j.samples, width, 0) ||
-        (R != Py_None && !take_matrices(&j.R, R, j.actuators, j.samples, -1, 0)))
-        goto refused;
-    Py_BEGIN_ALLOW_THREADS;
-    every_actuator(&j, (int)n, work);
-    Py_END_ALLOW_THREADS;
     PyMem_Free(work);
     PyMem_Free(room);
-    Py_RETURN_NONE;
-refused:
-    PyErr_SetString(PyExc_ValueError, "track: expected arrays of matching shapes, as "
-                                      "robust_filterpy.identification.recursive.track makes them");
-failed:
-    PyMem_Free(work);
-    PyMem_Free(room);
-    return NULL;
+    return fine ? Py_NewRef(Py_None) : NULL;
 }
 
 PyMethodDef tracker_functions[] = {

@@ -114,7 +114,8 @@ def _passed(model: Model, weighting: Weighting, out: Smooth) -> float:
         return _by_definition(model, weighting, out)
     given = model._replace(x0=model.x0[:, None], P0=model.P0[:, None])
     weights = weighting._replace(process_scale=weighting.process_scale[..., None])
-    return float(extension.smooth(tuple(map(plain, given)), tuple(map(plain, weights)), tuple(out)))
+    rooms = (out[0], *(None if a.shape[1] == 0 else a for a in out[1:6]), *out[6:])
+    return float(extension.smooth(tuple(map(plain, given)), tuple(map(plain, weights)), rooms))
 
 
 def _room(model: Model, weighting: Weighting, spread: bool, states: bool, process: bool) -> Smooth:

@@ -71,7 +71,7 @@ def calls():
     return watched.calls
 
 
-@pytest.mark.parametrize("name", ["filter_series", "smooth", "track"])
+@pytest.mark.parametrize("name", ["filter_series", "smooth"])
 def test_a_group_of_arguments_that_could_change_under_the_call_is_refused(calls, name):
     """A list, or what makes its entries when asked: nobody would hold these while they are worked on."""
     arguments = calls[name][0]

@@ -383,7 +383,7 @@ def _by_kernel(
     if len(done) < len(y) or part.stop - part.start < y.shape[1]:
         taken = y[own, part], u[own, part], None if R is None else R[own, part]
         written = np.ascontiguousarray(out[own, part])
-    kernel.extension().track(form.layout.numbers, (rules, F, Q, alpha_sq, flags), taken, moved, written, done)
+    kernel.extension().track(*taken, form.layout.numbers, rules, F, Q, alpha_sq, flags, moved, written, done)
     if written is not out:
         out[own, part] = written
     return done.tolist()
