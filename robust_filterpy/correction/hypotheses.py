@@ -30,14 +30,20 @@ def moved(x: Array, P: Array, F: Array, Q: Array, drift: Array) -> None:
     P[:, :n, :n] += Q
 
 
-def corrected(x: Array, P: Array, z: Any, h: Array, variances: Array, logs: Array) -> Array:
+def corrected(
+    x: Array, P: Array, z: Any, h: Array, variances: Array, logs: Array, reach: float = math.inf
+) -> Array:
     """Correct N models by one number each, in place; return its log-density (`correction.learnt`'s step).
 
-    variances, logs: of the classes of noise, and logarithms of their shares, (C, N) or (C, 1).
+    variances, logs: of the classes of noise, and logarithms of their shares, (C, N) or (C, 1). reach: deviations of the
+    widest class from which on a number is no farther.
     """
     y = z - np.einsum("ni,ni->n", h, x)
     C = np.einsum("nij,nj->ni", P, h)
     S = np.einsum("ni,ni->n", h, C) + variances
+    if reach < math.inf:
+        far = reach * np.sqrt(np.where(logs > -math.inf, S, 0.0).max(axis=0))
+        y = np.clip(y, -far, far)
     pulls = y / S
     logs = logs - 0.5 * (pulls * y + np.log(2.0 * math.pi * S))
     peak = logs.max(axis=0)

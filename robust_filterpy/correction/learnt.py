@@ -32,7 +32,7 @@ __all__ = ["Corrected", "correct"]
 _LOG_2PI = math.log(2.0 * math.pi)
 # Standard deviations of the widest class up to which an innovation counts as what it is. Beyond, no part of the noise
 # model says anything, and the score of a normal distribution would grow without bound.
-_REACH = 8.0
+REACH = 8.0
 # And where all are weighed together.
 _TOGETHER = 1e8
 # A state that is so much less certain than a sensor's noise, in variance, is unknown.
@@ -421,6 +421,6 @@ def _shortened(y: Array, inverses: Array) -> Array:
     with np.errstate(over="ignore"):
         lengths = peak[..., 0] * np.sqrt(np.maximum(squares, 0.0))
     least = lengths.min(axis=-1)[..., None, None]
-    if not (least > _REACH).any():
+    if not (least > REACH).any():
         return y
-    return np.where(least > _REACH, direction * (peak / np.maximum(least, _REACH)) * _REACH, y)
+    return np.where(least > REACH, direction * (peak / np.maximum(least, REACH)) * REACH, y)

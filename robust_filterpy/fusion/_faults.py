@@ -13,8 +13,10 @@ If nothing but a Q that is 10 or 100 times smaller explains the stretch better, 
 calmer than Q allows is nobody's fault, though a sensor that is noisily stuck looks like it.
 
 Noise and its outliers are those learned before the stretch that is judged. What a hypothesis is worth is the density of
-all readings of the stretch under it, the size of b integrated out, times how often such a thing happens. A reading of a
-sensor whose noise carries over to the next counts for less than one (`_watch.worth`).
+all readings of the stretch under it, the size of b integrated out, times how often such a thing happens. No reading is
+farther than the widest class reaches (`correction.learnt.REACH`), under any hypothesis: a wild one tells that there was
+an outlier, not how wide the noise is. A reading of a sensor whose noise carries over to the next counts for less than
+one (`_watch.worth`).
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.hypotheses import corrected, moved
+from robust_filterpy.correction.learnt import REACH
 from robust_filterpy.fusion._watch import BIASED, DRIFTING, HEALTHY, MODEL, NOISIER, SPIKES, STUCK
 from robust_filterpy.kernel import extension
 
@@ -210,7 +213,7 @@ def _advance(numbers: Array, rows: tuple[Array, ...], shared: tuple[Array, ...],
             h[mine, n] = (offset + grows * (seconds[k] - since))[mine]
             variances = scales[:, None] * r[c] * np.where(mine, noise, 1.0)
             logs = np.log(np.where(mine, numbers[:, 8:].T, shares[c][:, None]))
-            sums += worth[c] * corrected(x, P, z[k, c], h, variances, logs)
+            sums += worth[c] * corrected(x, P, z[k, c], h, variances, logs, REACH if r[c] > 0.0 else math.inf)
 
 
 def _hopeful(sums: Array, bank: _Bank, who: np.ndarray) -> np.ndarray:

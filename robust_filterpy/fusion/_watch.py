@@ -31,6 +31,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.learnt import REACH
 
 #: What can be the matter with a sensor: nothing, something that is not decided yet, ..; of the motion, its model.
 FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
@@ -156,14 +157,16 @@ def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
 
 def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     """Return the health after the readings of one moment."""
-    # What is so far off that its square is no number says nothing; nor does what is missing.
-    here = np.flatnonzero(np.abs(now.y) < 1e100)
+    here = np.flatnonzero(~np.isnan(now.y))
     H, y, statistics, recent, due = now.H[here], now.y[here], watch.statistics.copy(), watch.recent, watch.due.copy()
     PH, rows, R, slack = now.P @ H.T, statistics[here].tolist(), now.R[here].tolist(), watch.slack
     S, scales, places, learnt = H @ PH, watch.scales.tolist(), here.tolist(), None
     if any(row[_COUNT] % _SELDOM == 0.0 for row in rows):
         memory, slack = now.state.memory, now.policy.slack(now.state.carried)
         learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
+    # No reading is farther than the widest class of noise reaches, or one alone would say all there is.
+    far = REACH * np.sqrt(S.diagonal() + statistics[here, SLOW] * now.R[here] * watch.scales.max())
+    y = np.clip(y, -far, far)
     said = zip(places, rows, R, now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
     updated, counts = [], []
     for c, row, r, z, innovation, spread in said:

@@ -230,7 +230,7 @@ def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     state = line.stands(first)[0].state
     R = covariance(setup.layout, state.sizes).diagonal()
     scales, shares = setup.policy.shares(state.memory)
-    z = np.where(np.isnan(state.sizes) | (np.abs(z) > 1e100), np.nan, z)
+    z = np.where(np.isnan(state.sizes), np.nan, z)
     return Stretch(
         state.x, state.P, F, Q * setup.policy.slack(state.carried), drift, seconds_, z, H,
         line.stands(first)[0].watch.statistics[:, SLOW] * R, scales, shares, worth,

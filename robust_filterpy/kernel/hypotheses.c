@@ -17,13 +17,14 @@ typedef struct {
 SIZED double corrected(const int D, const int classes, const double z, const double *RESTRICT h, const double r,
                        const double *RESTRICT scales, const double *RESTRICT shares, double *RESTRICT x,
                        double *RESTRICT P, double *RESTRICT C, double *RESTRICT inverses) {
-    const double y = z - real_dot(D, h, x);
-    double seen = 0, peak = -INFINITY, total = 0, a = 0, b = 0;
+    double y = z - real_dot(D, h, x), seen = 0, least = INFINITY, total = 0, a = 0, b = 0;
     for (int i = 0; i < D; i++) seen += h[i] * (C[i] = real_dot(D, P + i * D, h));
     for (int k = 0; k < classes; k++) {
         inverses[k] = 1 / (seen + r * scales[k]);
-        if (shares[k] > 0) peak = real_max(peak, -0.5 * y * y * inverses[k]);
+        if (shares[k] > 0) least = real_min(least, inverses[k]);
     }
+    if (r > 0 && y * y * least > LEARNT_REACH * LEARNT_REACH) y = real_copysign(LEARNT_REACH / sqrt(least), y);
+    const double peak = -0.5 * y * y * least;
     for (int k = 0; k < classes; k++) {
         const double inverse = inverses[k], pull = y * inverse;
         const double p = shares[k] * sqrt(inverse) * exp(-0.5 * y * pull - peak);
