@@ -46,7 +46,8 @@ class SeriesArguments(NamedTuple):
     """Start of each series, (series, n); a copy, as P."""
     P: Array
     """(series, n, n)"""
-    rows: Rows
+    rows: Any
+    """`Rows`"""
     every: int
     """Distance of kept steps."""
     skips: bool
@@ -54,8 +55,8 @@ class SeriesArguments(NamedTuple):
 
     def covariances(self, covariance: str) -> Array | None:
         """Return what was asked for of the covariances."""
-        shape = (*self.rows.means.shape, self.P.shape[1])  # type: ignore[union-attr]
-        return self.rows.covariances.reshape(shape) if covariance == "full" else self.rows.covariances  # type: ignore
+        kept: Array | None = self.rows.covariances
+        return kept if kept is None or covariance != "full" else kept.reshape(*self.rows.means.shape, self.P.shape[1])
 
 
 def series_arguments(
@@ -345,7 +346,7 @@ def filter_series(
     stands = began(policy, given, learnt) if state is None else continued(policy, given, state)
     before = None if is_mixture or "spread" not in stands else stands["spread"][:, :, FILLED].copy()
     if is_mixture:
-        rows = rows._replace(outlying=np.empty(rows.weights.shape), scale=np.empty(rows.means.shape))  # type: ignore
+        rows = rows._replace(outlying=np.empty(rows.weights.shape), scale=np.empty(rows.means.shape))
 
     def part(low: int, high: int) -> None:
         """Advance some series: all together by psi and the kernel, then each from where that declined."""
@@ -360,7 +361,7 @@ def filter_series(
     probability = None if rows.outlying is None else policy.any_outlier(rows.outlying)  # type: ignore[union-attr]
     return FilteredSeries(
         rows.means, given.covariances(covariance), rows.log_likelihood, rows.weights, probability, rows.scale, stands
-    )  # type: ignore[arg-type]  # fmt: skip
+    )  # fmt: skip
 
 
 def _together(choices: Choices, given: SeriesArguments, stands: dict[str, Array], low: int, high: int) -> np.ndarray:
@@ -374,12 +375,12 @@ def _together(choices: Choices, given: SeriesArguments, stands: dict[str, Array]
 
 
 def _alone(
-    policy: Any, given: SeriesArguments, rows: Rows, stands: dict[str, Array], s: int, first: int
+    policy: Any, given: SeriesArguments, rows: Any, stands: dict[str, Array], s: int, first: int
 ) -> None:
     """Take the steps of one series from one on."""
     every, at = given.every, {name: array[s] for name, array in stands.items()}
-    likelihood: Any = rows.log_likelihood
-    into = Rows(*(None if column is None else column[s] for column in rows[:-1]), likelihood[s : s + 1])
+    one = (None if column is None else column[s] for column in rows[:-1])
+    into = Rows._make((*one, rows.log_likelihood[s : s + 1]))
     apart = Carried(at["means"], at["covariances"], at["belief"], at["x"], at["P"]) if "means" in at else None
     memory = at.get("learnt", at.get("spread", policy.begin(given.z.shape[2])))
     state = policy.standing(apart, at["x"], at["P"], memory)
@@ -395,7 +396,7 @@ def _alone(
             if column is not None:
                 column[error.step // every :] = np.nan  # type: ignore[attr-defined]
         # What was learned of its noise stays.
-        likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
+        rows.log_likelihood[s], lost = np.nan, ("means", "covariances", "x", "P")
     for name, value in zip(("means", "covariances", "belief", "spread", "x", "P"), state, strict=True):
         name = "learnt" if name == "spread" and "learnt" in at else name
         if name in at:

@@ -216,7 +216,7 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, row
         model = series.model._replace(Bu=Bu if len(Bu) == 1 else Bu[own])
         # Copies, since what is written to a part of a fancy index is lost.
         x, P, memory = (whole[keys] for whole in moving)
-        into = Rows(*out[:2], weights=out[2], log_likelihood=np.zeros(len(keys)))
+        into = Rows(out[0], out[1], weights=out[2], log_likelihood=np.zeros(len(keys)))
         done = kernel.filter_series(
             series.choices, z[own], model, x, P, into,
             memory=memory if learns else None, alpha_sq=series.alpha_sq, start=k,
