@@ -196,17 +196,19 @@ def _candidates(model: LinearModel, z: Array, e: Array, so_far: Repair) -> list[
         result += [Repair("coupled noise", i, r, 3.0, coupling=r * pair) for r, pair in pairs]
     result += [Repair("correlated noise", None, a, 3.0, memory=a) for a in _MEMORIES]
     result += [Repair("more outliers", None, share, 2.0, tail=share) for share in _SHARES]
-    return result + _rows(model, z, so_far) + _jumps(model, z, e)
+    without = [np.where(np.arange(m) == i, np.nan, z) for i in range(m if m > 1 else 0)]
+    others = [scores(model, rest, [so_far])[1][0] for rest in without]
+    return result + _rows(model, z, others) + _jumps(model, z, e, others)
 
 
-def _rows(model: LinearModel, z: Array, so_far: Repair) -> list[Repair]:
-    """Return other rows of H: those that the remaining sensors suggest, and the states themselves."""
+def _rows(model: LinearModel, z: Array, others: list[Array]) -> list[Repair]:
+    """Return other rows of H: those that the states by the remaining sensors suggest, and the states themselves."""
     m, n = model.H.shape[1:]
     result: list[Repair] = []
     for i in range(m if np.ptp(model.H, axis=0).max(initial=0.0) == 0.0 else 0):
         suggestions = [-model.H[0, i], *np.eye(n)]
-        if m > 1:
-            x = scores(model, np.where(np.arange(m) == i, np.nan, z), [so_far])[1][0]
+        if others:
+            x = others[i]
             seen = ~np.isnan(z[:, i]) & np.isfinite(x).all(axis=1)
             # The unit of a state must not decide how much it counts.
             size = np.maximum(np.abs(x[seen]).max(axis=0, initial=0.0), 1e-300)
@@ -227,7 +229,7 @@ def _seen_by(row: Array, size: Array | float) -> Array:
     return np.where(weighty, size / np.where(weighty, row, 1.0), 0.0)
 
 
-def _jumps(model: LinearModel, z: Array, e: Array) -> list[Repair]:
+def _jumps(model: LinearModel, z: Array, e: Array, others: list[Array]) -> list[Repair]:
     """Return jumps of the state and of each sensor where large innovations or a change of mean begin, a wrong start."""
     m, n = model.H.shape[1:]
     result = []
@@ -235,8 +237,15 @@ def _jumps(model: LinearModel, z: Array, e: Array) -> list[Repair]:
         size = float(np.nanmax(np.abs(z[:, i] - np.nanmedian(z[:, i])), initial=1e-300))
         # Beyond this the square overflows.
         size = min(size, 1e150) ** 2
-        for k in sorted({0, *_breaks(e[:, i])}):
-            if k:
+        at = {0, *_around(_heaviest_run(e[:, i]), len(e)), *_around(_change(e[:, i]), len(e))}
+        apart = set()
+        if others:
+            # The filter follows a sensor that has shifted; those that do not see it do not, and show where it began.
+            off = z[:, i] - np.einsum("kj,kj->k", model.H[:, i], others[i])
+            off -= np.nanmedian(off)
+            apart = {*_around(_change(off / (np.nanmedian(np.abs(off)) + 1e-300)), len(e))} - at
+        for k in sorted(at | apart):
+            if k in at and k:
                 jump = np.r_[_seen_by(model.H[k, i], size), np.zeros(m)]
                 result.append(Repair("state jump", i, float(k), 5.0, jump_at=k, jump=jump))
             if m > 1:
@@ -278,21 +287,24 @@ def _drawn(model: LinearModel, repair: Repair, rng: np.random.Generator) -> Arra
     return zs
 
 
-def _breaks(e: Array) -> list[int]:
-    """Return where one sensor's heaviest run of large innovations starts, and where its mean changes most."""
+def _heaviest_run(e: Array) -> int:
+    """Return where one sensor's heaviest run of large innovations of one sign starts."""
     size = np.minimum(np.abs(np.nan_to_num(e)), 30.0)
     sign = np.where(size > 2.0, np.sign(e), 0.0)
-    start, weight, best = 0, 0.0, (0.0, 0)
-    for k, s in enumerate(sign):
-        if not (s and k and s == sign[k - 1]):
-            start, weight = k, 0.0
-        elif s:
-            # The first of a run does not count: alone it is an outlier.
-            weight += float(size[k])
-        if weight > best[0]:
-            best = (weight, start)
+    starts = np.flatnonzero(np.diff(sign, prepend=np.nan))
+    # The first of a run does not count: alone it is an outlier.
+    weights = np.where(sign[starts] != 0.0, np.add.reduceat(size, starts) - size[starts], 0.0)
+    return int(starts[weights.argmax()])
+
+
+def _change(e: Array) -> int:
+    """Return where the mean changes most."""
     bounded, N = np.clip(np.nan_to_num(e), -3.0, 3.0), len(e)
     before = np.arange(1, N)
     change = np.abs(np.cumsum(bounded)[:-1] - before / N * bounded.sum()) / np.sqrt(before * (N - before) / N)
-    breaks = [best[1], *([int(change[5:-5].argmax()) + 6] if N > 20 else [])]
-    return [k for around in breaks for k in (around - 1, around) if 0 < k < N]
+    return int(change[5:-5].argmax()) + 6 if N > 20 else 0
+
+
+def _around(k: int, N: int) -> list[int]:
+    """Return a sample and the one before it, but not the first."""
+    return [at for at in (k - 1, k) if 0 < at < N]

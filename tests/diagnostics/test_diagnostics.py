@@ -139,6 +139,11 @@ def test_names_the_true_cause(seed, name):
         assert sensor is None or d.findings[0].sensor == sensor
 
 
+def test_says_at_which_sample_a_sensor_shifts_though_the_filter_follows_it():
+    finding = diagnosed("one sensor shifts", 4).findings[0]
+    assert (finding.cause, finding.sensor) == ("level shift", 1) and abs(finding.value - 200.0) <= 1.0
+
+
 def test_a_saver_and_filterpys_filter_are_diagnosed_in_words_with_the_factor_and_left_as_they_were():
     (kf, zs), expected = R_too_small(0), str(diagnosed("R too small"))
     assert expected.startswith("R is about ") and "times too small" in expected and "clips good data" in expected
