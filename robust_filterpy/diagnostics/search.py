@@ -237,15 +237,11 @@ def _jumps(model: LinearModel, z: Array, e: Array, others: list[Array]) -> list[
         size = float(np.nanmax(np.abs(z[:, i] - np.nanmedian(z[:, i])), initial=1e-300))
         # Beyond this the square overflows.
         size = min(size, 1e150) ** 2
-        at = {0, *_around(_heaviest_run(e[:, i]), len(e)), *_around(_change(e[:, i]), len(e))}
-        apart = set()
-        if others:
-            # The filter follows a sensor that has shifted; those that do not see it do not, and show where it began.
-            off = z[:, i] - np.einsum("kj,kj->k", model.H[:, i], others[i])
-            off -= np.nanmedian(off)
-            apart = {*_around(_change(off / (np.nanmedian(np.abs(off)) + 1e-300)), len(e))} - at
-        for k in sorted(at | apart):
-            if k in at and k:
+        # The filter follows a sensor that has shifted; those that do not see that do not, and show where it began.
+        apart = z[:, i] - np.nan_to_num(np.einsum("kj,kj->k", model.H[:, i], others[i])) if others else e[:, i]
+        begins = _heaviest_run(e[:, i]), _change(e[:, i]), _change(np.clip(apart, -1e150, 1e150))
+        for k in sorted({0, *(at for begin in begins for at in (begin - 1, begin) if at > 0)}):
+            if k:
                 jump = np.r_[_seen_by(model.H[k, i], size), np.zeros(m)]
                 result.append(Repair("state jump", i, float(k), 5.0, jump_at=k, jump=jump))
             if m > 1:
@@ -298,13 +294,9 @@ def _heaviest_run(e: Array) -> int:
 
 
 def _change(e: Array) -> int:
-    """Return where the mean changes most."""
-    bounded, N = np.clip(np.nan_to_num(e), -3.0, 3.0), len(e)
-    before = np.arange(1, N)
+    """Return where the mean changes most, whatever the unit."""
+    off, N = np.nan_to_num(e - np.nanmedian(e)), len(e)
+    most, before = 3.0 * np.median(np.abs(off)), np.arange(1, N)
+    bounded = np.clip(off, -most, most)
     change = np.abs(np.cumsum(bounded)[:-1] - before / N * bounded.sum()) / np.sqrt(before * (N - before) / N)
     return int(change[5:-5].argmax()) + 6 if N > 20 else 0
-
-
-def _around(k: int, N: int) -> list[int]:
-    """Return a sample and the one before it, but not the first."""
-    return [at for at in (k - 1, k) if 0 < at < N]

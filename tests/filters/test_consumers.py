@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 import support
+from benchmarks import box_tracking
 from filterpy.common import Saver
 from filterpy.kalman import (
     CubatureKalmanFilter,
@@ -18,6 +19,7 @@ from filterpy.kalman import (
 )
 
 from robust_filterpy import (
+    AdaptiveKalmanFilter,
     Huber,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
@@ -91,6 +93,18 @@ def test_banks_of_filters_with_an_infinite_threshold_are_filterpys(ndim):
         mmae.update(np.reshape(z, (1, 1) if ndim == 2 else (1,)), R=np.array([[1.5]]))
 
     support.assert_same_along(*mmaes, zs, step=step, names=("x", "P", "p"), rtol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e-4, 1e4])
+@pytest.mark.parametrize("kind", [RobustKalmanFilter, AdaptiveKalmanFilter])
+def test_a_tracker_of_boxes_loses_nobody_by_the_swap(kind, factor):
+    """Set up as SORT does, x and P written in place, R a guess; MOTA as in `benchmarks/box_tracking.py`."""
+    frames = box_tracking.drawn(box_tracking.SCENES["street"], seed=0, frames=150)
+    theirs, ours = (
+        box_tracking.judged(frames, box_tracking.tracked(lambda cls=cls: cls(7, 4), frames, 1, factor))[0]
+        for cls in (KalmanFilter, kind)
+    )
+    assert theirs > 70.0 and ours > theirs - box_tracking.MOST_BELOW
 
 
 # robust(kf): a filter that goes on from where an existing one of filterpy's is.
