@@ -154,18 +154,12 @@ def structure(rng):
     """A structure of random orders."""
     na, nb, nk = (int(rng.integers(*bounds)) for bounds in ((1, 4), (1, 4), (0, 3)))
     kind = int(rng.integers(9))
-    if kind == 0:
-        return ARX(na, (nb, 1), (nk, 2))
+    if kind >= 7:
+        return BoxJenkins(nb, *rng.integers(0, 3, size=3).tolist(), nk)
     if kind == 1:
         return ARMAX(na, nb, int(rng.integers(1, 3)), nk)
-    if kind == 2:
-        return FIR(nb, nk)
-    if kind == 3:
-        return LinearRegression(nb)
-    if kind >= 7:
-        nc, nd, nf = rng.integers(0, 3, size=3).tolist()
-        return BoxJenkins(nb, nc, nd, nf, nk)
-    return (ARX, OutputError, OutputError)[kind - 4](na, nb, nk)
+    several, other = ARX(na, (nb, 1), (nk, 2)), OutputError(na, nb, nk)
+    return (several, None, FIR(nb, nk), LinearRegression(nb), ARX(na, nb, nk), other, other)[kind]
 
 
 def tracker_case(name, seed, steps=60, start=0):

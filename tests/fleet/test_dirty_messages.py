@@ -26,43 +26,32 @@ MODELS = {
 CLEAN, DIRTY = ("c0", "c1", "c2"), ("d0", "d1", "d2")
 
 
-def nothing_like_it():
+class Odd:
     """An object that is like nothing else, and has no repr."""
 
-    class Odd:
-        def __repr__(self):
-            raise RuntimeError("no repr")
-
-    return Odd()
+    def __repr__(self):
+        raise RuntimeError("no repr")
 
 
 # The grammar: an entry is one of these, a message a choice of entries, or no mapping at all.
+STRANGE = (
+    None, 1j, decimal.Decimal("1.5"), decimal.Decimal("sNaN"), datetime.datetime(2026, 1, 1), datetime.date(2026, 1, 1),
+    datetime.datetime(1, 1, 1, tzinfo=datetime.timezone(datetime.timedelta(hours=23))), datetime.timedelta(seconds=1),
+    np.datetime64("NaT"), np.datetime64("2026-01-01"), np.array(1.0), np.zeros(0), pd.NaT, pd.NA, np.ma.masked, type,
+)  # fmt: skip
+NUMBERS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -0.0)
+TEXTS = ("", "a", "nan", "1.0", "1e5", "\x00", "ü", "2026-01-01", "2026-01-01T00:00:00Z")
 ATOMS = (
-    lambda rng: None,
-    lambda rng: float(rng.choice([np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -0.0])),
+    *(lambda rng, thing=thing: thing for thing in STRANGE),
+    lambda rng: Odd(),
+    lambda rng: float(rng.choice(NUMBERS)),
     lambda rng: float(rng.normal()),
+    lambda rng: np.float32(rng.normal()),
     lambda rng: int(rng.integers(-5, 50)),
     lambda rng: 10 ** int(rng.choice([20, 400, 5000])),
     lambda rng: bool(rng.random() < 0.5),
-    lambda rng: str(rng.choice(["", "a", "nan", "1.0", "1e5", "\x00", "ü", "2026-01-01", "2026-01-01T00:00:00Z"])),
+    lambda rng: str(rng.choice(TEXTS)),
     lambda rng: bytes(rng.bytes(3)),
-    lambda rng: complex(rng.normal(), 1.0),
-    lambda rng: decimal.Decimal("1.5"),
-    lambda rng: decimal.Decimal("sNaN"),
-    lambda rng: datetime.datetime(2026, 1, 1),
-    lambda rng: datetime.datetime(1, 1, 1, tzinfo=datetime.timezone(datetime.timedelta(hours=23))),
-    lambda rng: datetime.date(2026, 1, 1),
-    lambda rng: datetime.timedelta(seconds=1),
-    lambda rng: np.datetime64("NaT"),
-    lambda rng: np.datetime64("2026-01-01"),
-    lambda rng: np.float32(rng.normal()),
-    lambda rng: np.array(1.0),
-    lambda rng: np.zeros(0),
-    lambda rng: pd.NaT,
-    lambda rng: pd.NA,
-    lambda rng: np.ma.masked,
-    lambda rng: nothing_like_it(),
-    lambda rng: type,
 )
 DEEP = (
     lambda rng, atom: [atom],

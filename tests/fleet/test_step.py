@@ -16,6 +16,7 @@ from test_state import FILTERS, F, extended, observe, recording, signals
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
+from robust_filterpy.fleet.states import _ragged
 from robust_filterpy.identification import ARMA, FIR
 
 pd = pytest.importorskip("pandas")
@@ -516,6 +517,17 @@ def test_states_of_a_fleet_print_on_a_line_and_a_missing_column_says_who_names_i
     assert repr(states) == "States(9 keys: T0, T1, T2, ..)"
     with pytest.raises(ValueError, match=r"got .'tank', 'z'.; key= names that of the device"):
         step(FilterModel(RobustKalmanFilter(1, 1)), None, table, key="device")
+
+
+def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
+    pa = pytest.importorskip("pyarrow")
+    lists = pa.array([[1.0, 2.0, 3.0, 4.0], [], [5.0, None], None], pa.list_(pa.float64()))
+    rows = [[1.0, 2.0], [3.0, 4.0]], np.zeros((0, 2)), [[5.0, np.nan]], np.zeros((0, 2))
+    for found, expected in zip(_ragged(lists, [2]), rows, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    # Four numbers are two rows of two, but not as three and one.
+    with pytest.raises(ValueError, match="reshape"):
+        _ragged(pa.array([[1.0, 2.0, 3.0], [4.0]], pa.list_(pa.float64())), [2])
 
 
 def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():

@@ -282,21 +282,6 @@ def test_bad_input_is_refused_with_its_remedy(u, structure, options, words):
         identify(NOISE[: len(u)], u, structure, **options)
 
 
-def test_an_interruption_leaves_nothing_half_done(monkeypatch):
-    y, u = recording(0, 300)
-    before = y.copy(), u.copy()
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(PolynomialModel, "jacobian", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            identify(y, u, OutputError(2, 2))
-    np.testing.assert_array_equal(before, (y, u))
-    np.testing.assert_array_equal(identify(y, u, OutputError(2, 2)).theta, identify(y, u, OutputError(2, 2)).theta)
-
-
 @pytest.mark.parametrize("samples", [800, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_forty_parameters_of_a_clean_recording_are_those_of_least_squares(samples):
     """An output-error start takes many good samples for outliers, which then enter nearly every residual."""

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import assert_refused
-from scipy.signal import lfilter
 
 from robust_filterpy.identification import AR, ARMA, ARMAX, ARX, FIR, BoxJenkins, LinearRegression, OutputError
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -145,15 +144,3 @@ def test_the_jacobian_is_the_derivative_of_the_residuals(structure, offset):
     p = 0.2 * np.random.default_rng(1).normal(size=model.n)
     differences = [(model.residuals(p + h) - model.residuals(p - h)) / 2e-6 for h in 1e-6 * np.eye(model.n)]
     np.testing.assert_allclose(model.jacobian(p), np.transpose(differences), atol=1e-8)
-
-
-def test_residuals_of_an_output_error_model_are_measured_less_filtered():
-    structure = OutputError(2, 2)
-    y, u = recorded(structure)
-    p = np.array([-1.2, 0.6, 1.0, 0.5, 3.0])
-    model = PolynomialModel(structure, y, u, True)
-    w = lfilter([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u[:, 0])
-    # The two samples before the first residual, which the start stands for.
-    start = lfilter([1.0, -1.2, 0.6], [1.0], np.concatenate((w[:2], np.zeros(2))))[2:]
-    residuals = model.residuals(np.concatenate((p, -start)))
-    np.testing.assert_allclose(residuals, (y - w - 3.0)[2:], rtol=1e-10)

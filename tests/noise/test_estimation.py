@@ -9,7 +9,7 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from support import by_night, draws, noise_given, of_matrices
 
 from robust_filterpy import ARX, Contaminated, ParameterTracker, RobustKalmanFilter
-from robust_filterpy.noise._problem import NoiseFit, log_likelihoods, of_filter
+from robust_filterpy.noise._problem import NoiseFit, descend, log_likelihoods, of_filter, valleys
 from robust_filterpy.noise.estimation import estimate_noise
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])
@@ -72,6 +72,22 @@ def test_where_the_search_begins_does_not_matter(start):
         for r, q in ((1.0, 1.0), (10.0**-2.5, 10.0**0.3))
     ]
     assert costs[1] == pytest.approx(costs[0], abs=0.01)
+
+
+def test_the_lowest_of_several_valleys_is_found_within_limits():
+    def cost(points):
+        x, y = points.T
+        return (x**2 - 4.0) ** 2 + x + (y - 0.5 * x) ** 4 + 0.01 * y**2
+
+    lower, upper = np.array([-5.0, -0.5]), np.array([5.0, 5.0])
+    starts = np.array([[3.0, 3.0], [-3.0, 2.0], [0.0, 0.0]])
+    found = descend(cost, starts, lower, upper, "search")
+    best = found.costs.argmin()
+    grid = np.stack(np.meshgrid(np.linspace(-5, 5, 1001), np.linspace(-0.5, 5, 551)), axis=-1).reshape(-1, 2)
+    assert found.converged[best] and found.points[best, 0] < 0.0
+    assert found.costs[best] <= cost(grid).min() + 1e-3
+    assert (found.points >= lower).all() and (found.points <= upper).all()
+    assert valleys(np.array([[3.0, 1.0, 2.0], [4.0, 5.0, 0.5]]), 2) == [(1, 2), (0, 1)]
 
 
 def test_each_sensor_gets_its_own_factor_and_missing_ones_do_no_harm():

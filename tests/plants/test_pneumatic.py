@@ -206,8 +206,7 @@ def test_recording_names_every_signal():
         "position_measured", "P_a_measured", "P_b_measured", "position_estimate", "acceleration_estimate",
     )  # fmt: skip
     assert all(signal.shape == (50,) for signal in recording)
-    assert recording.t[1] == 0.02
-    assert recording.reference == pytest.approx(r)
+    assert recording.t[1] == 0.02 and recording.reference == pytest.approx(r)
     assert recording.alpha == pytest.approx(1.1 + 0.1 * recording.t)
     assert recording.beta == pytest.approx(0.2 + 0.2 * recording.t)
     assert np.all(recording.load == 3.0) and np.all(recording.supply == 5e5)
