@@ -36,6 +36,12 @@ def test_estimates_are_those_of_the_model_with_times_components_and_kind_of_numb
     assert_allclose(found.values(), SeriesModel.of(None, values).estimates(values, smoothed=smoothed), rtol=1e-5)
 
 
+def test_what_was_fitted_is_what_filters_other_series():
+    series = recording()
+    model = RobustKalmanModel().fit(series)
+    assert_allclose(model.filter(series + 1e4).values() - 1e4, model.filter(series).values(), atol=1e-6)
+
+
 def test_a_filter_that_does_not_fit_and_samples_of_a_distribution_are_refused():
     series = recording()
     with pytest.raises(ValueError, match=r"expected 1 column\(s\), the filter's dim_z, got 2"):

@@ -42,7 +42,6 @@ from robust_filterpy.edge import export_c
 from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.recursion import repaired
-from robust_filterpy.influence import Linear
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -403,10 +402,7 @@ def test_numbers_that_single_precision_cannot_hold_are_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_linear_and_infinite_threshold_have_their_form(tmp_path):
-    assert "INFINITY" in export_c(changed(influence=Huber(np.inf)), tmp_path / "a.c").source.read_text()
-    linear = export_c(changed(influence=Linear()), tmp_path / "b.c")
-    assert ".threshold" not in linear.source.read_text() and "_real memory" not in linear.header.read_text()
+def test_the_header_of_a_tracker_names_its_parameters(tmp_path):
     text = export_c(ParameterTracker(OutputError(1, 1), start=0), tmp_path / "c.c").header.read_text()
     assert "theta = [a1, b1]" in text
 

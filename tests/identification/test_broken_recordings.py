@@ -192,6 +192,14 @@ def driven(seed, length=600, share=0.1):
     return recordings.recording([29, seed], length, share, 0.1, inside=True)
 
 
+def test_wild_outputs_next_to_each_other_and_in_the_first_samples_are_found():
+    y, u = driven(0, 400)
+    right = identify(y, u, ARX(2, 2))
+    y[[1, 60, 61, 62, 200, 202]] = 1e7 * np.array([1.0, -2.0, 0.7, 0.4, 1.0, -1.0])
+    model = identify(y, u, ARX(2, 2))
+    np.testing.assert_allclose(model.theta, right.theta, atol=0.02)
+
+
 def test_a_shock_of_the_process_is_not_taken_for_wild_outputs():
     y, u = driven(1)
     shock = np.zeros(y.size)

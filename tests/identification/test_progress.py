@@ -11,6 +11,7 @@ from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate
 from robust_filterpy._progress import progress_bar, stage, stages
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.identification import ARMAX, ARX, ParameterTracker, StateSpace, TrackerBank, select_structure
+from robust_filterpy.identification.estimation import prediction_error as _threads
 from robust_filterpy.identification.estimation import search
 
 
@@ -116,3 +117,9 @@ def test_a_search_has_one_thread_and_gives_the_others_back(monkeypatch):
         identify(*SHORT, OutputError(0, 1))
         assert counted() == before
     assert seen and set(seen[0]) == {1}
+
+
+def test_without_threadpoolctl_it_goes_its_way(monkeypatch):
+    monkeypatch.setattr(_threads, "_controller", lambda: None)
+    with _threads.one_thread():
+        pass

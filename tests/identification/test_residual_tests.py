@@ -335,6 +335,14 @@ def test_only_the_output_that_is_wrong_is_named(states):
     assert validate(one, 1.5 * (y[:, 0] - 5.0) + 5.0, u).verdict.startswith("dynamics are missing")
 
 
+@pytest.mark.nightly
+def test_equations_that_lack_a_state_are_named(box):
+    (y, u, t), fresh = cascade(0), cascade(9)
+    simple = identify(y, u, ONE, t=t)
+    assert validate(simple, *fresh[:2], lags=10, t=fresh[2]).verdict != RIGHT
+    assert compare({"lag": simple, "two": box}, *fresh).rows[0].name == "two"
+
+
 def test_another_level_is_said_and_is_no_missing_dynamics(states, model):
     y, u = judged(10)
     found = validate(states, y + [0.0, 40.0], u)

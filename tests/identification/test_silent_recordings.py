@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.identification import AR, ARMAX, FIR, GreyBox, StateSpace, compare, select_structure, validate
 from robust_filterpy.identification.models.noise import fit_percent
-from robust_filterpy.influence.regression import resolution
+from robust_filterpy.influence.regression import resolution, robust_regression
 
 SECOND = [0.0, 0.5, 0.2]
 LAG = np.exp(-0.3)
@@ -300,6 +300,14 @@ def test_after_a_rest_in_coarse_steps_what_moves_is_no_outlier():
         result = tracker.run(y, u)
     assert result.weights[1200:1230].min() > 0.5
     assert tracker.R >= 0.1**2 / 12.0 * (1.0 - 1e-12)
+
+
+def test_gross_errors_do_not_stop_a_robust_regression():
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(400, 5))
+    y = X @ np.arange(5.0) + 0.1 * rng.normal(size=400)
+    y[::14] = 1e6 * rng.normal(size=y[::14].size)
+    assert np.abs(robust_regression(X, y) - np.arange(5.0)).max() < 0.05
 
 
 @pytest.mark.parametrize("by_kernel", [True, False])

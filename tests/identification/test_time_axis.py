@@ -184,7 +184,10 @@ def test_of_a_column_of_text_the_first_that_is_no_number_is_named_with_the_way_o
 def test_missing_values_of_nullable_columns_are_missing(model):
     df = table().convert_dtypes()
     assert df.y.isna().any()
-    assert_array_equal(model.predict(df.y, df.u), model.predict(table().y, table().u))
+    expected = model.predict(table().y, table().u)
+    assert_array_equal(model.predict(df.y, df.u), expected)
+    # One signal without an index goes by position.
+    assert model.predict(table().y, table().u.to_numpy()).equals(expected)
 
 
 def test_parameters_of_trackers_make_them_again():

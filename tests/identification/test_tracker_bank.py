@@ -15,6 +15,7 @@ from robust_filterpy import ARX, Contaminated, Huber, OutputError, ParameterTrac
 from robust_filterpy.filters import StuckSensorWarning
 from robust_filterpy.identification import ARMAX, FIR, BoxJenkins, LinearRegression, LostTrackerWarning, TrackerBank
 from robust_filterpy.identification.models.regressor import GUARDS
+from robust_filterpy.identification.recursive import following, track
 from robust_filterpy.identification.recursive.recursion import GRADIENTS
 from robust_filterpy.influence import Hampel, Linear
 from robust_filterpy.plants import simulate_output_error
@@ -248,6 +249,8 @@ def test_pickle_and_a_file_continue_bit_for_bit(structure):
     file.seek(0)
     with np.load(file, allow_pickle=False) as stored:
         restored.restore(stored)
+    with pytest.raises(ValueError, match="state: expected"):
+        support.paper_bank(N + 1, structure).restore(original.state())
     expected = original.run(y[70:], u[70:])
     for other in (thawed, restored):
         same(expected, other.run(y[70:], u[70:]))
@@ -370,6 +373,23 @@ def test_a_sample_that_one_filter_refuses_changes_no_actuator_and_is_named(scali
     tracker = support.paper_tracker(ARX(2, 2), P=1.0, scaling="unit", influence=Linear())
     with pytest.raises(np.linalg.LinAlgError, match="sample 1"):
         tracker.run(y[:, 2], u[:, 2])
+
+
+def test_an_interrupted_run_changes_nothing(monkeypatch):
+    y, u = recording(ARX(2, 2))
+    bank = support.paper_bank(N, ARX(2, 2))
+    bank.run(y[:20], u[:20])
+    monkeypatch.setattr(following, "_CHUNK", 7 * N * 4)
+    advance, chunks = track.advance, iter(range(5))
+
+    def interrupted(*args):
+        if next(chunks) == 4:
+            raise KeyboardInterrupt
+        return advance(*args)
+
+    monkeypatch.setattr(track, "advance", interrupted)
+    with unchanged(bank), pytest.raises(KeyboardInterrupt):
+        bank.run(y[20:], u[20:])
 
 
 # Whatever is asked of them, a bank does what as many trackers do: defaults, starts, watch, warnings, restore.
