@@ -1,4 +1,4 @@
-"""Unknown outputs among neighbours, predictions through outliers: the numbers of the plain algebra, in less work."""
+"""Unknown outputs among neighbors, predictions through outliers: the numbers of the plain algebra."""
 
 from __future__ import annotations
 
