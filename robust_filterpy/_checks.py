@@ -196,7 +196,8 @@ def finite(name: str, value: Any, shape: tuple[int, ...], reshaped: bool = False
     if reshaped and array.size == math.prod(shape):
         array = array.reshape(shape)
     if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {shown(value)}")
+        what = f"finite numbers of shape {shape}" if shape else "a finite number"
+        raise ValueError(f"{name}: expected {what}, got {shown(value)}")
     return array
 
 

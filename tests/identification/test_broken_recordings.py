@@ -365,7 +365,7 @@ def test_an_arx_that_coloured_noise_biases_is_said(noise):
     if noise == "of the output":
         assert np.abs(model.theta[:2] - a[1:]).max() > 5.0 * model.std[:2].min()
         # What the finding names is the cure.
-        assert "there is OutputError(2, 2, 1)" in model.findings[0].text
+        assert "there is OutputError(na=2, nb=2, nk=1)" in model.findings[0].text
         cured = quiet(y, u, OutputError(2, 2))
         assert np.all(np.abs(cured.theta - [*a[1:], *b[1:]]) < 3.0 * cured.std) and not cured.findings
 

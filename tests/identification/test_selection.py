@@ -26,13 +26,13 @@ def recorded(seed=0, delay=4, length=1000, b=(1.0, 0.5)):
 def test_delay_and_orders_are_found_through_outliers(delay):
     selection = select_structure(*recorded(delay=delay, length=400), na=range(1, 4))
     assert selection.best.structure == OutputError(2, 2, delay)
-    assert selection.impulse_response.sure_delay == delay
+    assert selection.impulse_responses[0].sure_delay == delay
 
 
 def test_a_first_b_below_the_band_is_found_by_the_likelihood():
     y, u = recorded(4, b=[0.02, 1.0, 0.5], length=2000)
     selection = select_structure(y, u, na=[2], nb=[3])
-    assert selection.impulse_response.delay == 5
+    assert selection.impulse_responses[0].delay == 5
     assert selection.best.structure.nk == 4
 
 
@@ -140,7 +140,7 @@ def test_an_input_that_excites_few_lags_tries_all_delays():
     u = np.sin(0.2 * t) + np.sin(0.9 * t) + np.sin(1.9 * t)
     y = lfilter([0.0, 0.0, 1.0], [1.0, -0.8], u) + 0.1 * np.random.default_rng(1).normal(size=400)
     selection = select_structure(y, u, na=[1, 2], nk=range(4))
-    assert selection.impulse_response is None
+    assert selection.impulse_responses == ()
     assert selection.best.structure == OutputError(1, 1, 2)
 
 

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.identification import AR, ARMAX, FIR, GreyBox, StateSpace, compare, select_structure, validate
+from robust_filterpy.identification.estimation.prediction_error import colour_of
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.influence.regression import resolution, robust_regression
 
@@ -328,3 +329,32 @@ def test_while_input_and_output_rest_no_noise_is_learned(structure, first, by_ke
     tracker.run(y[rests.stop :], u[rests.stop :])
     np.testing.assert_allclose(tracker.theta, [-1.5, 0.7, 1.0, 0.5], atol=0.15)
     assert 0.02 < tracker.R < 0.5
+
+
+def test_a_delay_far_beyond_the_structure_is_said_and_the_right_one_is_not():
+    rng, u = binary(50, 600)
+    y = np.concatenate((np.zeros(50), lfilter(B, A, u)[:-50])) + 0.2 * rng.normal(size=600)
+    with pytest.warns(UserWarning, match="delay nk is longer"):
+        found = identify(y, u, OutputError(2, 2))
+    assert any(one.kind == "another delay" for one in found.findings)
+    with unheard():
+        identify(y, u, OutputError(2, 2, 51))
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.5])
+def test_what_one_pulse_does_is_no_outlier(sigma):
+    rng, u = np.random.default_rng(0), np.ones(400)
+    u[100] = 5.0
+    y = 10.0 + lfilter(B, A, u - 1.0) + sigma * rng.normal(size=400)
+    with pytest.warns(UserWarning, match="takes for outliers is to"):
+        found = identify(y, u, ARX(2, 2))
+    assert "there is OutputError(na=2, nb=2, nk=1)" in found.findings[0].text
+    y = 10.0 + lfilter(B, A, u - 1.0) + lfilter([1.0], A, sigma * rng.normal(size=400))
+    y[200:212] += 15.0
+    with unheard():
+        identify(y, u, ARX(2, 2))
+
+
+def test_what_is_at_rest_after_its_first_sample_has_no_color():
+    with np.errstate(all="raise"):
+        assert colour_of(np.eye(1, 200).ravel()).polynomial.size == 1

@@ -284,11 +284,8 @@ def too_large():
 
 
 def test_the_pole_that_nothing_tells_has_no_narrow_interval(too_large):
-    y, u, model = too_large
+    _, _, model = too_large
     assert model.profiled
     assert "profile likelihood, at least" in model.summary().to_text()
     assert model.std[0] > 0.2
     assert np.linalg.eigvalsh(model.P).min() >= -1e-9 * np.trace(model.P)
-    with pytest.warns(DeprecationWarning, match="sampled has no effect"):
-        again = identify(y, u, OutputError(4, 4), trend="constant", sampled=False, progress=False)
-    assert_array_equal(again.P, model.P)

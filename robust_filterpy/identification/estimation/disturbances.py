@@ -260,8 +260,6 @@ class Explanation(NamedTuple):
         Of what the recordings have besides.
     end : ndarray or None
         Where the search for another such model may begin.
-    held : bool
-        Whether some of the inputs are held back.
     """
 
     model: Any
@@ -270,7 +268,6 @@ class Explanation(NamedTuple):
     evidence: float = float("nan")
     findings: tuple[Finding, ...] = ()
     end: Any = None
-    held: bool = False
 
     @property
     def noises(self) -> tuple[Any, ...]:
@@ -360,7 +357,7 @@ class Search(NamedTuple):
             if trend.input is None:
                 return self._with_levels(trend)
             held = self._replace(u=other)._with_levels(trend)
-            return held._replace(held=True, findings=(*held.findings, trend.input))
+            return held._replace(findings=(*held.findings, trend.input))
         nominal = self._with_levels(trend)
         if not places.size:
             return nominal
@@ -378,7 +375,7 @@ class Search(NamedTuple):
             "them, held; give u as it acted"
         )
         finding = Finding("input outliers", text, gain, (int(places[0]), int(places[-1]) + 1))
-        return held._replace(held=True, findings=(*held.findings, finding))
+        return held._replace(findings=(*held.findings, finding))
 
     def left(
         self, best: Explanation, output: Array, residual: Array, rest: Array, direct: bool, meaning: str,

@@ -253,8 +253,8 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     split = p.size - recorded.columns.shape[1]
     if len(recorded.spans) == 1:
         return Estimated(estimate, p[:split], p[split:])
-    several = range(len(problem.begins))
-    levels = np.array([resting_level(one.parts(q)) for one, q in (recorded.of(i, p) for i in several)])
+    each = (recorded.of(i, p) for i in range(len(problem.begins)))
+    levels = np.array([resting_level(one.parts(q)) for one, q in each])
     own = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
     known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, own, strict=True))
     estimate = replace(estimate, levels=levels + (estimate.level - levels[-1]), trends=known_again)
@@ -338,7 +338,6 @@ def _as_model(
     # One parameter more is one residual less to tell of the noise.
     samples = int(rows.sum())
     noise = end.noise.times(unit)
-    R = noise.R
     jacobian, shown = known_part(model, end)
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
@@ -350,11 +349,12 @@ def _as_model(
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
     weights[missing] = np.nan
-    offset = float(p[at]) if model.offset else 0.0
-    total = problem.R or R * samples / (samples - model.n + held.sum())
+    offset, offset_std = (float(p[at]), float(np.sqrt(max(P[at, at], 0.0)))) if model.offset else (0.0, 0.0)
+    # Differences show nothing of the constant.
+    offset_std = np.inf if model.offset and not jacobian[:, at].any() else offset_std
+    total = problem.R or noise.R * samples / (samples - model.n + held.sum())
     return Model(
-        structure=structure, theta=p[:n], offset=offset, P=P[:n, :n],
-        offset_std=_offset_std(P, jacobian, at) if model.offset else 0.0,
+        structure=structure, theta=p[:n], offset=offset, P=P[:n, :n], offset_std=offset_std,
         offset_covariance=P[:n, at] if model.offset else np.zeros(n), has_offset=model.offset,
         own_fit=ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan), y)),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
@@ -362,11 +362,6 @@ def _as_model(
         memory=filled_memory(*model.of(-1, p)),
         profiled=bent, colour=colour, evidence=evidence(noise, residual, rows),
     )  # fmt: skip
-
-
-def _offset_std(P: Array, jacobian: Array, at: int) -> float:
-    """Return the standard deviation of the constant, infinite where differences show none of it."""
-    return float(np.sqrt(max(P[at, at], 0.0))) if jacobian[:, at].any() else np.inf
 
 
 def _at_limits(structure: Structure, held: Any, limits: Limits) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 
 from robust_filterpy import _checks
@@ -30,14 +31,15 @@ from robust_filterpy.identification.estimation.grey_box import identified_grey_b
 from robust_filterpy.identification.estimation.missing import cleaned
 from robust_filterpy.identification.estimation.prediction_error import Limits, colour_of
 from robust_filterpy.identification.estimation.state_space import identified_state_space
-from robust_filterpy.identification.models.dependence import driven, parts_of, wraps
+from robust_filterpy.identification.models.dependence import another_delay, driven, parts_of, wraps
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.noise import ORDINARY
 from robust_filterpy.identification.models.recording import recorded, require_motion
 from robust_filterpy.identification.models.results import Finding, said
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
-from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.structures import OutputError, Structure
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.influence.regression import mad_scale
 
@@ -80,9 +82,7 @@ def identified_polynomials(
                 return
             yield replace(model, operating_point=acted.rest).simulate(u)[:, None]
 
-    def settled(best: Explanation) -> Explanation:
-        return _without_endless_motion(problem.of_inputs(best.u), own, best)
-
+    settled = lambda best: _without_endless_motion(problem.of_inputs(best.u), own, best)  # noqa: E731
     search = Search(y, problem.u, spans, find, alone, starts, True, settled, index)
     # A row of the caller's regressor is no input that is held.
     best = _without_leverage(problem, own) if problem.structure.takes_phi else search.best(trend)
@@ -116,24 +116,41 @@ def _left(search: Search, problem: Problem, best: Explanation, model: Model) -> 
     acting = driven(structure, model.theta, output, problem.u)[:, None]
     direct = min(nk for _, nk in structure.inputs) == 0
     left = search.left(best, output[:, None], residual[:, None], problem.rest, direct, meaning, acting, clear[:, None])
+    late = () if several or model.noise.is_rounding else another_delay(clear, problem.u - problem.rest)
     # What biases the model first: another plant may be no more than what that leaves.
-    return (*_slow_noise(model, clear), *left)
+    return (*_noise_of_sensor(model, problem, y - best.levels[:, 0], clear), *late, *left)
 
 
-def _slow_noise(model: Model, residual: Array) -> tuple[Finding, ...]:
-    """Find out whether what a model with measured outputs in its regressor leaves follows itself."""
+def _noise_of_sensor(model: Model, problem: Problem, y: Array, residual: Array) -> tuple[Finding, ...]:
+    """Find out whether noise that y holds biases a model with measured outputs in its regressor."""
     seen, structure = ~np.isnan(residual), model.structure
-    gain = 2.0 * colour_of(np.where(seen, model.noise.psi(np.nan_to_num(residual)), np.nan)).gain
-    if not structure.na or model.noise.is_rounding or gain < PRICE * np.log(seen.sum()):
+    if not structure.na or model.noise.is_rounding:
         return ()
-    summed = ", integrated=True" * structure.integrated
+    gain = 2.0 * colour_of(np.where(seen, model.noise.psi(np.nan_to_num(residual)), np.nan)).gain
+    other = OutputError(structure.na + structure.nf, structure.nb, structure.nk, integrated=structure.integrated)
+    what = "leaves follows itself, and so does its regressor, which holds y"
+    if gain < PRICE * np.log(seen.sum()):
+        explained = _explained_outliers(model, problem._replace(structure=other, limits=None), y)
+        if explained <= 0.5:
+            return ()
+        what = f"takes for outliers is to {100 * explained:.0f} % what {other} makes of the inputs"
     text = (
-        f"what {structure} leaves follows itself, and so does its regressor, which holds y: its parameters are "
-        "biased by that, further than their standard deviations say; noise of the sensor does it, for which there is "
-        f"OutputError({structure.na + structure.nf}, {structure.nb}, {structure.nk}{summed}); else BoxJenkins, or more "
-        "a's"
+        f"what {structure} {what}: its parameters are biased by that, further than their standard deviations say; "
+        f"noise of the sensor does it, for which there is {other}; else BoxJenkins, or more a's"
     )
     return (Finding("noise that follows itself", text, gain, (0, seen.size)),)
+
+
+def _explained_outliers(model: Model, problem: Problem, y: Array) -> float:
+    """Return the share of a model's outliers that another explains, 0 where most of them do not stand together."""
+    odd, span = np.nan_to_num(model.weights, nan=1.0) < 0.5, 2 * model.structure.n_theta
+    together = maximum_filter1d(uniform_filter1d(odd.astype(float), span, mode="constant"), span)
+    if len(problem.begins) > 1 or not odd.any() or np.median(together[odd]) <= 0.5:
+        return 0.0
+    with suppress(ValueError):
+        left = y - estimated(problem, y).model.simulate(problem.u)
+        return float((np.abs(left[odd]) < ORDINARY * model.R**0.5).mean())
+    return 0.0
 
 
 def _judged(model: Model, y: Array, u: Array, predicted: Array, several: bool) -> tuple[Array, Array]:
@@ -247,7 +264,7 @@ def identify(
     y: Any, u: Any, structure: Structure | StateSpace | GreyBox, *, influence: Influence | None = None,
     offset: bool = True, R: float | None = None, trend: str | None = None, groups: ArrayLike | None = None,
     t: ArrayLike | None = None, fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None,
-    sampled: bool | None = None, progress: bool | None = None,
+    progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:  # fmt: skip
     """Find the model of a recording with outliers, from nothing but the recording.
 
@@ -287,8 +304,6 @@ def identify(
     bounds : dict of str to (float, float), optional
         Between which numbers others are, None or inf for no limit: ``{"b1": (0, None)}``. A parameter that ends at a
         bound is named by ``warning``.
-    sampled : bool, optional
-        Has no effect any more: P is that of the profile likelihood where the loss is not quadratic.
     progress : bool, optional
         Write on standard error, less and less often, what the search is at: True from the beginning, False never, None
         from 2 s on.
@@ -343,8 +358,6 @@ def identify(
     model: Model | StateSpaceModel | GreyBoxModel
     if influence is not None and not isinstance(influence, Influence):
         raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
-    if sampled is not None:
-        warnings.warn("identify: sampled has no effect, leave it out", DeprecationWarning, stacklevel=2)
     with stages("identify", progress):
         if isinstance(structure, (StateSpace, GreyBox)):
             model = _of_outputs(y, u, structure, influence, trend, groups, t, {
@@ -368,7 +381,7 @@ def identify(
 
 
 def _of_polynomials(
-    y: Any, u: Any, structure: Structure, influence: Any, offset: bool, R: Any, trend: Any, groups: Any, limits: Limits
+    y: Any, u: Any, structure: Structure, influence: Any, offset: bool, R: Any, trend: Any, groups: Any, limits: Any
 ) -> Model:  # fmt: skip
     """Return a model of one output."""
     if trend is not None and not isinstance(trend, Settled):
@@ -382,7 +395,7 @@ def _of_polynomials(
     moves = offset and not structure.takes_phi
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), influence, offset,
-        None if R is None else _checks.positive("R", R), recording.axis.dt, limits=limits if limits.any else None,
+        None if R is None else _checks.positive("R", R), recording.axis.dt, limits=limits,
         begins=tuple(part.start for part in recording.spans),
     )  # fmt: skip
     begin = trend.begin if isinstance(trend, Settled) else None

@@ -112,7 +112,10 @@ class Unknowns:
         precision = coupled[:, 0] - self._explained(
             self._h.size - 1, lambda k, p: coupled[np.maximum(k, p), np.minimum(np.abs(k - p), self._h.size - 1)]
         )
-        deviation = self._pull(self.residual) / np.maximum(precision, 1e-9)
+        weighted = np.concatenate((np.zeros(self._first), self._weights * self.residual))
+        # H'W of the residuals.
+        pull = lfilter(self._h, [1.0], weighted[::-1])[::-1]
+        deviation = np.asarray(pull / np.maximum(precision, 1e-9))
         deviation[self._places] = self.correction
         precision[self._places] = 1.0 / np.maximum(self.variance, 1e-9)
         return deviation, precision
@@ -172,11 +175,6 @@ class Unknowns:
         weighted[rows] = (self._weights * base.T).T
         correction = -self._normal.solve(self._pattern.T @ weighted)
         return correction, base + (self._pattern @ correction)[rows]
-
-    def _pull(self, residual: Array) -> Array:
-        """Return H'W times residuals, for each sample."""
-        weighted = np.concatenate((np.zeros(self._first), self._weights * residual))
-        return np.asarray(lfilter(self._h, [1.0], weighted[::-1])[::-1])
 
     def _explained(self, ahead: int, coupling: Callable[[Any, Any], Array]) -> Array:
         """Return c' G^-1 c for each sample, where c(k, p) couples it to unknowns from L - 1 before to some after it."""

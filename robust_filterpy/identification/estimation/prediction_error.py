@@ -45,8 +45,8 @@ class Limits(NamedTuple):
     upper: Array
 
     @classmethod
-    def of(cls, structure: Structure, fixed: Any, bounds: Any) -> Limits:
-        """Return them from names, checked."""
+    def of(cls, structure: Structure, fixed: Any, bounds: Any) -> Limits | None:
+        """Return them from names, checked; None if nothing is given."""
         given = {"fixed": dict(_mapping("fixed", fixed)), "bounds": _mapping("bounds", bounds)}
         if structure.integrated:
             given["fixed"] = {"d1": -1.0, **given["fixed"]}
@@ -57,24 +57,19 @@ class Limits(NamedTuple):
             for name, value in values.items():
                 place = _place(structure, argument, name)
                 if argument == "fixed":
-                    lower[place] = upper[place] = _finite(name, value)
+                    lower[place] = upper[place] = _checks.finite(f"fixed[{name!r}]", value, ())
                 elif name in given["fixed"]:
                     raise ValueError(f"bounds: expected parameters that are not fixed, got {_checks.shown(name)}")
                 else:
                     lower[place], upper[place] = _checks.interval(f"bounds[{name!r}]", value)
         if (lower == upper).all():
             raise ValueError(f"fixed: expected at least one parameter of {structure} that is free, got all of them")
-        return cls(lower, upper)
+        return cls(lower, upper) if np.isfinite([lower, upper]).any() else None
 
     @property
     def fixed(self) -> Any:
         """Which parameters are numbers, shape (n_theta,)."""
         return self.lower == self.upper
-
-    @property
-    def any(self) -> bool:
-        """Whether something is given."""
-        return bool((np.isfinite(self.lower) | np.isfinite(self.upper)).any())
 
     def times(self, factor: Array) -> Limits:
         """Return them for parameters in other units."""
@@ -134,14 +129,6 @@ def _place(structure: Structure, argument: str, name: Any) -> int:
         mend = "; offset=False leaves the constant out" if name == "offset" else ""
         raise ValueError(f"{argument}: expected parameters among {', '.join(structure.names)}, got {name!r}{mend}")
     return structure.names.index(name)
-
-
-def _finite(name: str, value: Any) -> float:
-    """Return a finite number, or raise."""
-    number = _checks.real(f"fixed[{name!r}]", value)
-    if not np.isfinite(number):
-        raise ValueError(f"fixed[{name!r}]: expected a finite number, got {_checks.shown(value)}")
-    return number
 
 
 # A step that would change the residuals by less than this share of them ends the search.
@@ -297,7 +284,7 @@ def colour_of(signal: Array) -> Colour:
     # White noise is that of the samples that are measured, each against those that are measured before it.
     seen, signal = ~np.isnan(signal), np.nan_to_num(signal)
     most = min(_MOST, int(seen.sum()) // _SAMPLES_EACH)
-    if most < 1 or not signal.any():
+    if most < 1 or not signal[most:].any():
         return Colour(np.ones(1), 0.0)
     lagged = sliding_window_view(signal, most + 1)[seen[most:], ::-1]
     triangle = np.asarray(np.linalg.qr(np.column_stack((lagged[:, 1:], lagged[:, 0])), mode="r"))

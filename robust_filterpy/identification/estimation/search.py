@@ -319,7 +319,7 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if not order:
         return
     if not model.inputs:
-        yield autocorrelation_start(model, rows)
+        yield autocorrelation_start(model)
         return
     nb, nk = zip(*model.structure.inputs, strict=True)
     simple = PolynomialModel(OutputError(order, nb, nk), model.y, model.u, model.offset, model.moving)

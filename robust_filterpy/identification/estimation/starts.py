@@ -148,7 +148,7 @@ def _inside(A: Array) -> Array:
     return A if np.array_equal(inside, values) else np.real(vectors * inside @ np.linalg.inv(vectors))
 
 
-def autocorrelation_start(model: PolynomialModel, rows: Any) -> Start:
+def autocorrelation_start(model: PolynomialModel) -> Start:
     """Return the Yule-Walker solution for a model without input, from robust autocorrelations."""
     p = np.zeros(model.n)
     p[model.structure.polynomials.a] = _autoregression(model.y, model.na)[1:]

@@ -262,11 +262,6 @@ class Selection(Report, Pictured):
     samples: int
     impulse_responses: tuple[ImpulseResponse, ...]
 
-    @property
-    def impulse_response(self) -> ImpulseResponse | None:
-        """That of the first input, None if there is none."""
-        return self.impulse_responses[0] if self.impulse_responses else None
-
     def _more(self) -> dict[str, list[Any]]:
         """Return further columns of the DataFrame."""
         above = [row.criterion - self.rows[0].criterion for row in self.rows]
@@ -614,5 +609,5 @@ def _impulse_responses(y: Array, u: Array, grid: Grid) -> tuple[ImpulseResponse,
         return ()
     level = norm.ppf(1.0 - 0.5 * _FALSE_DELAY / length)
     lags = np.arange(start, start + length)
-    parts = model.structure.polynomials.b
-    return tuple(ImpulseResponse(lags, model.theta[part], level * model.std[part]) for part in parts)
+    parts = ((model.theta[part], level * model.std[part]) for part in model.structure.polynomials.b)
+    return tuple(ImpulseResponse(lags, *part) for part in parts)

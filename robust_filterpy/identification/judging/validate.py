@@ -35,6 +35,7 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import Pictured, tabulated
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.missing import cleaned
+from robust_filterpy.identification.models.dependence import basis_of
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model, as_model
 from robust_filterpy.identification.models.noise import Noise, ordinary_fit, ordinary_samples
@@ -60,8 +61,6 @@ _LEFT: Final = 0.1
 _SAME_RECORDING: Final = 0.7
 # A mean residual of more standard deviations than this is a level that the model has not.
 _FAR: Final = 3.0
-# Directions of the parameters that move no residual by more than this share of the others, as a change of basis.
-_NOTHING: Final = 1e-8
 
 
 def any_model(name: str, given: Any, y: Any, u: Any) -> Any:
@@ -215,7 +214,8 @@ class Score(NamedTuple):
             slope[j] = noise.slope(e[rows, j])
             J[:, j] /= np.sqrt(noise.R)
         estimated = np.isinf(judged.P.diagonal()) | same
-        basis = _directions(J[:, :, estimated] * np.sqrt(slope)[:, None])
+        fitted = J[:, :, estimated] * np.sqrt(slope)[:, None]
+        basis = basis_of(fitted.reshape(v.size, -1)).reshape(*v.shape, -1)
         return cls(v, seen, J, slope, np.where(np.outer(~estimated, ~estimated), judged.P, 0.0), basis, same, shift)
 
     def tested(self, j: int, Z: Array, kernel: Array, level: float) -> tuple[Array, Array, Portmanteau]:
@@ -267,14 +267,6 @@ def covariances(v: Array, lags: int) -> Array:
     rho = np.array([v[lag:] @ v[: v.size - lag] for lag in range(lags + 1)]) / max(v @ v, np.finfo(float).tiny)
     rho *= 1.0 - np.arange(lags + 1) / (lags + 1)
     return np.concatenate((rho[:0:-1], rho))
-
-
-def _directions(J: Array) -> Array:
-    """Return orthonormal directions that derivatives of all outputs together span, shape (N, p, r)."""
-    flat = J.reshape(J.shape[0] * J.shape[1], J.shape[2])
-    size = np.linalg.norm(flat, axis=0)
-    left, values, _ = np.linalg.svd(flat / np.where(size == 0.0, 1.0, size), full_matrices=False)
-    return np.asarray(left[:, values > _NOTHING * values.max(initial=0.0)].reshape(*J.shape[:2], -1))
 
 
 def _alike(weights: Array, others: Array) -> bool:

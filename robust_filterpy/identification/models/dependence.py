@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
 from robust_filterpy._checks import Array
@@ -18,7 +19,6 @@ from robust_filterpy.identification.models.noise import ROUNDING
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.influence.regression import mad_scale
 
 # A residual follows u if that much of it does, and a model that is right shows as much in so few windows.
 SHARE: Final = 0.25
@@ -61,6 +61,8 @@ _EACH_LAG: Final = 12
 _PAST: Final = 16
 _RESIDUALS: Final = 6
 _CHANCE_OF_FEEDBACK: Final = 1e-7
+# Columns that add no more than this to others, as a change of basis makes them.
+_NOTHING: Final = 1e-8
 # What the residuals must explain of what the past of the input leaves of it.
 _SHARE_OF_FEEDBACK: Final = 0.02
 
@@ -133,10 +135,7 @@ def dependence(
 def _filtered(signals: Array, whitening: tuple[float, ...]) -> Array:
     """Filter signals of shape (.., n, k) along n, and leave out the first samples."""
     order, n = len(whitening), signals.shape[-2]
-    filtered = signals[..., order:, :].copy()
-    for j, d in enumerate(whitening, start=1):
-        filtered += d * signals[..., order - j : n - j, :]
-    return filtered
+    return np.asarray(sum(d * signals[..., order - j : n - j, :] for j, d in enumerate((1.0, *whitening))))
 
 
 def autocovariances(residuals: Array) -> Array:
@@ -155,10 +154,8 @@ def level_and_scale(values: Array, seen: Any) -> tuple[Array, Array]:
 def _median(values: Array, seen: Any) -> Array:
     """Return the median of the values seen along the last axis, 0 where there are none."""
     ordered = np.sort(np.where(seen, values, np.inf), axis=-1)
-    count = seen.sum(axis=-1)
-    padded = np.where(np.isfinite(ordered), ordered, 0.0)
-    pick = lambda i: np.take_along_axis(padded, np.maximum(i, 0)[..., None], -1)[..., 0]  # noqa: E731
-    return 0.5 * (pick((count - 1) // 2) + pick(count // 2))
+    middle = np.maximum(seen.sum(axis=-1)[..., None] - np.array([1, 0]), 0) // 2
+    return np.nan_to_num(np.take_along_axis(ordered, middle, -1).mean(axis=-1), posinf=0.0)
 
 
 def whitening_of(covariances: Array) -> tuple[float, ...]:
@@ -198,28 +195,6 @@ def changed(scores: Array) -> float:
     g, n = s.sum() / i.sum(), i.sum() ** 2 / (i @ i)
     variance = max(float(i.sum()), float(np.square(s - g * i).sum()) * n / (n - 1.0)) / i.sum() ** 2
     return float(g) if abs(g) > max(_LEAST, _SURE * np.sqrt(variance)) else 0.0
-
-
-def broken(residual: Array, x: Array) -> tuple[int, float, float, float]:
-    """Return where the gain of a plant has changed in a recording, if it has."""
-    nothing, samples, span = (residual.size, 0.0, 0.0, 0.0), _of_samples(residual, x), x.size // _SPLIT
-    if samples is None or span < _SHORTEST:
-        return nothing
-    first = x.size - span * _SPLIT
-    s, i = samples[:, first:].reshape(2, _SPLIT, span).sum(axis=2)
-    best = nothing
-    for k in range(1, _SPLIT):
-        sides = [np.arange(_SPLIT) < k, np.arange(_SPLIT) >= k]
-        information = np.array([i[side].sum() for side in sides])
-        if min(i[side].sum() ** 2 / max(i[side] @ i[side], 1e-300) for side in sides) < _BESIDE:
-            continue
-        g = np.array([s[side].sum() for side in sides]) / information
-        left = s - np.where(sides[0], *g) * i
-        scattered = max(1.0, float(left @ left) / i.sum() * _SPLIT / (_SPLIT - 2.0))
-        z = float(np.diff(g)[0] / np.sqrt(scattered * (1.0 / information).sum()))
-        if np.abs(g).max() > _LEAST and abs(z) > max(_SURE_OF_ANY, abs(best[3])):
-            best = residual.size - x.size + first + k * span, float(g[0]), float(g[1]), z
-    return best
 
 
 def _of_samples(residual: Array, x: Array) -> Array | None:
@@ -289,16 +264,49 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
     return ()
 
 
+def another_delay(residual: Array, signals: Array) -> tuple[Finding, ...]:
+    """Find out whether what a model leaves follows an input that it has long forgotten."""
+    e, most, whitening = _ordinary(residual), len(signals) // _PARTS, whitening_of(autocovariances(residual))
+    for j, u in enumerate(signals.T if most > LAGS else ()):
+        news = _filtered(u[:, None], whitening_of(autocovariances(u)))[:, 0]
+        pulls = np.abs(fftconvolve(e, news[::-1])[u.size - 1 :][:most])
+        lag = int(pulls[LAGS:].argmax()) + LAGS
+        shift = lag - LAGS // 2
+        test = dependence(residual[shift:], u[:-shift, None], LAGS, whitening)
+        if test.significant and pulls[lag] > pulls[:LAGS].max():
+            text = (
+                f"{100 * float(test.share):.0f} % of what the model leaves follow input {j} about {lag} samples "
+                "before: its delay nk is longer than the structure has it, or the structure too small for a slow plant"
+            )
+            return (Finding("another delay", text, _evidence(test.chance), (0, residual.size)),)
+    return ()
+
+
 def another_gain(residual: Array, x: Array) -> tuple[Finding, ...]:
     """Find out whether the gain of the plant changes in a recording, from all of its samples together."""
-    sample, before, after, z = broken(residual, x)
-    if not z:
-        return ()
-    text = (
-        f"from about sample {sample} on the gain from u to y is {1.0 + after:.2f} times the model's, before "
-        f"{1.0 + before:.2f} times: the plant is another one there, or the structure is too small"
-    )
-    return (Finding("another plant", text, z * z, (sample, residual.size)),)
+    findings: tuple[Finding, ...] = ()
+    samples, span, largest = _of_samples(residual, x), x.size // _SPLIT, _SURE_OF_ANY
+    if samples is None or span < _SHORTEST:
+        return findings
+    first = x.size - span * _SPLIT
+    s, i = samples[:, first:].reshape(2, _SPLIT, span).sum(axis=2)
+    for k in range(1, _SPLIT):
+        sides = [np.arange(_SPLIT) < k, np.arange(_SPLIT) >= k]
+        information = np.array([i[side].sum() for side in sides])
+        if min(i[side].sum() ** 2 / max(i[side] @ i[side], 1e-300) for side in sides) < _BESIDE:
+            continue
+        g = np.array([s[side].sum() for side in sides]) / information
+        left = s - np.where(sides[0], *g) * i
+        scattered = max(1.0, float(left @ left) / i.sum() * _SPLIT / (_SPLIT - 2.0))
+        z = float(np.abs(np.diff(g))[0] / np.sqrt(scattered * (1.0 / information).sum()))
+        if np.abs(g).max() > _LEAST and z > largest:
+            largest, sample = z, residual.size - x.size + first + k * span
+            text = (
+                f"from about sample {sample} on the gain from u to y is {1.0 + g[1]:.2f} times the model's, before "
+                f"{1.0 + g[0]:.2f} times: the plant is another one there, or the structure is too small"
+            )
+            findings = (Finding("another plant", text, z * z, (sample, residual.size)),)
+    return findings
 
 
 def feedback(parts: list[tuple[Array, Array]], direct: bool, meaning: str) -> tuple[Finding, ...]:
@@ -319,9 +327,9 @@ def feedback(parts: list[tuple[Array, Array]], direct: bool, meaning: str) -> tu
     freedom = len(X) - X.shape[1] - E.shape[1]
     if freedom < 2 * X.shape[1]:
         return ()
-    basis = _basis(X)
+    basis = basis_of(X)
     left, more = U - basis @ (basis.T @ U), E - basis @ (basis.T @ E)
-    own = _basis(more)
+    own = basis_of(more)
     total, explained = np.square(left).sum(axis=0), np.square(own.T @ left).sum(axis=0)
     # An input whose past says all of it has nothing left to be explained.
     varies = total > 1e-9 * np.square(U).sum(axis=0)
@@ -346,12 +354,12 @@ def _evidence(chance: Array) -> float:
 def _ordinary(residual: Array) -> Array:
     """Return residuals in units of their scale, clipped, 0 where there are none."""
     measured = ~np.isnan(residual)
-    centre = float(np.median(residual[measured])) if measured.any() else 0.0
-    scale = mad_scale(residual[measured] - centre) if measured.any() else 0.0
-    return np.where(measured, np.clip((np.nan_to_num(residual) - centre) / (scale or 1.0), -CLIP, CLIP), 0.0)
+    level, scale = level_and_scale(residual, measured)
+    return np.where(measured, np.clip((np.nan_to_num(residual) - level) / (scale or 1.0), -CLIP, CLIP), 0.0)
 
 
-def _basis(X: Array) -> Any:
-    """Return an orthonormal basis of the columns."""
-    left, values, _ = np.linalg.svd(X, full_matrices=False)
-    return left[:, values > 1e-9 * max(values[0], np.finfo(float).tiny)]
+def basis_of(X: Array) -> Array:
+    """Return an orthonormal basis of the columns, each taken of unit size."""
+    size = np.linalg.norm(X, axis=0)
+    left, values, _ = np.linalg.svd(X / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    return np.asarray(left[:, values > _NOTHING * values.max(initial=0.0)])

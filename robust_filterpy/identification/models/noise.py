@@ -22,8 +22,8 @@ from robust_filterpy.influence.regression import mad_scale, moving_size, resolut
 
 #: What a model leaves of an output, in units of its size, that is rounding and tells nothing.
 ROUNDING: Final = 1e-12
-# Within so many standard deviations of the ordinary noise a sample is an ordinary one.
-_ORDINARY: Final = 3.0
+#: Within so many standard deviations of the ordinary noise a sample is an ordinary one.
+ORDINARY: Final = 3.0
 # What arithmetic loses of the largest values of a recording that else rests.
 _NUMBERS: Final = 3e-14
 
@@ -89,7 +89,7 @@ def ordinary_samples(residual: Array, y: Array) -> Any:
     """Tell which samples are ordinary: within three standard deviations of the noise, known by its median."""
     e, measured = residual[~np.isnan(residual)], y[~np.isnan(y)]
     scale = max(mad_scale(e), ROUNDING * size_of(measured - np.median(measured))) if e.size else 0.0
-    return np.abs(np.where(np.isnan(residual), np.inf, residual)) <= _ORDINARY * scale
+    return np.abs(np.where(np.isnan(residual), np.inf, residual)) <= ORDINARY * scale
 
 
 def ordinary_fit(y: Array, y_model: Array, ordinary: Any) -> float:

@@ -26,7 +26,7 @@ class Finding(NamedTuple):
     ----------
     kind : str
         "fill value", "stuck", "copy", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "wraps",
-        "closed loop", "noise that follows itself".
+        "another delay", "closed loop", "noise that follows itself".
     text : str
         In words, with time and size.
     evidence : float

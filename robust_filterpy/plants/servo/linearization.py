@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.signal import cont2discrete, ss2tf
 
-from robust_filterpy._checks import Array, option, positive
+from robust_filterpy._checks import Array, finite, option, positive
 
 from .equations import (
     INPUTS,
@@ -101,8 +101,7 @@ def operating_point(
 
     p = as_parameters(parameters)
     for name, value in (("velocity", velocity), ("load", load)):
-        if not math.isfinite(value):
-            raise ValueError(f"{name}: expected a finite number, got {value}")
+        finite(name, value, ())
     if not abs(position) <= p.stroke / 2:
         raise ValueError(f"position: expected within +-{p.stroke / 2:g} m, got {position}")
     alpha, beta = (at(0.0) for at in coefficient_functions(p, alpha, beta))
