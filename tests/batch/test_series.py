@@ -198,18 +198,6 @@ def test_a_series_whose_covariance_would_be_indefinite_is_named(form):
             filter_series(np.ones((1, 3, 1)), np.eye(1), np.eye(1), nothing, nothing, [0.0], nothing, **options)
 
 
-@EITHER
-def test_a_start_that_is_not_finite_is_refused(options, form):
-    problem, zs = problem_and_series()
-    for spoil in ("x0", "P0"):
-        start = {"x0": np.tile(problem.x[:, 0], (SERIES, 1)), "P0": np.tile(problem.P, (SERIES, 1, 1))}
-        start[spoil][2] = np.nan
-        with pytest.raises(ValueError, match="step 0: "):
-            filter_series(zs, *arguments(problem)[:4], **start, **options)
-        found = filter_series(zs, *arguments(problem)[:4], **start, refused="nan", **options)
-        assert np.isnan(found.x[2]).all() and not np.isnan(found.x[:2]).any()
-
-
 @pytest.mark.parametrize("change, match", [
     ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
     ({"zs": np.zeros((2, 3, 0))}, "zs: expected dim_z >= 1"),

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-import support
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from robust_filterpy.correction import SingularInnovationError
-from robust_filterpy.correction.definition import correct, embed_block, innovation_moments
+from robust_filterpy.correction.definition import correct, innovation_moments
 from robust_filterpy.correction.options import Choices, typical_length
 
 pytestmark = pytest.mark.core
@@ -40,25 +39,6 @@ def test_a_sensor_that_the_others_determine_is_refused_or_left_out():
     found = correct(*given, skip_singular=True)
     assert_allclose(found.x, [1.0, 0.0])
     assert_allclose(found.P, np.diag([0.0, 1.0]), atol=1e-12)
-
-
-def test_a_block_of_its_own_is_uncorrelated_with_them():
-    """What a joint correction before had between this block and the others is gone from S and from the information."""
-    rng = np.random.default_rng(0)
-    x, P, H, R = np.zeros(3), support.spd(rng, 3), rng.normal(size=(3, 3)), np.eye(3)
-    C, S = innovation_moments(P, H, R)
-    whole = correct(x, P, np.array([0.3, -0.2, 4.0]), C, S, Choices(grouping="joint"))
-    assert (np.abs(whole.S[1, [0, 2]]) > 1e-3).all() and (np.abs(whole.information[1, [0, 2]]) > 0.0).any()
-    C1, S1 = innovation_moments(P, H[1:2], R[1:2, 1:2])
-    some = correct(x, P, np.array([0.1]), C1, S1, Choices())
-    for before in (whole, None):
-        found = embed_block(before, some, 1, 3)
-        for both, block in ((found.S, some.S), (found.information, some.information)):
-            assert both[1, 1] == block[0, 0]
-            assert_array_equal(both[1, [0, 2]], 0.0)
-            assert_array_equal(both[[0, 2], 1], 0.0)
-        if before is not None:
-            assert_array_equal(found.S[np.ix_([0, 2], [0, 2])], whole.S[np.ix_([0, 2], [0, 2])])
 
 
 @pytest.mark.parametrize("k", [1, 2, 5])

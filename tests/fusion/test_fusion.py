@@ -2,7 +2,6 @@
 
 import math
 import warnings
-from dataclasses import replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -281,9 +280,6 @@ def test_a_recording_prints_on_a_screen_with_what_was_said_of_its_sensors():
     lines = repr(found).split("\n")
     assert lines[0] == "Recording(500 stamps, 0.0 to 499.0; at the end p=1, v=1)"
     assert lines[1:] == ["  left biased, since 3.0, first said at 4.0; before that departs"]
-    day = np.datetime64("2024-05-01T10:00", "ns")
-    dated = replace(found, times=day + np.arange(500) * np.timedelta64(200, "ms"), verdicts=())
-    assert repr(dated).startswith("Recording(500 stamps, 2024-05-01T10:00:00 to 2024-05-01T10:01:39.8; at the end")
 
 
 @pytest.mark.parametrize("bad", [None, np.nan, [], {}, np.array(1.0), np.zeros((2, 2)), object()], ids=range(7))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
+from robust_filterpy import Huber, StudentT, TukeyBiweight
 from robust_filterpy.correction import definition, spread
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.influence import Hampel, Linear
@@ -110,59 +110,3 @@ def test_what_is_out_of_the_ordinary_is_declined():
     assert moments.correct(choices, memory[:0], P, y, y, C, S, R) is None
     assert moments.correct(choices, memory, P + np.triu(np.ones_like(P), 1), y, y, C, S, R) is None or len(P) == 1
     assert moments.correct(Choices(Huber(), "learnt", grouping=((0,),)), memory, P, y, y, C, S, R) is None
-
-
-@pytest.mark.parametrize("grouping", ["component", "joint"])
-@pytest.mark.parametrize("influence", [Huber(), Linear(), TukeyBiweight()], ids=str)
-def test_linear_sensors_are_as_a_filters_own(influence, grouping):
-    """The same measurements by arrays and by a filter's attributes: the same bits."""
-    g = np.random.default_rng(29)
-    for _problem in range(40):
-        n, m = int(g.integers(1, 7)), int(g.integers(1, 5))
-        root = g.normal(size=(n, n))
-        kf = RobustKalmanFilter(n, m, influence=influence, grouping=grouping)
-        kf.x, kf.P, kf.H = g.normal(size=(n, 1)), root @ root.T + np.eye(n), g.normal(size=(m, n))
-        kf.R = np.diag(g.uniform(0.1, 2.0, m))
-        memory = spread.begin(m)
-        for _ in range(8):
-            z = 3.0 * g.standard_t(2, size=m)
-            z[g.random(m) < 0.1] = np.nan
-            if np.isnan(z).all():
-                continue
-            x, P = kf.x.ravel(), kf.P
-            taken = moments.correct_linear(
-                Choices(influence, "learnt", grouping=grouping), memory, x, P, z, kf.H, kf.R, None
-            )
-            kf.update(z)
-            np.testing.assert_array_equal(taken.x, kf.x.ravel())
-            np.testing.assert_array_equal(taken.P, kf.P)
-            np.testing.assert_array_equal(taken.record, kf._last)
-            if taken.memory is not None:
-                np.testing.assert_array_equal(taken.memory, kf._memory)
-                memory = taken.memory
-
-
-@pytest.mark.parametrize("bad", ["nan", "inf", "shape", "dtype", "none", "read only"])
-@pytest.mark.parametrize("place", range(6), ids=["x", "P", "z", "H", "R", "M"])
-def test_linear_sensors_that_are_out_of_the_ordinary_are_declined(place, bad):
-    # Under scaling "learnt" a correlation M is for the definition.
-    choices, memory = Choices(Huber(), "learnt" if place < 5 else "innovation"), spread.begin(2)
-    M = 0.1 * np.ones((3, 2)) if place == 5 else None
-    given = [np.ones(3), np.eye(3), np.ones(2), np.ones((2, 3)), np.eye(2), M]
-    before = [None if a is None else a.copy() for a in given]
-    ordinary = moments.correct_linear(choices, memory, *given)
-    spoilt = given[place].copy()
-    if bad in ("nan", "inf"):
-        spoilt.flat[0] = float(bad)
-    given[place] = {"shape": np.ones((5, 5)), "dtype": spoilt.astype(complex), "none": None}.get(bad, spoilt)
-    spoilt.flags.writeable = bad != "read only"
-    found = moments.correct_linear(choices, memory, *given)
-    name = "x P z H R M".split()[place]
-    if bad == "read only" or (name, bad) in {("M", "none"), ("z", "nan")}:
-        # Nothing is written to, no M is no correlation, and NaN in z is a reading that is missing.
-        assert (found.x == ordinary.x).all() == (bad == "read only")
-    else:
-        assert found is None
-    for a, b in zip(given, before, strict=True):
-        if a is not None and bad == "read only":
-            np.testing.assert_array_equal(a, b)

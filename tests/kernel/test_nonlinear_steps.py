@@ -119,6 +119,9 @@ def test_parts_show_the_same_whenever_they_are_looked_at():
             kf.predict()
             kf.update_sequential(start, z)
         looked = [np.copy(getattr(two, name)) for name in ("y", "K", "e", "weights", "log_likelihood")]
+        # What a correction of all had between this block and the others is gone.
+        block = np.r_[start : start + len(z)]
+        assert not np.delete(two._arrays().S[block], block, axis=1).any()
         # Only what is in force is kept, however long nobody looks.
         assert len(one._last.parts) <= 6
         if k % 7 == 6:

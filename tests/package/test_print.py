@@ -67,14 +67,12 @@ def fused():
     return fusion
 
 
-def labelled(**options):
-    return draw("constant velocity", 300, rng=0, **options)
+LABELED = draw("constant velocity", 300, rng=0, contamination="mixture")
 
 
 # What it is made of, and a word that its text has to have: of recordings their first field, in the second line.
 SHOWN = {
     "filter_series": (lambda: filter_series(Y[None, :, None], *MODEL), "FilteredSeries\n  x "),
-    "learning series": (lambda: filter_series(Y[None, :, None], *MODEL, noise="learnt", process="scales"), "\n  x "),
     "smooth": (lambda: smooth(walk(), Y), "\n  x "),
     "estimate_noise": (lambda: estimate_noise(walk(), Y), "\n  Q "),
     "tracker": (lambda: ParameterTracker(ARX(1, 1), start=0).run(Y, U), "TrackingResult\n  theta "),
@@ -82,17 +80,12 @@ SHOWN = {
         lambda: TrackerBank(3, ARX(1, 1), start=0).run(np.tile(Y[:, None], 3), np.tile(U[:, None], 3)),
         "\n  theta ",
     ),
-    "scenario": (labelled, "is_outlier"),
-    "labels": (
-        lambda: labelled(contamination="mixture"),
-        f"is_outlier   shape (300, 2), {labelled(contamination='mixture').is_outlier.sum()} of 600 true",
-    ),
+    "labels": (lambda: LABELED, f"is_outlier   shape (300, 2), {LABELED.is_outlier.sum()} of 600 true"),
     "intervals": (lambda: identify(Y, U, ARX(2, 2)).confidence_intervals(), "upper"),
     "response": (lambda: identify(Y, U, ARX(2, 2)).frequency_response(np.linspace(0.1, 3.0, 40)), "95 % bands"),
     "poles": (lambda: identify(Y, U, ARX(2, 2)).poles(), "+-"),
     "step": (lambda: identify(Y, U, ARX(2, 2)).step_response(), " ("),
     "spectrum": (lambda: identify(Y, U, ARX(2, 2)).noise_spectrum(np.linspace(0.1, 3.0, 40)), "density"),
-    "where the parameters end": (lambda: ParameterTracker(ARX(1, 1), start=0).run(Y, U), "a1 -0.9"),
     "sample": (lambda: ParameterTracker(ARX(1, 1), start=0).update(1 / 3, 1.0), "0.333333"),
     "bank": (lambda: TrackerBank(3, ARX(1, 1), start=0), "theta"),
     "fleet": (lambda: TrackerModel(ARX(1, 1), {"start": 0}, measurements=["y"], inputs=["u"], time="t"), "ARX"),
@@ -102,7 +95,6 @@ SHOWN = {
     "estimate": (lambda: watched().estimate(4.0), "a 0.2, b 0.1"),
     "forecast": (lambda: watched().forecast([4.0, 5.0]), "a, b"),
     "smoother": (smoother, "x, 3 steps before"),
-    "fresh smoother": (lambda: FixedLagSmoother(2, 1, 3), "2 states, 1 measured, lag 3"),
     "verdict": (lambda: described("biased", since=3.0, size=5.0), "calibrate"),
 }
 
