@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from support import Extended, cart, load, needs_kernel, of_matrices, without_kernel
+from support import Extended, cart, load, of_matrices
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, _state
 from robust_filterpy.correction.spread import SPREAD
@@ -91,19 +91,6 @@ def test_a_state_has_what_is_known_of_them_and_a_copy_too(kf):
     expected = run(kf, readings[40:])
     np.testing.assert_array_equal(run(twin, readings[40:]), expected)
     np.testing.assert_allclose(run(other, readings[40:]), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("option", [{}, {"noise": "learnt", "process": "scales"}])
-def test_the_kernel_and_the_definition_learn_the_same(option, monkeypatch):
-    needs_kernel()
-    readings = drawn(4, 150)
-    by_kernel = of_matrices(RobustKalmanFilter, F, H, **option)
-    expected = run(by_kernel, readings)
-    without_kernel(monkeypatch)
-    by_definition = of_matrices(RobustKalmanFilter, F, H, **option)
-    np.testing.assert_allclose(run(by_definition, readings), expected, rtol=1e-8, atol=1e-10)
-    for name, known in by_kernel._named_sensors.items():
-        np.testing.assert_allclose(by_definition._named_sensors[name], known, rtol=1e-7, atol=1e-10)
 
 
 def test_vectors_of_other_heights_by_their_names():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from alike import assert_alike, shown
 from filterpy.kalman import MerweScaledSigmaPoints
+from statsmodels.robust import norms
 
 import robust_filterpy
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
@@ -28,6 +29,7 @@ OPTIONS = {
 WAYS = {
     "H": {"H": np.array([[1.0, 0.1], [0.3, 1.0]])}, "a row of H": {"H": np.array([[1.0, 0.2]]), "R": 0.3},
     "R": {"R": np.array([[0.4, 0.1], [0.1, 0.3]])}, "M": {}, "F and Q": {}, "part by part": {},
+    "by name": {},
 }  # fmt: skip
 
 
@@ -63,6 +65,8 @@ def take(kf, k, z, way):
     elif way == "part by part" and k % 3 != 2:
         for i in np.flatnonzero(z == z).tolist():
             kf.update_sequential(i, z[i])
+    elif way == "by name":
+        kf.update(z, sensor="ab"[k % 2])
     elif way == "a row of H" and k % 2 == 0:
         kf.update(z)
     else:
@@ -85,7 +89,7 @@ def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, b
             take(kf, k, z, way)
             lags = np.nansum(getattr(kf._last, "lags", 0.0))
             rows.append(shown(kf, "outlier_probability") | {"lags": lags})
-        return rows, [kf._memory, *kf._other_sensors.values()]
+        return rows, [kf._memory, *kf._other_sensors.values(), *kf._named_sensors.values()]
 
     (ours, memories), (theirs, expected) = both(steps)
     assert_alike(ours, theirs, 1e-9)
@@ -93,26 +97,11 @@ def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, b
         np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-11)
 
 
-class Biweight:
-    """Tukey's biweight as somebody else's class has it."""
-
-    def rho(self, e):
-        return TukeyBiweight().rho(e)
-
-    def psi(self, e):
-        return TukeyBiweight().psi(e)
-
-    def psi_deriv(self, e):
-        return TukeyBiweight().psi_deriv(e)
-
-    def weights(self, e):
-        return TukeyBiweight().weights(e)
-
-
 @pytest.mark.parametrize("scaling, patience", [("learnt", None), ("learnt", 6), ("innovation", None)])
 def test_a_psi_of_the_users_is_called_by_the_kernel(scaling, patience, by_kernel_alone):
     found = []
-    for influence in (Biweight(), TukeyBiweight()):
+    # Somebody else's function of the same formulas.
+    for influence in (norms.TukeyBiweight(4.685), TukeyBiweight(4.685)):
         kf = RobustKalmanFilter(2, 2, influence=influence, scaling=scaling, patience=patience)
         kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.eye(2), 0.01 * np.eye(2)
         for z in np.random.default_rng(2).normal(size=(60, 2)) + np.repeat([[0.0], [25.0]], 30, axis=0):
@@ -123,7 +112,7 @@ def test_a_psi_of_the_users_is_called_by_the_kernel(scaling, patience, by_kernel
 
 
 def test_what_a_psi_of_the_users_raises_is_passed_on_and_nothing_has_changed():
-    class Spoilt(Biweight):
+    class Spoilt(norms.TukeyBiweight):
         def psi_deriv(self, e):
             kf.x[0] = 7.0
             raise OSError("no")
