@@ -30,24 +30,6 @@ def pair(problem, ndim=2, influence=Linear(), **choices):
     return robust, support.make(KalmanFilter, problem, ndim)
 
 
-@pytest.mark.parametrize("dims, influence, ndim", [
-    ((3, 2), Linear(), 1), ((7, 4), Huber(np.inf), 2), pytest.param((20, 5), Linear(), 2, marks=pytest.mark.nightly),
-])  # fmt: skip
-def test_equals_kalman_for_infinite_threshold_over_10000_steps(dims, influence, ndim):
-    problem = support.random_problem(sum(dims), *dims)
-    robust, plain = pair(problem, ndim, influence)
-    zs, _ = support.simulate(problem, 10_000, seed=1, contamination=0.05)
-    for k, z in enumerate(zs):
-        for kf in (robust, plain):
-            kf.predict()
-            kf.update(z)
-        # Every step for the state, now and then for what filterpy computes slowly.
-        assert np.abs(robust.x - plain.x).max() <= 1e-10 * np.abs(plain.x).max()
-        if k % 100 == 0:
-            support.assert_same_state(robust, plain, SHOWN)
-            assert robust.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-10)
-
-
 def steady(kf, z, k, u):
     kind = "" if k < 40 else "_steadystate"
     getattr(kf, f"predict{kind}")(u)

@@ -8,10 +8,10 @@ from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.fusion import Fusion, Reacquisition, Sensor, constant_velocity
 
 
-def made(watch=True, reacquire=True):
+def made(reacquire=True):
     sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in RATES}
     options = {"reacquire": Reacquisition()} if reacquire else {}
-    return Fusion(constant_velocity(1, 0.5), sensors, 1.0, P0=100.0 * np.eye(2), watch=watch, **options)
+    return Fusion(constant_velocity(1, 0.5), sensors, 1.0, P0=100.0 * np.eye(2), watch=True, **options)
 
 
 def readings_of(seed, far=30.0):
