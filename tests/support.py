@@ -6,6 +6,7 @@ takes; of the package nothing is used but comparisons out of its room for testin
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -326,6 +327,20 @@ def group_scaling(S, scaling):
 def snapshot(kf, names=(*STATE, *CORRECTION, *ROBUST)):
     """Copy what a refused call must leave alone."""
     return visible(kf, names)
+
+
+def contents(kf):
+    """Return everything that the filter holds, copied."""
+    kf.likelihood, kf.mahalanobis, kf.SI  # what is made when asked for  # noqa: B018
+    return copy.deepcopy({**kf.__dict__, **{name: getattr(kf, name) for name in ("y", "S", "SI", "K", "e", "weights")}})
+
+
+def assert_same_contents(found, expected):
+    """Compare the contents of two filters to the last bit."""
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        if isinstance(value, (np.ndarray, int, float, tuple)):
+            np.testing.assert_equal(found[name], value, err_msg=name)
 
 
 def assert_same_state(robust, plain, names=(*STATE, "y", "K", "S", "SI"), rtol=1e-10):

@@ -29,22 +29,6 @@ LINEAR = [RobustKalmanFilter, recovering, noise_given, two_sided, AdaptiveKalman
 ERRORS = [KeyboardInterrupt, OSError, ZeroDivisionError, MemoryError, SystemExit, ValueError]
 
 
-def contents(kf):
-    """Return everything that the filter holds, copied."""
-    kf.likelihood, kf.mahalanobis, kf.SI  # what is made when asked for  # noqa: B018
-    return copy.deepcopy({**kf.__dict__, **{name: getattr(kf, name) for name in ("y", "S", "SI", "K", "e", "weights")}})
-
-
-def assert_same(found, expected):
-    """Compare the contents of two filters to the last bit."""
-    assert found.keys() == expected.keys()
-    for name, value in expected.items():
-        if isinstance(value, np.ndarray):
-            np.testing.assert_array_equal(found[name], value, err_msg=name)
-        elif isinstance(value, (int, float)):
-            assert found[name] == value, name
-
-
 def raising(error, after):
     """Return a function that raises at the call after so many."""
     calls = iter(range(10**9))
@@ -91,10 +75,10 @@ def test_a_saver_a_psi_or_a_step_of_ones_own_that_fails_leaves_the_filter_of_bef
         monkeypatch.setattr(cls, "fails", staticmethod(fails))
     else:
         saver = type("Saver", (), {"save": staticmethod(fails)})()
-    before, F = contents(kf), kf.F
+    before, F = support.contents(kf), kf.F
     with pytest.raises(error, match="on purpose"):
         kf.batch_filter(np.ones((20, 2)), saver=saver)
-    assert_same(contents(kf), before)
+    support.assert_same_contents(support.contents(kf), before)
     assert kf.F is F or cls is Tracker
 
 
@@ -123,7 +107,7 @@ def test_a_model_function_that_writes_into_its_argument_and_fails_changes_nothin
         kf.predict()
         kf.update(z, *functions)
     kf.predict()
-    before, twin = contents(kf), copy.deepcopy(kf)
+    before, twin = support.contents(kf), copy.deepcopy(kf)
     twin.update(z, *functions)
     spoils.append(True)
     if error is None:
@@ -133,7 +117,7 @@ def test_a_model_function_that_writes_into_its_argument_and_fails_changes_nothin
     else:
         with pytest.raises(error, match="on purpose"):
             kf.update(z, *functions)
-        assert_same(contents(kf), before)
+        support.assert_same_contents(support.contents(kf), before)
 
 
 @pytest.mark.parametrize("kept", [_copied, kernel.extension() and kernel.extension().copied_arrays], ids=["numpy", "C"])

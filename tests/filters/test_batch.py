@@ -105,15 +105,3 @@ def test_what_the_loops_do_not_know_goes_by_the_methods(count, cls, options, inv
     zs = np.random.default_rng(2).normal(size=N)
     np.testing.assert_array_equal(one.batch_filter(zs)[0], support.by_loop(two, zs)[0])
     assert not any(count)
-
-
-@pytest.mark.parametrize("length", [6, N])
-def test_a_data_frame_is_read_by_its_rows(length):
-    """Its iterator gives the labels of its columns, which are numbers in a frame made from an array."""
-    pd = pytest.importorskip("pandas")
-    rng = np.random.default_rng(3)
-    zs, us = rng.normal(size=(length, 2)), rng.normal(size=(length, 1))
-    problem = support.random_problem(4, 4, 2, 1)
-    one, two = (support.make(RobustKalmanFilter, problem) for _ in range(2))
-    ours = one.batch_filter(pd.DataFrame(zs), us=pd.DataFrame(us, index=range(7, 7 + length)))
-    np.testing.assert_array_equal(ours[0], two.batch_filter(zs, us=us)[0])

@@ -150,14 +150,12 @@ def test_arrays_of_other_shapes_are_refused():
     numbers, x, P, sums = np.ones((1, 9)), np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1)
     numbers[0, :2] = 0.0
     extension.advance_hypotheses((numbers, x, P, sums), tuple(readings), 0, 1)
-    for bad in range(10):
-        given = [*readings[:bad], np.ones((2, 2, 2, 2)), *readings[bad + 1 :]]
+    odd = np.ones((2, 2, 2, 2))
+    calls = [(numbers, [*readings[:bad], odd, *readings[bad + 1 :]], 1) for bad in range(10)]
+    calls += [
+        (np.where(np.arange(9) == column, value, numbers), readings, 1)
+        for column, value in ((0, 1.0), (0, np.nan), (1, 1.0), (1, -1.0))
+    ]
+    for wrong, given, last in [*calls, (numbers, readings, 2)]:
         with pytest.raises(ValueError, match="matching shapes"):
-            extension.advance_hypotheses((numbers, x, P, sums), tuple(given), 0, 1)
-    for column, value in ((0, 1.0), (0, np.nan), (1, 1.0), (1, -1.0)):
-        wrong = numbers.copy()
-        wrong[0, column] = value
-        with pytest.raises(ValueError, match="matching shapes"):
-            extension.advance_hypotheses((wrong, x, P, sums), tuple(readings), 0, 1)
-    with pytest.raises(ValueError, match="matching shapes"):
-        extension.advance_hypotheses((numbers, x, P, sums), tuple(readings), 0, 2)
+            extension.advance_hypotheses((wrong, x, P, sums), tuple(given), 0, last)

@@ -18,6 +18,7 @@ INFLUENCES = (Huber(), Linear(), Hampel(), TukeyBiweight(), StudentT())
 EXTENSION = shell._extension
 #: Nothing is passed for this call.
 NONE = (None,) * 4
+MOVES, SEES = [[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]]
 
 
 def before_and_after(kf, call):
@@ -235,6 +236,16 @@ def test_a_sensor_that_repeats_another_is_taken_until_what_is_left_of_it_is_roun
         np.testing.assert_allclose(kf.P, R / (2.0 + R), rtol=1e-4)
 
 
+def assert_the_same_to_the_bit(plain, other, readings, **inputs):
+    """Give two filters the same readings in two forms."""
+    for k, forms in enumerate(readings):
+        for kf, z in zip((plain, other), forms, strict=True):
+            kf.predict(**inputs)
+            kf.update(z)
+        for name in ("x", "P", "z", "y", "S", "K", "weights", "log_likelihood"):
+            assert np.array_equal(getattr(plain, name), getattr(other, name)), (name, k)
+
+
 @pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("noise", [None, "learnt"])
 @pytest.mark.parametrize("kind", KINDS)
@@ -247,13 +258,8 @@ def test_matrices_and_measurements_of_other_kinds_are_the_kernels(kind, noise):
         setattr(plain, name, np.array(values, dtype=float))
         setattr(other, name, KINDS[kind](np.array(values, dtype=float)))
     given = {name: getattr(other, name) for name in whole}
-    for k in range(12):
-        z = np.array([k, 40.0 if k == 7 else 2.0 + k % 2])
-        for kf, seen in ((plain, z), (other, KINDS[kind](z))):
-            kf.predict(u=1.0)
-            kf.update(seen)
-        for name in ("x", "P", "z", "y", "S", "K", "weights", "log_likelihood"):
-            assert np.array_equal(getattr(plain, name), getattr(other, name)), (name, k)
+    zs = [np.array([k, 40.0 if k == 7 else 2.0 + k % 2]) for k in range(12)]
+    assert_the_same_to_the_bit(plain, other, [(z, KINDS[kind](z)) for z in zs], u=1.0)
     # They stay the user's own.
     assert all(getattr(other, name) is given[name] for name in whole)
 
@@ -262,29 +268,21 @@ NUMBERS = {
     "float": float, "int": int, "float32": np.float32, "float16": np.float16, "int64": np.int64, "uint8": np.uint8,
     "no axes": lambda value: np.array(float(value)), "no axes, integer": lambda value: np.array(int(value)),
 }  # fmt: skip
-HOLDERS = {"": lambda value: value, "list": lambda value: [value], "tuple": lambda value: (value,)}
 
 
 @pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("noise", [None, "learnt"])
 @pytest.mark.parametrize("kind", NUMBERS)
 def test_numbers_of_any_kind_are_the_kernels(kind, noise):
-    plain, other = RobustKalmanFilter(2, 1, noise=noise), RobustKalmanFilter(2, 1, noise=noise)
-    for kf in (plain, other):
-        kf.F, kf.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    plain.R, plain.Q = np.array([[4.0]]), 2.0 * np.eye(2)
-    other.R, other.Q = NUMBERS[kind](4), NUMBERS[kind](2)
-    holders = HOLDERS.values() if "axes" not in kind else [HOLDERS[""]]
-    for k, holder in enumerate([*holders] * 4):
-        plain.predict()
-        other.predict()
-        plain.update(float(k % 5))
-        other.update(holder(NUMBERS[kind](k % 5)))
-        for name in ("x", "P", "z", "y", "S", "K", "log_likelihood"):
-            assert np.array_equal(getattr(plain, name), getattr(other, name)), (name, k)
+    number = NUMBERS[kind]
+    plain, other = (support.of_matrices(RobustKalmanFilter, MOVES, SEES, 2.0, 4.0, noise=noise) for _ in "ab")
+    other.R, other.Q = number(4), number(2)
+    holders = [lambda z: z, lambda z: [z], lambda z: (z,)] if "axes" not in kind else [lambda z: z]
+    readings = [(float(k % 5), holder(number(k % 5))) for k, holder in enumerate(holders * 4)]
+    assert_the_same_to_the_bit(plain, other, readings)
     if noise is None:
         plain.update(3.0, R=np.array([[9.0]]))
-        other.update(3.0, R=NUMBERS[kind](9))
+        other.update(3.0, R=number(9))
         assert np.array_equal(plain.x, other.x) and np.array_equal(plain.P, other.P)
 
 
@@ -311,7 +309,6 @@ rng = np.random.default_rng(2)
 LOUDER = np.where(np.arange(140) < 60, 1.0, 30.0) * rng.choice([-1.0, 1.0], 140) * rng.uniform(0.5, 1.5, 140)
 KNOWN = np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)
 READ = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0, 30.0, 30.0])
-MOVES, SEES = [[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]]
 #: A filter and what it reads.
 COURSES = {
     # No sensor makes it jump, and readings that are as predicted have no spread.

@@ -52,18 +52,6 @@ def test_linear_is_filterpys_filter_and_the_exact_smoother():
     assert ours.count == theirs.count and len(ours.xSmooth) == len(theirs.xSmooth)
 
 
-def test_with_no_options_it_is_close_to_the_smoother_of_the_whole_recording():
-    apart = []
-    for seed in range(10):
-        truth, zs = drive(seed, 0.2)
-        live, latest = ready().smooth_batch(list(zs), 15)
-        kf = support.make(filterpy.kalman.KalmanFilter, CART)
-        error = [np.mean((x[:, 0, 0] - truth) ** 2) for x in (live, latest, smooth(kf, zs).x)]
-        assert error[0] < error[1]
-        apart.append(error[0] / error[2])
-    assert np.mean(apart) < 1.3
-
-
 @pytest.mark.parametrize("P", [10.0 * np.eye(2), np.zeros((2, 2))], ids=["vague", "exact"])
 @pytest.mark.parametrize("choices", [{}, {"noise": Contaminated()}], ids=["default", "given"])
 def test_it_is_the_backward_pass_over_what_the_filter_made_of_each_measurement(choices, P):
