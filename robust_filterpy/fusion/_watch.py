@@ -164,12 +164,12 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
     if any(row[_COUNT] % _SELDOM == 0.0 for row in rows):
         memory, slack = now.state.memory, now.policy.slack(now.state.carried)
         learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
-    # No reading is farther than the widest class of noise reaches, or one alone would say all there is.
-    far = REACH * np.sqrt(S.diagonal() + statistics[here, SLOW] * now.R[here] * watch.scales.max())
-    y = np.clip(y, -far, far)
     said = zip(places, rows, R, now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
     updated, counts = [], []
     for c, row, r, z, innovation, spread in said:
+        # No reading is farther than the widest class of noise reaches, or one alone would say all there is.
+        far = REACH * math.sqrt(max(spread + row[SLOW] * r * scales[-1], 0.0))
+        y[len(updated)] = innovation = min(max(innovation, -far), far)
         s = owner[c]
         due[s] -= 1.0
         quiet = watch.score[c] < _QUIET
