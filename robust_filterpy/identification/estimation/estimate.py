@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.missing import response
+from robust_filterpy.identification.estimation.missing import THRESHOLDS, response
 from robust_filterpy.identification.estimation.prediction_error import Limits, evidence, one_thread, sandwich
 from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
 from robust_filterpy.identification.estimation.starts import require_informative
@@ -303,9 +303,8 @@ class Units(NamedTuple):
 
     def factor(self, model: PolynomialModel) -> Array:
         """Return what makes free parameters those of the recording as it was measured, but for its level."""
-        factor = np.concatenate(
-            (np.ones(model.structure.n_theta), np.full(model.n - model.structure.n_theta, self.y[0]))
-        )
+        factor = np.full(model.n, self.y[0])
+        factor[: model.structure.n_theta] = 1.0
         for place, size in zip(model.structure.polynomials.b, self.u, strict=True):
             factor[place] = self.y[0] / size
         return factor
@@ -477,6 +476,11 @@ def _doubt(best: End, endings: tuple[Ending, ...], apart: float) -> str:
                 f"outputs differ by {difference:.0f} %; a longer recording, a more exciting input or a smaller "
                 f"structure would decide. The other was found from: {', '.join(starts)}"
             )
+    if best.outliers.threshold <= THRESHOLDS[0]:
+        return (
+            "outliers of y are so many and so small that some are missed, and ordinary samples taken for them: std is "
+            "too small, by half where they have one size; the regressor of an OutputError has none"
+        )
     if not (best.converged or best.noise.is_rounding):
         return "the search did not settle; the structure may have more parameters than the recording tells of"
     return ""

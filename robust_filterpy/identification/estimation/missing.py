@@ -364,15 +364,13 @@ def found_outliers(
 ) -> Outliers:
     """Find the outliers in the output and in the noise of a model that has measured outputs in its regressor."""
     h, first, residual = response(model, p), model.first, model.residuals(p)
-    wrong, counts = missing.copy(), np.ones(residual.size, dtype=bool)
+    wrong, counts = missing | (False if before is None else before.wrong), np.ones(residual.size, dtype=bool)
     R = noise.R if noise.given else None
     threshold = THRESHOLDS[1] if before is None else before.threshold
     if h.size == 1 or not noise.has_outliers:
         return Outliers(wrong, counts, threshold)
     # A recording that mostly rests does not tell how far off the parameters of a start are.
     least = max(noise.least**0.5, _OF_A_START if before is None else 0.0)
-    if before is not None:
-        wrong |= before.wrong
     deviations = []
     for part, _ in model.pieces:
         for start in range(part.start, part.stop, _BLOCK):

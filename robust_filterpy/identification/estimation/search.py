@@ -205,10 +205,8 @@ def _searched(
         p, noise = optimum.p, optimum.noise
         if np.isnan(noise.R) or moved < _UNMOVED * noise.R**0.5:
             break
-        again = found_outliers(model, p, missing, noise, outliers)
-        settled = np.array_equal(again.wrong, outliers.wrong)
-        outliers = again
-        if settled:
+        previous, outliers = outliers, found_outliers(model, p, missing, noise, outliers)
+        if np.array_equal(outliers.wrong, previous.wrong):
             break
     optimum, full = _maximised(model, p, noise, outliers, effort.turns, effort, limits)
     rows = _counting(full, full is model, outliers.wrong)
