@@ -305,8 +305,8 @@ def test_a_density_of_variances_whose_product_is_no_number_is_the_definitions(bo
 
 
 CREEPING = 0.7 * np.random.default_rng(0).normal(size=140) + np.where(np.arange(140) < 80, 0.0, 3.0)
-rng = np.random.default_rng(2)
-LOUDER = np.where(np.arange(140) < 60, 1.0, 30.0) * rng.choice([-1.0, 1.0], 140) * rng.uniform(0.5, 1.5, 140)
+DRAWS = np.random.default_rng(2)
+LOUDER = np.where(np.arange(140) < 60, 1.0, 30.0) * DRAWS.choice([-1.0, 1.0], 140) * DRAWS.uniform(0.5, 1.5, 140)
 KNOWN = np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)
 READ = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0, 30.0, 30.0])
 #: A filter and what it reads.
