@@ -2,7 +2,7 @@
         if (!real_is_finite(u[k])) {
             return ${NAME}_BAD_ARGUMENT;
         }
-        for (int i = 0; i < N; i++) {
-            control[i] += model->B[i * $inputs + k] * u[k];
-        }
+    }
+    for (int i = 0; (i < N) && (u != NULL); i++) {
+        control[i] = real_dot($inputs, &model->B[i * $inputs], u);
     }
