@@ -92,10 +92,10 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "parity: outliers are shortened": (("real_within(e, 3 * real_sqrt(habits->parity.variance))", "e"),),
     "parity: dependent samples are worth few": (("worth / (worth + rule->begin[1])", "1"),),
 }  # fmt: skip
-STARTS = "test_a_program_that_starts_at_zero_far_from_its_first_reading_is_followed_at_once"
-#: What tests, by the name of one, see of a rule that no row needs.
+STARTS = "test_in_the_field.py"
+#: What tests see of a rule that no row needs, by the name of one or, as long names widen the page, of a file.
 TESTED = {
-    "a sample is worth 100 to 1 for it": "test_after_jumps_no_outlier_that_is_farther_than_they_went_is_believed",
+    "a sample is worth 100 to 1 for it": "test_never_worse.py",
     "nor tells of the scale of Q": "test_a_step_of_what_is_measured_leaves_the_speed",
     "it is hidden while three to one is against it": "test_a_jump_that_nothing_confirms_does_not_show",
     "it is shown alone at nineteen to one": STARTS,
