@@ -352,7 +352,7 @@ def test_refused_angles_agree_by_their_residual(cls, column):
 
 
 def test_what_curvature_adds_to_the_innovation_is_no_noise():
-    """A squared state that is hardly known: S is fifty times R at most steps."""
+    """A squared state that is hardly known: S is a hundred times R at most steps, ten with filterpy 1.4.5's points."""
     rng, x, excess = np.random.default_rng(10003), 0.0, []
     kf = of_matrices(RobustUnscentedKalmanFilter, 0.5, [[1.0]], 1.0, 0.04, noise="learnt")
     kf.hx = np.square
@@ -361,5 +361,5 @@ def test_what_curvature_adds_to_the_innovation_is_no_noise():
         kf.predict()
         kf.update(np.array([x**2 + 0.2 * rng.normal()]))
         excess.append(kf.S[0, 0] / 0.04)
-    assert np.median(excess) > 30.0
-    assert kf.R_learnt[0, 0] < 30.0 * 0.04
+    assert np.median(excess) > 10.0
+    assert kf.R_learnt[0, 0] < 2.0 * 0.04
