@@ -24,7 +24,8 @@ A sensor that repeats its last reading though it seldom does and its noise is wh
 Where repeats are usual, no reading that repeats the one before tells of r, which would fall to nothing.
 
 How often a reading has begun a jump that was believed, and how far the last one went, is learned too (`jumped`): a far
-reading that is as far is believed at once where that is more likely than an outlier (`began`).
+reading that is as far is believed at once where that is more likely than an outlier (`began`). Readings that were refused
+until the state followed them were no outliers, whatever explains that it did: a jump, or a larger Q.
 
 All that is learned of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, less,
 jumps (4), parity (4), change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late;
@@ -297,19 +298,29 @@ def _normal(y: float, variance: Any) -> Any:
         return np.exp(-0.5 * y / variance * y) / np.sqrt(variance)
 
 
-def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses) -> Array:
-    """Return the memory once the candidates of the parts that some sensors see are believed."""
+def goes_on(learnt: Array, y: Array, R: Array, classes: int) -> np.ndarray:
+    """Return which innovations are within half of themselves where the last reading, an outlier, was left, shape (m,).
+    """
+    left = learnt[:, _LEFT] * np.sqrt(R.diagonal())
+    return (learnt[:, last_class(classes).start] < 0.5) & (2.0 * np.abs(y - left) < np.abs(y))
+
+
+def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, followed: np.ndarray | None = None) -> Array:
+    """Return the memory once the candidates of the parts that some sensors see are believed, or readings followed."""
     # What was refused on the way was no outlier.
     learnt, K = learnt.copy(), len(noise.scales)
     prior = _chain(start(K), K)[1]
-    for i in np.flatnonzero(believed):
+    for i in np.flatnonzero(believed if followed is None else believed | followed):
         own, counts, readings = learnt[i, _JUMPS], _chain(learnt[i], K)[1], float(learnt[i, _COUNT])
-        began, own[_BEGAN] = float(own[_BEGAN]), 0.0
+        began = float(own[_BEGAN])
+        if believed[i]:
+            own[_BEGAN] = 0.0
         if began == 0.0 or not readings > _FIRST or counts[:, 1:].sum() > _RARE * counts.sum():
             continue
-        # The mean of what the chance may be, of which nothing was learned: (jumps + 1) / readings.
-        each = 1.0 / min(readings, noise.memory)
-        own[_CHANCE], own[_SIZE] = max(own[_CHANCE], each) + each, began
+        if believed[i]:
+            # The mean of what the chance may be, of which nothing was learned: (jumps + 1) / readings.
+            each = 1.0 / min(readings, noise.memory)
+            own[_CHANCE], own[_SIZE] = max(own[_CHANCE], each) + each, began
         # The run was in the classes that are likely for what it began with.
         sizes = np.array(noise.scales) * learnt[i, R_FACTOR]
         likely = counts.sum(axis=0) * np.exp(-0.5 * began**2 * (1.0 / sizes - 1.0 / sizes[-1])) / np.sqrt(sizes)
@@ -318,6 +329,7 @@ def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses) -> Array:
         less = excess * np.minimum(back / np.maximum(excess.sum(axis=0), 1e-300), 1.0)
         counts[:, 1:] -= less
         counts[0, 0] += less.sum()
+        own[_OUTLIERS] = 0.0
     return learnt
 
 

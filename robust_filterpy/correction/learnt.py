@@ -35,10 +35,10 @@ _LOG_2PI = math.log(2.0 * math.pi)
 REACH = 8.0
 # And where all are weighed together.
 _TOGETHER = 1e8
-# A state that is so much less certain than a sensor's noise, in variance, is unknown.
-_WIDEST = 1e12
 # One that is worth so much for a jump tells nothing of the scale of Q: a jump and a larger Q explain the same.
 _LOG_TELLS = math.log(30.0)
+# A state that is so much less certain than a sensor's noise, in variance, is unknown.
+_WIDEST = 1e12
 # A variance that has shrunk to this part of what it was is rounding.
 _CANCELLED = 1e-13
 
@@ -174,6 +174,7 @@ def _corrected(
     models = side_by_side.coupled(models, _links(H, R, M, groups), process)
     if follows:
         at, spread = _slow(models, process)
+        goes_on = learning.goes_on(memory[part], z - H @ at, R, len(noise.scales))
         r, memory[part] = learning.ordinary_size(
             memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.memory
         )
@@ -187,7 +188,7 @@ def _corrected(
     models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
     if alike:
         memory[part] = learning.jumped(memory[part], believed[seen], noise)
-    models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new, noise.scales[-1])
+    models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new)
     if alike:
         memory[part], chances = learning.began(memory[part], models.parts[seen], *begun, R.diagonal())
     now, N = _begin(models, z, H, R, r, M)
@@ -229,7 +230,8 @@ def _corrected(
     corrected = Models(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief, models.given)
     corrected, believed = side_by_side.settled(corrected, np.isin(models.parts, now.parts), process)
     if alike:
-        memory[part] = learning.jumped(memory[part], believed[seen], noise)
+        goes_on &= memory[part, learning.last_class(len(noise.scales)).start] > 0.5
+        memory[part] = learning.jumped(memory[part], believed[seen], noise, goes_on)
     if shared is not None:
         memory[part] = learning.weigh_together(memory[part], shared.log_density, log_density, noise)
     if follows:
@@ -362,8 +364,9 @@ def _weighed(
         return shares, log_total, log_total
     candidate, slow = float(probabilities[q]), np.maximum(probabilities[:q], 1e-300)
     log_total -= math.log(float(slow.sum()))
-    # What tells for a jump so much tells nothing of the scale of Q.
-    if sensor_is_established and candidate > 0.0 and log_densities[q] > log_total + _LOG_TELLS:
+    # What tells for a jump so much tells nothing of the scale of Q, where a jump is no far-fetched reason.
+    likely = sensor_is_established and candidate >= side_by_side.DROPPED
+    if likely and log_densities[q] > log_total + _LOG_TELLS:
         shares = slow / slow.sum()
     # A candidate is made to fit what it begins with, which is no evidence for it, unless that is like the jumps before.
     own = log_total if fresh else min(float(log_densities[q]), log_total + learning.LOG_EVIDENCE)

@@ -7,8 +7,8 @@ has moved one state may have moved all (`with_candidates`). Since it is made to 
 it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
 while three to one is against it, shown alone while nineteen to one is for it (`merged`), taken over when it is all but
 certain (`settled`) and dropped when it has lost, so that there is one at a time; a reading that is far from it and from
-all others decides (`decided`). A start is a jump from a guess, with a probability of .2, of .96 where its first reading
-is beyond all outliers.
+all others decides (`decided`). A start is a guess: where the first reading of a part is far from it, the part has jumped
+with a probability of .96.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's center and its shape. Each part has its own probabilities of the models, its own jumps and its own candidate, so
@@ -32,8 +32,8 @@ from robust_filterpy.correction.spread import FAR
 
 __all__ = ["Models", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
 
-# Chance that the state is not where the start says; where not even the widest outliers reach the first reading.
-_START, _LOST = 0.2, 0.96
+# Chance that the state is not where the start says, where its first reading is far from there.
+_START = 0.96
 # Standard deviations from which on an innovation that asks for a jump cannot tell where to.
 _FARTHEST = 1e12
 # A jump of more standard deviations makes P no wider, which would leave rounding. Of its square, this part is left of
@@ -43,7 +43,7 @@ _FAR, _LEFT = 1e4, 0.01
 _UNLIKELY = 1e-30
 # A candidate that is so probable is taken over; one whose probability is this part of a jump's is dropped, or is this
 # where its part becomes one with another.
-_TAKEN, _DROPPED = 0.999, 0.01
+_TAKEN, DROPPED = 0.999, 0.01
 # One that is less probable is hidden; one that is more probable than the second is shown alone.
 _SHOWN, _ALONE = 0.25, 0.95
 
@@ -209,9 +209,9 @@ def coupled(models: Models, links: Array, process: Scales) -> Models:
         likely = np.prod(belief[:q, heads] / process.begin[:q, None], axis=1) * process.begin[:q]
         likely = np.maximum(likely, _UNLIKELY)
         jumped = belief[q:-2, heads].max(initial=0.0)
-        if jumped >= _DROPPED:
+        if jumped >= DROPPED:
             # In the part that has no candidate it follows the first model.
-            none = states[belief[q, states] < _DROPPED]
+            none = states[belief[q, states] < DROPPED]
             x[q, none], P[q, none] = x[0, none], P[0, none]
         else:
             jumped = 0.0
@@ -284,7 +284,7 @@ def decided(
     new, believed = np.zeros((2, len(parts)), dtype=bool)
     if process.jump == 0.0:
         return models, new, believed
-    new = np.isin(parts, parts[(H != 0.0).any(axis=0)]) & (belief[q] < _DROPPED * process.jump)
+    new = np.isin(parts, parts[(H != 0.0).any(axis=0)]) & (belief[q] < DROPPED * process.jump)
     far = far_off(models, z, H, noise, process), _asked(x[q], P[q], z, H, noise, np.inf)[1] > FAR
     for i in np.flatnonzero(np.logical_and(*far)):
         own = parts == parts[np.argmax(H[i] != 0.0)]
@@ -307,7 +307,7 @@ class Begun(NamedTuple):
 
 
 def with_candidates(
-    models: Models, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray, widest: float
+    models: Models, z: Array, H: Array, noise: Array, process: Scales, new: np.ndarray
 ) -> tuple[Models, Begun]:
     """Return the models, a candidate in each new part where an innovation asks for one, and who asked."""
     # The models are coupled as H has it; noise (m,) is the variance of ordinary noise.
@@ -330,11 +330,8 @@ def with_candidates(
         first = not begun.y[seen == seen[i]].any()
         begun.alone[seen == seen[i]] = False
         if first:
-            variance = float(H[i] @ spread @ H[i])
-            begun.y[i], begun.variance[i], begun.alone[i] = y[i], variance + noise[i], True
+            begun.y[i], begun.variance[i], begun.alone[i] = y[i], float(H[i] @ spread @ H[i]) + noise[i], True
             chance[own] = belief[_UNSEEN, own]
-            if chance[own][0] >= _START and y[i] ** 2 > FAR**2 * (variance + widest * noise[i]):
-                chance[own] = _LOST
         at, spread = _moved(at, spread, y[i], H[i], noise[i], own)
     belief[:q, new] = ((1.0 - chance) * shares)[:, new]
     belief[q, new], belief[_UNSEEN, new] = chance[new], 0.0

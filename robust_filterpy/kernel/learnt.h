@@ -30,8 +30,6 @@
 #define LEARNT_UNLIKELY REAL(1e-30)   /* of a scale that one of two parts contradicts, left where they become one */
 #define LEARNT_EVIDENCE REAL(100.0)   /* a sample is not worth more for a jump */
 #define LEARNT_TELLS REAL(30.0)       /* one that is worth so much for a jump tells nothing of the scale of Q */
-#define LEARNT_START REAL(0.2)        /* how likely a start is wrong, */
-#define LEARNT_LOST REAL(0.96)        /* where its first reading is beyond all outliers */
 #define LEARNT_SHOWN REAL(0.25)       /* a candidate that is less probable is hidden, */
 #define LEARNT_ALONE REAL(0.95)       /* and all else while it is more probable than that */
 #define LEARNT_TAKEN REAL(0.999)      /* a candidate that is so probable is taken over */
@@ -535,7 +533,7 @@ INLINE void learnt_changes(const int n, const int m, const learnt_rule *const ru
 }
 
 #define learnt_weigh_work(n, m, models, K) \
-    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (8 + 2 * (n) + (K)) * (m) + 4 * (K) + \
+    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (9 + 2 * (n) + (K)) * (m) + 4 * (K) + \
               (3 + (K)) * (m) * (m)) + \
      learnt_parity_work(m))
 
@@ -551,6 +549,7 @@ typedef struct {
     real *N;     /* (m, m) covariance of ordinary noise */
     real *left, *r, *start; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning */
     real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new, 2 where it began */
+    real *goes_on; /* (m) whether an innovation is within half of itself where the last reading, an outlier, was left */
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
     real *before, *typical, *after, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
@@ -631,7 +630,6 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         const real noise = w->N[i * m + i], *RESTRICT h = H + i * n;
         const real square = real_min(y[i] * y[i], LEARNT_FAR * (S[i * m + i] + noise)), most_of = square / LEARNT_ASKS;
         const real times = (most_of - noise) / S[i * m + i];
-        const int beyond = y[i] * y[i] > LEARNT_ASKS * (S[i * m + i] + rule->scales[rule->K - 1] * noise);
         real *RESTRICT C = w->C + (q * m + i) * n, whole;
         for (int k = 0; k < n; k++) seen += h[k] * P[k * n + k] * h[k];
         for (int k = 0; k < n; k++) d[k] = P[k * n + k] * h[k] / seen;
@@ -639,9 +637,8 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
             const real own = h[o] * h[o] * P[o * n + o];
             if (part[o] != w->head[i]) continue;
             if (!(s->p[q * n + o] > 0)) {
-                const real chance = beyond && unseen[o] >= LEARNT_START ? LEARNT_LOST : unseen[o];
-                for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - chance;
-                s->p[q * n + o] = chance;
+                for (int c = 0; c < q; c++) s->p[c * n + o] *= 1 - unseen[o];
+                s->p[q * n + o] = unseen[o];
             }
             x[o] += y[i] * d[o];
             /* No state is less certain than if it alone had moved. */
@@ -681,8 +678,8 @@ INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rul
 }
 
 /* Learn from a candidate that a sensor began and that is believed now: how often that happens, and how far. What was refused
-   on the way was no outlier. */
-INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i) {
+   until then, or until the state followed, was no outlier. */
+INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i, const int believed) {
     const int K = rule->K;
     const real *const prior = rule->begin + 2 + 2 * K;
     const learnt_memory memory = learnt_of(rule, s, i);
@@ -690,12 +687,12 @@ INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *con
     real *const counts = memory.counts, outliers = 0, all = 0, likely = 0, began, readings;
     if (!jumps) return;
     readings = memory.habits->repeats.count, began = jumps->began;
-    jumps->began = 0;
+    if (believed) jumps->began = 0;
     for (int k = 0; k < K * K; k++) all += counts[k], outliers += k % K ? counts[k] : 0;
     if (began == 0 || !(readings > LEARNT_FIRST) || outliers > LEARNT_RARE * all) return;
     const real each = 1 / real_min(readings, rule->memory);
     /* The mean of what the chance may be, of which nothing was known: (jumps + 1) / readings. */
-    jumps->chance = real_max(jumps->chance, each) + each, jumps->size = began;
+    if (believed) jumps->chance = real_max(jumps->chance, each) + each, jumps->size = began;
     /* The run was in the classes that are likely for what it began with. */
     for (int twice = 0; twice < 2; twice++)
         for (int k = 1; k < K; k++) {
@@ -714,6 +711,7 @@ INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *con
                 counts[j * K + k] -= less, counts[0] += less;
             }
         }
+    jumps->outliers = 0;
 }
 
 /* Let every model of a state's part go on from where the candidate is. */
@@ -770,7 +768,7 @@ INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const ru
         if (chance > REAL(0.5)) learnt_settle(n, rule, s, w->head[i]), believed = 1;
         for (int j = 0; j < m; j++) {
             if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
-            if (chance > REAL(0.5)) learnt_jumped(rule, s, j);
+            if (chance > REAL(0.5)) learnt_jumped(rule, s, j, 1);
             w->fresh[j] = 1;
         }
     }
@@ -1099,8 +1097,8 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
     const real_part parts[] = {
         {&w.y, models * m}, {&w.C, models * m * n}, {&w.S, models * m * m}, {&w.given, models * K}, {&w.logs, models},
         {&w.shares, models}, {&w.at, n}, {&w.spread, n * n}, {&w.direction, n}, {&w.left, m}, {&w.r, m}, {&w.N, m * m},
-        {&w.start, m}, {&w.head, m}, {&w.fresh, m}, {&w.alike, m}, {&w.before, K}, {&w.typical, K}, {&w.after, K},
-        {&w.shared, K}, {&w.members, m}, {&w.scores, models * m}, {&w.informations, models * m * m},
+        {&w.start, m}, {&w.goes_on, m}, {&w.head, m}, {&w.fresh, m}, {&w.alike, m}, {&w.before, K}, {&w.typical, K},
+        {&w.after, K}, {&w.shared, K}, {&w.members, m}, {&w.scores, models * m}, {&w.informations, models * m * m},
         {&w.energies, models * m}, {&w.noises, models * m}, {&w.scratch, m * (1 + 2 * n + K) + m * m * (2 + K)}};
     work = real_lay_out((int)(sizeof parts / sizeof *parts), parts, work);
     w.together = 0;
@@ -1118,12 +1116,18 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
             outlying[i] = 1;
             held++;
         }
-        count += w.left[i] > 0;
+        count += w.left[i] > 0, w.goes_on[i] = 0;
     }
     if (count == 0) return held;
     for (int i = 0; i < m; i++) w.r[i] = rule->learns ? *learnt_of(rule, s, i).r : 1;
     learnt_couple(n, m, rule, s, H, R, M, &w);
     learnt_slow(n, rule, s, w.at, w.spread, work);
+    for (int i = 0; i < m; i++) {
+        const learnt_memory memory = learnt_of(rule, s, i);
+        if (!(follows && w.left[i] > 0 && R[i * m + i] > 0 && memory.last[0] < REAL(0.5))) continue;
+        const real y = learnt_left(n, w.at, z[i], H + i * n, R[i * m + i]);
+        w.goes_on[i] = 2 * real_abs(y - memory.habits->repeats.left) < real_abs(y);
+    }
     if (follows) {
         learnt_changes(n, m, rule, s, w.at, z, readings, H, R, w.left, w.r);
         learnt_sizes(n, m, rule, s, w.spread, z, H, R, w.left, w.r, work);
@@ -1149,10 +1153,10 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
                 evidence += real_max(p[c * n], REAL(1e-300)) * w.logs[c];
             }
             evidence /= others;
-            /* What tells for a jump so much tells nothing of the scale of Q. */
-            const int experienced = learnt_jumps(rule, s, i) && learnt_of(rule, s, i).habits->repeats.count > LEARNT_FIRST;
-            for (int c = 0; c < q && experienced && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence; c++)
-                w.logs[c] = evidence;
+            /* What tells for a jump so much tells nothing of the scale of Q, where a jump is no far-fetched reason. */
+            const int experienced = p[q * n] >= LEARNT_DROPPED && learnt_jumps(rule, s, i) &&
+                                    learnt_of(rule, s, i).habits->repeats.count > LEARNT_FIRST;
+            for (int c = 0; c < q && experienced && w.logs[q] > LEARNT_TELLS * evidence; c++) w.logs[c] = evidence;
             full = others * evidence + p[q * n] * (w.fresh[i] > 0 ? evidence : w.logs[q]);
             w.logs[q] = w.fresh[i] > 0 ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
             if (w.alike[i] > 0 && p[q * n] > 0) 
@@ -1192,7 +1196,8 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         for (int i = 0; i < m; i++) {
             if (!(weights[i] > 0 && w.head[i] == part[o])) continue;
             learnt_unseen(n, rule, s)[o] = 0;
-            if (believed) learnt_jumped(rule, s, i);
+            if (believed || (w.goes_on[i] > 0 && learnt_of(rule, s, i).last[0] > REAL(0.5)))
+                learnt_jumped(rule, s, i, believed);
         }
         if (believed) learnt_settle(n, rule, s, part[o]);
     }

@@ -52,18 +52,20 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "parts of the state": (("(F[i * n + k] != 0 || Q[i * n + k] != 0)", "1"),),
     "a candidate for a jump": (("rule->jump * (1 - unseen[i])", "0"),),
     "a sample is worth 100 to 1 for it": (("real_min(w.logs[q], LEARNT_EVIDENCE * evidence)", "w.logs[q]"),),
-    "nor tells of the scale of Q": (("experienced && p[q * n] > 0 && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
+    "nor tells of the scale of Q": (("experienced && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
     "how often the state jumps": (("real_max(jumps->chance, each) + each", "0"),),
     "it knows no last class": (
         ("learnt_typical(K, &memory, w->after)", "learnt_predicted(rule->K, &memory, w->after)"),
     ),
     "it is hidden while three to one is against it": (("!(work[q * n + i] > LEARNT_SHOWN)", "0"),),
     "it is shown alone at nineteen to one": (("work[q * n + i] > LEARNT_ALONE", "0"),),
-    "a start elsewhere, with .2": (
+    "a start elsewhere, with .96": (
         ("waits[j] > 0 && S[j * m + j] > 0",
-         "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < LEARNT_START"),
+         "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < REAL(0.5)"),
     ),
-    "one beyond all outliers, with .96": (("beyond && unseen[o] >= LEARNT_START", "0"),),
+    "readings that the state followed were no outliers": (
+        ("believed || (w.goes_on[i] > 0 && learnt_of(rule, s, i).last[0] > REAL(0.5))", "believed"),
+    ),
     "a candidate doubts all of P": (("(most_of - noise) / S[i * m + i]", "1"),),
     "classes come in runs": (
         ("learnt_predicted(K, &memory, w->after)", "learnt_typical(K, &memory, w->after)"),

@@ -85,7 +85,7 @@ def compare(problem, zs, noise, process, passed=(), M=None, states=None, roundin
 @pytest.mark.parametrize("noise, process", OPTIONS)
 def test_noise_that_is_correlated_with_the_states_error_is_by_both(noise, process):
     problem, zs = recording(7, (3, 3), 40)
-    M = 0.1 * np.random.default_rng(7).normal(size=(3, 3))
+    M = 0.05 * np.random.default_rng(7).normal(size=(3, 3))
     with_M, without = (compare(problem, zs, noise, process, M=M * part)[0] for part in (1.0, 0.0))
     assert len(noise.scales) == 1 or not np.allclose(with_M, without, equal_nan=True)
 
