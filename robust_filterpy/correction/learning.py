@@ -24,8 +24,8 @@ A sensor that repeats its last reading though it seldom does and its noise is wh
 Where repeats are usual, no reading that repeats the one before tells of r, which would fall to nothing.
 
 How often a reading has begun a jump that was believed, and how far the last one went, is learned too (`jumped`): a far
-reading that is as far is believed at once where that is more likely than an outlier (`began`). Readings that were refused
-until the state followed them were no outliers, whatever explains that it did: a jump, or a larger Q.
+reading that is as far is believed at once where that is more likely than an outlier (`began`). Readings that were
+refused until the state followed them were no outliers, whatever explains that it did: a jump, or a larger Q.
 
 All that is learned of a sensor is one row of numbers, ``[r, n, shares (K), last (K), counts (K, K), together, less,
 jumps (4), parity (4), change (4), reading (2)]``: r stands on n ordinary samples; the shares of the classes of late;

@@ -7,8 +7,8 @@ has moved one state may have moved all (`with_candidates`). Since it is made to 
 it, and no later one is worth more than a hundred to one, so that samples have to agree, however wild. It is hidden
 while three to one is against it, shown alone while nineteen to one is for it (`merged`), taken over when it is all but
 certain (`settled`) and dropped when it has lost, so that there is one at a time; a reading that is far from it and from
-all others decides (`decided`). A start is a guess: where the first reading of a part is far from it, the part has jumped
-with a probability of .96.
+all others decides (`decided`). A start is a guess: where the first reading of a part is far from it, the part has
+jumped with a probability of .96.
 
 States of which none moves, or is measured, with another's are parts of their own: the axes of a point that moves, a
 box's center and its shape. Each part has its own probabilities of the models, its own jumps and its own candidate, so
