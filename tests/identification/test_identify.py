@@ -367,3 +367,18 @@ def test_with_a_level_that_wanders_and_jumps_the_dynamics_are_found_from_differe
     left = y - model.predict(y, u)
     assert np.nanmedian(np.abs(left[5:60])) < 0.15
     assert validate(model, y, u).verdict == RIGHT
+
+
+def test_an_interruption_leaves_nothing_half_done(monkeypatch):
+    y, u = recording(0, 300)
+    before = y.copy(), u.copy()
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PolynomialModel, "jacobian", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            identify(y, u, OutputError(2, 2))
+    np.testing.assert_array_equal(before, (y, u))
+    np.testing.assert_array_equal(identify(y, u, OutputError(2, 2)).theta, identify(y, u, OutputError(2, 2)).theta)

@@ -384,3 +384,14 @@ def test_a_sensor_that_gets_stuck_as_soon_as_there_is_a_model_is_seen():
     with pytest.warns(StuckSensorWarning):
         result = ParameterTracker(OutputError(2, 2), start=200).run(y[:400], u[:400])
     assert np.isnan(result.residual[215:300]).all()
+
+
+@pytest.mark.nightly
+@support.draws(3, 12)
+def test_coloured_noise_and_an_input_that_hardly_moves_are_no_other_gain(draws):
+    for seed in range(draws):
+        rng = np.random.default_rng([34, seed])
+        u = rng.choice([-1.0, 1.0], 10).repeat(150)
+        u[:400] = rng.choice([-1.0, 1.0], 400)
+        y = lfilter(B, A, u) + 0.3 * lfilter([1.0], [1.0, -0.95], rng.normal(size=1500))
+        assert not any("its gain" in text for text in sentences(ParameterTracker(OutputError(2, 2)), y, u))
