@@ -1,5 +1,6 @@
 """validate and compare: nominal false alarms whatever the contamination, and what is missing is named, by output."""
 
+import re
 from dataclasses import replace
 
 import control
@@ -197,6 +198,15 @@ def test_a_sensor_that_rounds_gets_a_verdict(structure, step):
     y = step * np.round(y / step)
     judged = validate(identify(y, u, structure, progress=False), y[300:], u[300:])
     assert judged.verdict and judged.dynamics and judged.noise
+
+
+@pytest.mark.parametrize("structure", [ARX(2, 2), OutputError(2, 2)])
+def test_inputs_that_explain_little_are_said(structure):
+    """Blocks of the output were swapped: what is left follows no input, since nothing does."""
+    y, u = recording(2, 900)
+    y = y[np.r_[0:200, 500:800, 200:500, 800:900]]
+    judged = validate(identify(y, u, structure, progress=False), y, u)
+    assert re.fullmatch("right: .* inputs, which explain [0-9]+ % of the output", judged.dynamics), judged.dynamics
 
 
 @pytest.mark.parametrize("seed", [11, 12])

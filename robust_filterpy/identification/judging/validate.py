@@ -280,6 +280,8 @@ def _alike(weights: Array, others: Array) -> bool:
 
 _RIGHT: Final = "nothing is left in the residuals"
 _DYNAMICS: Final = "right: residuals do not follow the inputs"
+# Percent of the output from which on the inputs explain most of it: three quarters of its variance.
+_MOST: Final = 50.0
 _NO_INPUT: Final = "not judged: there is no input"
 _WHITE: Final = "white: residuals do not follow one another"
 # Measured samples for each lag.
@@ -353,7 +355,8 @@ class Validation(Pictured):
         if self.independence is None:
             return _NO_INPUT
         if not self.independence.p_value < 1.0 - self.level:
-            return _DYNAMICS
+            explained = max(self.fits[-1].all, 0.0)
+            return _DYNAMICS + (f", which explain {explained:.0f} % of the output" if explained < _MOST else "")
         excess = np.abs(self.cross_correlation) / np.maximum(self.cross_bound, np.finfo(float).tiny)
         worst = int(excess.max(axis=1).argmax())
         which = f"input {worst}" if len(excess) > 1 else "u"
