@@ -166,10 +166,10 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
         learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
     said = zip(places, rows, R, now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
     updated, counts = [], []
-    for c, row, r, z, innovation, spread in said:
+    for k, (c, row, r, z, innovation, spread) in enumerate(said):
         # No reading is farther than the widest class of noise reaches, or one alone would say all there is.
         far = REACH * math.sqrt(max(spread + row[SLOW] * r * scales[-1], 0.0))
-        y[len(updated)] = innovation = min(max(innovation, -far), far)
+        y[k] = innovation = min(max(innovation, -far), far)
         s = owner[c]
         due[s] -= 1.0
         quiet = watch.score[c] < _QUIET
