@@ -82,7 +82,9 @@ def identified_polynomials(
                 return
             yield replace(model, operating_point=acted.rest).simulate(u)[:, None]
 
-    settled = lambda best: _without_endless_motion(problem.of_inputs(best.u), own, best)  # noqa: E731
+    def settled(best: Explanation) -> Explanation:
+        return _without_endless_motion(problem.of_inputs(best.u), own, best)
+
     search = Search(y, problem.u, spans, find, alone, starts, True, settled, index)
     # A row of the caller's regressor is no input that is held.
     best = _without_leverage(problem, own) if problem.structure.takes_phi else search.best(trend)
