@@ -101,7 +101,7 @@ TESTED = {
     "nor tells of the scale of Q": "test_a_step_of_what_is_measured_leaves_the_speed",
     "it is hidden while three to one is against it": "test_a_jump_that_nothing_confirms_does_not_show",
     "it is shown alone at nineteen to one": STARTS,
-    "one beyond all outliers, with .96": STARTS,
+    "readings that the state followed were no outliers": STARTS,
     "nor of changes": "test_it_follows_almost_as_the_kalman_filter_or_much_better",
     "shortened to 8 deviations (here to 30)": "test_r_does_not_depend_on_how_wild_an_outlier_is",
 }
