@@ -30,9 +30,7 @@ def moved(x: Array, P: Array, F: Array, Q: Array, drift: Array) -> None:
     P[:, :n, :n] += Q
 
 
-def corrected(
-    x: Array, P: Array, z: Any, h: Array, variances: Array, logs: Array, reach: float = math.inf
-) -> Array:
+def corrected(x: Array, P: Array, z: Any, h: Array, variances: Array, logs: Array, reach: float = math.inf) -> Array:
     """Correct N models by one number each, in place; return its log-density (`correction.learnt`'s step).
 
     variances, logs: of the classes of noise, and logarithms of their shares, (C, N) or (C, 1). reach: deviations of the

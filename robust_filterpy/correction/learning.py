@@ -299,22 +299,21 @@ def _normal(y: float, variance: Any) -> Any:
 
 
 def goes_on(learnt: Array, y: Array, R: Array, classes: int) -> np.ndarray:
-    """Return which innovations are within half of themselves where the last reading, an outlier, was left, shape (m,).
-    """
+    """Return which readings are about as far off as the last one, which was taken for an outlier, shape (m,)."""
+    # About: within half of the innovation.
     left = learnt[:, _LEFT] * np.sqrt(R.diagonal())
     return (learnt[:, last_class(classes).start] < 0.5) & (2.0 * np.abs(y - left) < np.abs(y))
 
 
-def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, followed: np.ndarray | None = None) -> Array:
-    """Return the memory once the candidates of the parts that some sensors see are believed, or readings followed."""
+def jumped(learnt: Array, believed: np.ndarray, noise: NoiseClasses, followed: Any = False) -> Array:
+    """Return the memory once candidates of the parts that sensors see are believed, or the state has followed them."""
     # What was refused on the way was no outlier.
     learnt, K = learnt.copy(), len(noise.scales)
     prior = _chain(start(K), K)[1]
-    for i in np.flatnonzero(believed if followed is None else believed | followed):
+    for i in np.flatnonzero(believed | followed):
         own, counts, readings = learnt[i, _JUMPS], _chain(learnt[i], K)[1], float(learnt[i, _COUNT])
         began = float(own[_BEGAN])
-        if believed[i]:
-            own[_BEGAN] = 0.0
+        own[_BEGAN] = 0.0 if believed[i] else began
         if began == 0.0 or not readings > _FIRST or counts[:, 1:].sum() > _RARE * counts.sum():
             continue
         if believed[i]:

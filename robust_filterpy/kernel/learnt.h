@@ -549,7 +549,7 @@ typedef struct {
     real *N;     /* (m, m) covariance of ordinary noise */
     real *left, *r, *start; /* (m) 1 where not yet used; factors of R; the largest S_ii at the beginning */
     real *head, *fresh; /* (m) first state of the part that a sensor sees; whether a candidate there is new, 2 where it began */
-    real *goes_on; /* (m) whether an innovation is within half of itself where the last reading, an outlier, was left */
+    real *goes_on; /* (m) whether a reading is about as far off as the last one, which was taken for an outlier */
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
     real *before, *typical, *after, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
