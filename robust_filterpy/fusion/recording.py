@@ -27,8 +27,8 @@ from robust_filterpy.smoothing.smoother import smooth
 
 # Stamps that are taken together: so many F and Q fit a cache, and need no room to speak of.
 _TOGETHER = 20_000
-# Stamps from which the start is found, and by how much less certain than that the smoother begins, in variance.
-_TO_BEGIN, _WIDER = 200, 1e6
+# How much less certain than the recording shows the smoother begins, in variance: more is rounding.
+_WIDER = 1e6
 
 
 @dataclass(frozen=True, repr=False)
@@ -236,7 +236,10 @@ def _smoothed(
         raise ValueError("smoothed: expected a linear motion and linear sensors, got a function of the state")
     F, Q, drift = _model(setup, begin, dts, rows.inputs)
     kf = RobustKalmanFilter(motion.dim_x, layout.size, motion.dim_x)
-    kf.x, kf.P = _narrowed(begin, filtered, F, Q, drift)
+    (x, P), start = filtered, begin.state
+    shown = ((x - start.x) ** 2).max(axis=0) + P[-1].diagonal()
+    narrower = np.sqrt(np.minimum(_WIDER * shown / np.maximum(start.P.diagonal(), 1e-300), 1.0))
+    kf.x, kf.P = start.x, start.P * np.multiply.outer(narrower, narrower)
     kf.H, kf.B = layout.H, np.eye(motion.dim_x)
     root = np.sqrt(np.where(np.isnan(last.state.sizes), 1.0, setup.policy.factors(last.state.memory)))
     kf.R = covariance(layout, last.state.sizes) * np.multiply.outer(root, root)
@@ -244,24 +247,6 @@ def _smoothed(
     influence = setup.policy.choices.influence if setup.policy.noise is None else None
     smoothed = smooth(kf, rows.zs, Fs=F, Qs=Q, us=us, influence=influence)
     return smoothed.x, smoothed.P, smoothed.weights
-
-
-def _narrowed(begin: Moment, filtered: tuple[Array, Array], F: Array, Q: Array, drift: Array) -> tuple[Array, Array]:
-    """Return the start, at most a million times less certain than the recording knows it: more is rounding."""
-    (x, P), last = filtered, min(len(filtered[0]), _TO_BEGIN) - 1
-    at, cov = x[last], P[last]
-    for k in range(last - 1, -2, -1):
-        # Rauch, Tung and Striebel, from the states after each stamp; the start is before the first.
-        before, spread = (x[k], P[k]) if k >= 0 else (begin.state.x, begin.state.P)
-        moved = F[k + 1] @ before + drift[k + 1 if len(drift) > 1 else 0]
-        grown = F[k + 1] @ spread @ F[k + 1].T + Q[k + 1]
-        gain = np.linalg.lstsq(grown, F[k + 1] @ spread, rcond=None)[0].T
-        at, cov = before + gain @ (at - moved), spread + gain @ (cov - grown) @ gain.T
-    start, prior = begin.state.x, begin.state.P
-    bound = _WIDER * np.diag(np.abs(cov.diagonal()))
-    share = np.linalg.lstsq(prior + bound, prior, rcond=None)[0]
-    narrow = bound @ share
-    return start + share.T @ (at - start), 0.5 * (narrow + narrow.T)
 
 
 # Points of the grids, each around the best of the one before; rounds; readings that are compared.

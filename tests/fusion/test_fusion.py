@@ -339,6 +339,19 @@ def test_a_recording_is_smoothed_by_the_influence_of_the_fusion():
     assert_allclose(found.P, P, atol=1e-6)
 
 
+def test_a_recording_in_degrees_is_smoothed_from_the_default_start_as_from_one_that_fits():
+    """By default the start is 1e18 times less certain than this sensor, more than numbers tell apart."""
+    rng, t = np.random.default_rng(5), 0.5 * np.arange(60)
+    table = {"time": t, "sensor": ["gps"] * 60, "value": 48.1 + 0.01 * np.sin(t / 3.0) + 1e-5 * rng.normal(size=60)}
+    motion, sensors = constant_velocity(1, 1e-6), {"gps": Sensor([1.0, 0.0], R=1e-10)}
+    start = {"x0": [48.1, 0.0], "P0": 1e-2 * np.eye(2)}
+    default, fits = (
+        Fusion(motion, sensors, 5.0, influence=Linear(), **more).run(table, smoothed=True) for more in ({}, start)
+    )
+    assert_allclose(default.P, fits.P, rtol=1e-4, atol=1e-12)
+    assert (np.abs(default.x - fits.x) < 1e-3 * np.sqrt(np.einsum("kii->ki", fits.P))).all()
+
+
 @pytest.mark.parametrize("way", ["learnt", "given", "huber"])
 def test_a_far_position_costs_the_speed_of_the_same_stamp_its_weight(way):
     table, _ = together(0, 101)
