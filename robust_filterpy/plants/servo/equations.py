@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array
+from robust_filterpy._checks import Array, numbers, real
 
 if TYPE_CHECKING:
     import control
@@ -128,9 +128,7 @@ class PneumaticParameters:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-                raise TypeError(f"{field.name}: expected a number, got {type(value).__name__}")
+            value = real(field.name, getattr(self, field.name))
             if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name in _MAY_BE_ZERO))):
                 expected = ">= 0" if field.name in _MAY_BE_ZERO else "> 0"
                 raise ValueError(f"{field.name}: expected a finite number {expected}, got {value}")
@@ -249,13 +247,9 @@ def coefficient_function(value: Coefficient, name: str, limits: tuple[float, flo
 
 def checked(value: Any, name: str, limits: tuple[float, float]) -> Array:
     """Return value as an array inside limits, or refuse it."""
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name}: expected numbers, got {type(value).__name__}") from None
-    if not np.all((array >= limits[0]) & (array <= limits[1])):
-        worst = array.flat[int(np.argmin((array >= limits[0]) & (array <= limits[1])))]
-        raise ValueError(f"{name}: expected values in [{limits[0]:g}, {limits[1]:g}], got {worst:g}")
+    array = numbers(name, value)
+    if len(outside := array[~((array >= limits[0]) & (array <= limits[1]))]):
+        raise ValueError(f"{name}: expected values in [{limits[0]:g}, {limits[1]:g}], got {outside[0]:g}")
     return array
 
 

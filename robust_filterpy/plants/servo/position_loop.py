@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import odeint
 
-from robust_filterpy._checks import Array, numbers, positive
+from robust_filterpy._checks import Array, finite, finite_vector, positive
 
 from .equations import (
     ALPHA_RANGE,
@@ -50,25 +50,8 @@ class ServoInputs:
         self.load = _samples(load, t, "load", (-math.inf, math.inf))
         pressure = p.supply_pressure if supply is None else supply
         self.supply = _samples(pressure, t, "supply", (p.atmospheric_pressure, math.inf))
-        self.noise = np.zeros((n, 3)) if noise is None else numbers("noise", noise)
-        if self.noise.shape != (n, 3) or not np.all(np.isfinite(self.noise)):
-            raise ValueError(
-                f"noise: expected finite numbers of shape ({n}, 3), for position, P_a and P_b, got shape "
-                f"{self.noise.shape}"
-            )
+        self.noise = np.zeros((n, 3)) if noise is None else finite("noise", noise, (n, 3))
         self.x0 = _initial_state(initial, p, float(self.load[0]))
-
-
-def sampled_reference(reference: ArrayLike) -> Array:
-    """Return the reference at the sampling times."""
-    r = numbers("reference", reference).copy()
-    if r.ndim != 1 or r.size == 0:
-        raise ValueError(f"reference: expected a non-empty sequence of positions, got shape {r.shape}")
-    if not np.all(np.isfinite(r)):
-        raise ValueError(
-            f"reference: expected finite positions, got {r[~np.isfinite(r)][0]} at {np.argmin(np.isfinite(r))}"
-        )
-    return r
 
 
 def _samples(value: Signal, t: Array, name: str, limits: tuple[float, float]) -> Array:
@@ -90,9 +73,7 @@ def _initial_state(initial: ArrayLike | None, parameters: PneumaticParameters, l
     if initial is None:
         point = operating_point(parameters, load=load, velocity=0.0)
         return np.array([0.0, 0.0, point.P_a, point.P_b])
-    x = np.array(initial, dtype=float)
-    if x.shape != (4,) or not np.all(np.isfinite(x)):
-        raise ValueError(f"initial: expected 4 finite numbers {STATES}, got {initial!r}")
+    x = finite("initial", initial, (len(STATES),)).copy()
     if x[2] <= 0 or x[3] <= 0:
         raise ValueError(f"initial: expected positive absolute pressures, got P_a = {x[2]:g} and P_b = {x[3]:g} Pa")
     if abs(x[0]) > parameters.stroke / 2:
@@ -250,7 +231,7 @@ def simulate_servo(
     0.010
     """
     p = as_parameters(parameters)
-    r = sampled_reference(reference)
+    r = finite_vector("reference", reference).copy()
     if np.max(np.abs(r)) > p.stroke / 2:
         raise ValueError(
             f"reference: expected positions within the stroke, +-{p.stroke / 2:g} m, got {r[np.argmax(np.abs(r))]:g}"
@@ -307,9 +288,7 @@ def simulate_actuator(
     >>> print(f"{recording.position[-1]:.3f}")
     0.026
     """
-    u = np.asarray(valve, dtype=float)
-    if u.ndim != 1 or u.size == 0:
-        raise ValueError(f"valve: expected a non-empty sequence of commands, got shape {u.shape}")
+    u = finite_vector("valve", valve)
     commands = checked(u, "valve", (-1.0, 1.0)).tolist()
     p = as_parameters(parameters)
     inputs = ServoInputs(u.size, dt, rtol, p, alpha, beta, load, supply, noise, initial)
