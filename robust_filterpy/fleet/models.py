@@ -10,7 +10,6 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -330,7 +329,7 @@ class TrackerModel(Model):
     def __post_init__(self) -> None:
         """Check the arguments by making a tracker."""
         super().__post_init__()
-        object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
+        object.__setattr__(self, "options", dict(self.options))
         if hasattr(self.options.get("filter", type), "update") and not isinstance(self.options["filter"], type):
             raise TypeError("options: expected the class of a filter, got an object, which trackers would share")
         self.template()
@@ -397,12 +396,3 @@ class TrackerModel(Model):
             States and samples, written into.
         """
         _advancing.advance_trackers(self.template(), work)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return plain attributes: a read-only view has no pickle."""
-        return {**super().__getstate__(), "options": dict(self.options)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Make the options read only again."""
-        for name, value in state.items():
-            object.__setattr__(self, name, MappingProxyType(value) if name == "options" else value)

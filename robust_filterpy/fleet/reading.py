@@ -5,7 +5,6 @@ What is no number, and no time, costs its row alone: the others go on, and its r
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from datetime import datetime, timezone
 from os import PathLike
@@ -210,11 +209,7 @@ def _number(value: Any) -> float:
     """Return a number, NaN for what is missing, or raise."""
     if type(value).__name__ in _MISSING:
         return np.nan
-    if isinstance(value, (numbers.Real, np.bool_)) or type(value).__name__ == "Decimal":
-        return float(value)
-    if isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiub":
-        return float(value)
-    raise TypeError
+    return float(value) if isinstance(value, (bool, np.bool_)) else _checks.real("", value)
 
 
 def say(said: Reasons, row: int, sentence: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from itertools import islice, pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -50,9 +51,9 @@ class States(Mapping[Any, dict[str, Array]]):
         self, label: Array, keys: Sequence[Any], columns: Mapping[str, np.ndarray], odd: Mapping[Any, Any] | None = None
     ) -> None:
         """Keep the columns."""
-        self.label, self.keys_of_rows, self.columns = label, keys, dict(columns)
+        self.label, self.columns = label, dict(columns)
+        self.keys_of_rows: list[Any] = keys.tolist() if isinstance(keys, np.ndarray) else list(keys)
         self.odd: dict[Any, Any] = dict(odd or {})
-        self._rows: dict[Any, int] | None = None
 
     def __repr__(self) -> str:
         """Say of how many keys, and of whom."""
@@ -65,16 +66,19 @@ class States(Mapping[Any, dict[str, Array]]):
 
     def __iter__(self) -> Iterator[Any]:
         """Return the keys one after the other."""
-        yield from self.keys_of_rows.tolist() if isinstance(self.keys_of_rows, np.ndarray) else self.keys_of_rows
+        yield from self.keys_of_rows
         yield from self.odd
 
     def __getitem__(self, key: Any) -> dict[str, Array]:
         """Return the state of a key, as `step` takes it."""
         if key in self.odd:
             return self.odd[key]  # type: ignore[no-any-return]
-        if self._rows is None:
-            self._rows = self._places()
         return self.row(self._rows[key])
+
+    @cached_property
+    def _rows(self) -> dict[Any, int]:
+        """Row of each key."""
+        return {key: i for i, key in enumerate(self.keys_of_rows)}
 
     def row(self, i: int) -> dict[str, Array]:
         """Return the state in a row.
@@ -95,21 +99,6 @@ class States(Mapping[Any, dict[str, Array]]):
                 state[name] = value
         return state
 
-    def name(self, i: int) -> Any:
-        """Return the key of a row.
-
-        Parameters
-        ----------
-        i : int
-            Row.
-
-        Returns
-        -------
-        object
-        """
-        own = self.keys_of_rows[i]
-        return own.item() if isinstance(own, np.generic) else own
-
     def find(self, names: Sequence[Any]) -> np.ndarray:
         """Return the rows of some keys, -1 for those that are not there.
 
@@ -122,10 +111,7 @@ class States(Mapping[Any, dict[str, Array]]):
         -------
         ndarray of int
         """
-        if not len(self.keys_of_rows):
-            return np.full(len(names), -1)
-        places = self._rows if self._rows is not None else self._places()
-        return np.fromiter((places.get(name, -1) for name in names), int, len(names))
+        return np.fromiter((self._rows.get(name, -1) for name in names), int, len(names))
 
     def newer(self, time: Any) -> States:
         """Return the states of keys that have been heard of since, for a fleet whose devices come and go.
@@ -152,13 +138,8 @@ class States(Mapping[Any, dict[str, Array]]):
 
     def _of_rows(self, rows: np.ndarray, odd: Mapping[Any, Any]) -> States:
         """Return the states in some rows."""
-        keys = [self.name(i) for i in rows.tolist()]
+        keys = [self.keys_of_rows[i] for i in rows.tolist()]
         return States(self.label, keys, {name: column[rows] for name, column in self.columns.items()}, odd)
-
-    def _places(self) -> dict[Any, int]:
-        """Return the row of each key."""
-        names = self.keys_of_rows.tolist() if isinstance(self.keys_of_rows, np.ndarray) else self.keys_of_rows
-        return dict(zip(names, range(len(names)), strict=True))
 
     def updated(self, names: Sequence[Any], rows: np.ndarray, entries: Mapping[str, np.ndarray]) -> States:
         """Return other states, some of them new; these are as they were.
@@ -187,8 +168,7 @@ class States(Mapping[Any, dict[str, Array]]):
             whole[rows[old]], whole[size:] = values[old], values[new]
             columns[name] = whole
         added = [names[i] for i in new.tolist()]
-        keys = [*self, *added] if not self.odd else [*list(self)[:size], *added]
-        return States(self.label, keys, columns, self.odd)
+        return States(self.label, self.keys_of_rows + added, columns, self.odd)
 
     def to_arrow(self, key: str = "device") -> Any:
         """Return the states as an Arrow table, a row for each key; those that are none are left out.
@@ -310,8 +290,7 @@ def _from_table(table: Any, model: Model) -> States:
             "begin with None, or take the model that these states were made with"
         )
     (key,) = [name for name in table.column_names if name not in shapes and name not in FLEET and name != "kind"][:1]
-    keys, n = table.column(key).to_numpy(), table.num_rows
-    keys = keys if keys.dtype.kind in "iu" else keys.tolist()
+    keys, n = table.column(key).to_numpy().tolist(), table.num_rows
     columns = {}
     for name, shape in shapes.items():
         if name not in table.column_names:

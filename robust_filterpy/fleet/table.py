@@ -232,7 +232,7 @@ def _usable(keys: _Keys, before: States, model: Model, rows: Rows) -> _Keys:
     """Return the keys without nobody, and without those whose states are damaged or of another model, named."""
     prints = before.columns["model"][:, 0]
     others = np.flatnonzero((prints != model.fingerprint) & ~np.isnan(prints))
-    refused = set(before.odd) | {before.name(i) for i in others.tolist()}
+    refused = set(before.odd) | {before.keys_of_rows[i] for i in others.tolist()}
     gone = [i for i, name in enumerate(keys.names) if name is NOBODY or name in refused] if (
         refused or any(name is NOBODY for name in keys.names)) else []  # fmt: skip
     if not gone:
