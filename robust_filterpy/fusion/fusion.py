@@ -178,33 +178,30 @@ class Fusion:
     def _say_failures(self) -> None:
         """Warn of each sensor's first reading for which its function had no answer."""
         for name, (key, why) in self._timeline.reasons.items():
-            if name not in self._said:
-                self._said.add(name)
-                warn(
-                    f"sensor {name!r}: a reading of {self._clock.stamp(key)} was refused, since its function failed at "
-                    f"the state then: {why}; mend the function, or start nearer (x0); counts has how many there are",
-                    FusionWarning,
-                )
+            self._say_once(
+                name, f"sensor {name!r}: a reading of {self._clock.stamp(key)} was refused, since its function failed "
+                f"at the state then: {why}; mend the function, or start nearer (x0); counts has how many there are"
+            )  # fmt: skip
+
+    def _say_once(self, about: str, text: str) -> None:
+        """Warn of something that may come again."""
+        if about not in self._said:
+            self._said.add(about)
+            warn(text, FusionWarning)
 
     def _forget(self) -> None:
         """Let go of what is too old."""
         try:
-            if self._timeline.forget() and "(window)" not in self._said:
-                self._said.add("(window)")
+            if self._timeline.forget():
                 since = self._clock.stamp(self._timeline.keys[0])
-                warn(
-                    f"window: at most {self._timeline.most} stamps are kept, fewer than came within {self.window:g} s; "
-                    f"a reading of before {since} is refused; stamps that are rounded are fewer",
-                    FusionWarning,
-                )
+                self._say_once(
+                    "(window)", f"window: at most {self._timeline.most} stamps are kept, fewer than came within "
+                    f"{self.window:g} s; a reading of before {since} is refused; stamps that are rounded are fewer"
+                )  # fmt: skip
         except Exception as error:
             # The reading stands; only a motion that raises comes here, and who asks for an estimate gets the error.
-            if "" not in self._said:
-                self._said.add("")
-                warn(
-                    f"motion: it has failed, and no estimate goes beyond: {type(error).__name__}: {error}",
-                    FusionWarning,
-                )
+            text = f"motion: it has failed, and no estimate goes beyond: {type(error).__name__}: {error}"
+            self._say_once("", text)
         self._say_failures()
 
     def observe(self, sensor: str, t: Any, z: Any, *, replace: bool = False) -> str:

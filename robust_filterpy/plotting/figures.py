@@ -38,11 +38,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 def one_axes(ax: Any, size: tuple[float, float] = (7.0, 3.6)) -> Any:
     """Return ax, or that of a new figure."""
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(figsize=size, layout="constrained")[1]
+    return several_axes(None, 1, 1, size)[0] if ax is None else ax
 
 
 def several_axes(axes: Any, rows: int, columns: int, size: tuple[float, float], **options: Any) -> Any:
@@ -60,7 +56,7 @@ def several_axes(axes: Any, rows: int, columns: int, size: tuple[float, float], 
 def finish(ax: Any, what: str, unit: str, time_unit: str) -> Any:
     """Label axes over time and return them."""
     ax.set_ylabel(f"{what} [{unit}]" if unit else what)
-    if has_dates(ax):
+    if any(np.asarray(line.get_xdata()).dtype.kind == "M" for line in ax.lines):
         from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
         locator = AutoDateLocator()
@@ -71,11 +67,6 @@ def finish(ax: Any, what: str, unit: str, time_unit: str) -> Any:
         ax.set_xlabel(f"time [{time_unit}]" if time_unit else "sample")
     ax.legend(loc="best", fontsize="small", framealpha=0.8)
     return ax
-
-
-def has_dates(ax: Any) -> bool:
-    """Tell whether the lines are drawn over dates."""
-    return any(np.asarray(line.get_xdata()).dtype.kind == "M" for line in ax.lines)
 
 
 def legend_outside(ax: Any) -> None:

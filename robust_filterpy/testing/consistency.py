@@ -185,17 +185,22 @@ def assert_covariance_stays_one(P: Any, *, rtol: float = 1e-6) -> None:
 def _nis(runs: list[Run], factor: float, alpha: float) -> str | None:
     """Test the innovations of all runs together."""
     e = np.concatenate([run.whitened for run in runs])
-    total, dof, steps = float(np.nansum(e**2)), int((~np.isnan(e)).sum()), int((~np.isnan(e)).any(axis=1).sum())
-    if dof == 0:
+    steps = int((~np.isnan(e)).any(axis=1).sum())
+    if not steps:
         raise ValueError("runs: expected at least one measurement, got none")
+    if (off := _off(e, steps, factor, alpha)) is None:
+        return None
+    return f"NIS {off[1]} over {steps} steps: S is about {times(off[0])}: {_cause(runs, e, off[0])}"
+
+
+def _off(e: Array, count: int, factor: float, alpha: float) -> tuple[float, str] | None:
+    """Return by which factor squares of mean 1 are off, and their mean over so many vectors in words; None if right."""
+    total, dof = float(np.nansum(e**2)), int((~np.isnan(e)).sum())
     low, high = band(dof, alpha)
     if low / factor <= total <= high * factor:
         return None
-    ratio, figures = total / dof, [value / steps for value in (total, dof, low / factor, high * factor)]
-    return (
-        f"NIS mean {figures[0]:.3g}, expected {figures[1]:.3g} ({figures[2]:.3g} to {figures[3]:.3g}) over {steps} "
-        f"steps: S is about {times(ratio)}: {_cause(runs, e, ratio)}"
-    )
+    mean, expected, least, most = (value / count for value in (total, dof, low / factor, high * factor))
+    return total / dof, f"mean {mean:.3g}, expected {expected:.3g} ({least:.3g} to {most:.3g})"
 
 
 def _cause(runs: list[Run], e: Array, ratio: float) -> str:
@@ -216,16 +221,10 @@ def _cause(runs: list[Run], e: Array, ratio: float) -> str:
 def _nees(runs: list[Run], k: int, factor: float, alpha: float) -> str | None:
     """Test the errors of all runs at one step."""
     errors = np.array([run.standardized_error(k) for run in runs])
-    total, (M, n) = float(np.sum(errors**2)), errors.shape
-    low, high = band(M * n, alpha)
-    if low / factor <= total <= high * factor:
+    if (off := _off(errors, len(runs), factor, alpha)) is None:
         return None
-    ratio = total / (M * n)
-    word = "the filter is surer than it may be" if ratio > 1 else "the filter is less sure than it could be"
-    return (
-        f"NEES mean {total / M:.3g}, expected {n} ({low / factor / M:.3g} to {high * factor / M:.3g}) at step {k} over "
-        f"{M} run(s): P is about {times(ratio)}; {word}"
-    )
+    word = "the filter is surer than it may be" if off[0] > 1 else "the filter is less sure than it could be"
+    return f"NEES {off[1]} at step {k} over {len(runs)} run(s): P is about {times(off[0])}; {word}"
 
 
 def _correlation(columns: list[Array], lag: int) -> tuple[float, float, int, int]:
