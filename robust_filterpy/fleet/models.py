@@ -59,7 +59,7 @@ class Model:
     columns: ClassVar[Any]
     widths: ClassVar[Any]
     kind: ClassVar[Any]
-    gaps: ClassVar[Any]
+    gaps: ClassVar[tuple[str, ...]] = ()
     start: ClassVar[Any]
     _shapes: ClassVar[Any]
     _said: ClassVar[Any]
@@ -246,11 +246,6 @@ class FilterModel(Model):
         """What its states belong to."""
         return type(self.filter).__name__
 
-    @property
-    def gaps(self) -> tuple[str, ...]:
-        """Entries of a state that may hold NaN."""
-        return ()
-
     def start(self) -> dict[str, Array]:
         """Return the entries of a state at the start.
 
@@ -323,6 +318,8 @@ class TrackerModel(Model):
     ('a1', 'b1', 'std_a1', 'std_b1', 'prediction', 'residual', 'weight', 'guard')
     """
 
+    gaps: ClassVar[tuple[str, ...]] = ("start", "followed")
+
     structure: Structure
     options: Mapping[str, Any] = field(default_factory=dict)
 
@@ -358,11 +355,6 @@ class TrackerModel(Model):
     def kind(self) -> str:
         """What its states belong to."""
         return self._tracker.kind
-
-    @property
-    def gaps(self) -> tuple[str, ...]:
-        """Entries of a state that may hold NaN."""
-        return "start", "followed"
 
     def start(self) -> dict[str, Array]:
         """Return the entries of a state at the start.

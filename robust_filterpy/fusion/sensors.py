@@ -191,9 +191,7 @@ class Layout:
             else:
                 self.R[place, place] = sensor.R
         self.any_without_R = bool(self.without_R.any())
-        self.is_curved = np.repeat(
-            [s.h is not None for s in self.sensors.values()], [s.dim_z for s in self.sensors.values()]
-        )
+        self.is_curved = np.repeat([s.h is not None for s in self.sensors.values()], sizes)
         self.curved = tuple(name for name, sensor in self.sensors.items() if sensor.h is not None)
 
     def reading(self, name: str, z: Any) -> Array:
