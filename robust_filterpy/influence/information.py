@@ -75,28 +75,19 @@ def clipping_point(influence: Any) -> float:
     return float(grid[flat.argmax()]) if flat.any() else math.inf
 
 
-@np.errstate(under="ignore")
-def expected_information(influence: Any, noise: Any = None) -> float:
+def expected_information(influence: Any) -> float:
     """Return E[psi'(e)], the expected information of one standardized innovation (paper 40, 45).
 
     Parameters
     ----------
     influence : Influence
         Any object with ``psi_deriv``; the package's own or a norm of statsmodels.
-    noise : scipy.stats distribution, optional
-        Distribution of e (dimensionless). Default: the density that the influence function is made for: the
-        least favorable one for `Huber`, Student's t for `StudentT`, the standard normal for any other.
 
     Returns
     -------
     float
-        (1 - eps)(2 Phi(k) - 1) for `Huber` by default; P(\\|e\\| <= k) for `Huber` and a given noise; by
-        quadrature otherwise.
-
-    Raises
-    ------
-    TypeError
-        If noise has no ``pdf`` and ``cdf``.
+        Under the density that psi is made for: the least favorable one for `Huber`, (1 - eps)(2 Phi(k) - 1), Student's
+        t for `StudentT`; by quadrature under the standard normal for any other.
 
     Notes
     -----
@@ -105,20 +96,11 @@ def expected_information(influence: Any, noise: Any = None) -> float:
     Examples
     --------
     >>> from robust_filterpy import Huber
-    >>> from scipy import stats
     >>> round(expected_information(Huber(1.14)), 4)
     0.6711
-    >>> round(expected_information(Huber(1.14), stats.norm()), 4)
-    0.7457
     """
-    if noise is None:
-        nominal = getattr(influence, "nominal_information", lambda: None)()
-        return _under_normal(influence) if nominal is None else nominal
-    if not (callable(getattr(noise, "pdf", None)) and callable(getattr(noise, "cdf", None))):
-        raise TypeError(f"noise: expected a scipy.stats distribution with pdf and cdf, got {noise!r}")
-    if hasattr(influence, "from_contamination"):
-        return float(noise.cdf(influence.threshold) - noise.cdf(-influence.threshold))
-    return _integral(lambda e: influence.psi_deriv(e) * noise.pdf(e), influence)
+    nominal = getattr(influence, "nominal_information", lambda: None)()
+    return _under_normal(influence) if nominal is None else nominal
 
 
 @lru_cache(maxsize=64)
@@ -140,6 +122,7 @@ def expected_joint_information(influence: Any, dim: int) -> float:
 
 
 @lru_cache(maxsize=64)
+@np.errstate(under="ignore")
 def _under_normal(influence: Any) -> float:
     """Return E[psi'(e)] for e standard normal."""
     from scipy import stats
