@@ -39,7 +39,6 @@ class FilterRecord:
     z: Array  # (N, m)
     y: Array  # (N, m)
     S: Array  # (N, m, m)
-    e: Array  # (N, m), T y by the filter's own scaling
     clipped: Array  # (N, m), bool
     influence: Any
     scaling: str
@@ -102,12 +101,10 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
         tracker.update(output, None if u is None else u[k])
         _keep(epochs, kf, len(y))
         epochs["z"][-1] = output
-        if np.isnan(output):
-            epochs["y"][-1] = np.full((1, 1), np.nan)
     return _recording(epochs, kf)
 
 
-_NAMES = ("z", "y", "S", "e", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
+_NAMES = ("z", "y", "S", "weights", "clipped", "F", "Q", "H", "R", "x", "x_prior", "P_prior", "x_post", "alpha")
 
 
 def _keep(epochs: dict[str, list[Any]], kf: Any, steps: int) -> None:
@@ -134,7 +131,6 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
     S = _stacked("S", epochs["S"], n).reshape(n, m, m)
     S = np.where(np.all(absent, axis=1)[:, None, None], np.nan, S)
     clipped = _stacked("clipped", epochs["clipped"], n).astype(bool) if "clipped" in epochs else np.zeros((n, m), bool)
-    e = _stacked("e", epochs["e"], n) if "e" in epochs else np.full((n, m), np.nan)
     # A filter that weighs by noise given or learned has no psi.
     influence = getattr(kf, "influence", None)
     influence = influence if hasattr(influence, "psi_deriv") else None
@@ -142,7 +138,7 @@ def _recording(epochs: dict[str, list[Any]], kf: Any) -> FilterRecord:
     # Any where noise is learned, none of a psi that is made for no share of outliers.
     contamination = 1.0 if learns else getattr(influence, "contamination", 0.0)
     return FilterRecord(
-        np.where(absent, np.nan, z), y, S, np.where(absent, np.nan, e), clipped & ~absent, influence,
+        np.where(absent, np.nan, z), y, S, clipped & ~absent, influence,
         getattr(kf, "scaling", "innovation"), getattr(kf, "grouping", "component"), contamination,
         learns or isinstance(influence, Contaminated), _model(epochs, y, z, m),
     )  # fmt: skip
@@ -232,12 +228,9 @@ def expected_clipped(recording: FilterRecord) -> tuple[Array, Array]:
     if recording.grouping == "joint":
         low = np.full(m, stats.chi2.sf(k * k, m))
     else:
-        spread = np.ones(m)
-        if recording.scaling != "innovation":
-            # Under another scaling e has not unit variance: T S T'.
-            ratio = recording.e / np.where(recording.y == 0, np.nan, recording.y)
-            deviation = np.sqrt(np.einsum("kii->ki", recording.S)) * np.abs(ratio)
-            spread = np.array([np.nanmedian(column) if (column == column).any() else 1.0 for column in deviation.T])
+        # Under "unit" and "bounded" e has the unit of the measurement.
+        deviation = np.ma.median(np.sqrt(np.ma.masked_invalid(np.einsum("kii->ki", recording.S))), axis=0).filled(1.0)
+        spread = {"unit": deviation, "bounded": np.minimum(deviation, 1.0)}.get(recording.scaling, np.ones(m))
         low = 2.0 * stats.norm.sf(k / spread)
     return low, (1.0 - contamination) * low + (contamination if math.isfinite(k) else 0.0)
 
