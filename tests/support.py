@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -243,29 +244,14 @@ def joint_jacobian(e, functions):
     return vectors @ np.diag(np.clip(values, 0, 1)) @ vectors.T
 
 
-@dataclass(frozen=True)
-class Reference:
-    """What the correction of the design's section 2 should give; x as a 1-D array."""
-
-    x: np.ndarray
-    P: np.ndarray
-    y: np.ndarray
-    e: np.ndarray
-    S: np.ndarray
-    T: np.ndarray
-    K: np.ndarray
-    weights: np.ndarray
-    prior: np.ndarray
-    whitened: np.ndarray
-    """Each sensor in its standard deviations given those before it, whatever the scaling."""
-    log_det: float
-    """Sum of the logarithms of one over these deviations."""
-
-
 def reference_correction(
     x, P, z, H, R, functions, *, scaling="innovation", information="realized", grouping="component", M=None
 ):
-    """One sensor or group after the other, the most plausible first, by updates of state and noise together."""
+    """What a correction should give: one sensor or group after the other, the most plausible first, x as a 1-D array.
+
+    By updates of state and noise together. `whitened` is each sensor in its standard deviations given those before it,
+    whatever the scaling, `log_det` the sum of the logarithms of one over these deviations.
+    """
     x, z = np.ravel(x).astype(float), np.ravel(z).astype(float)
     M = np.zeros((len(x), len(z))) if M is None else M
     n, m = len(x), len(z)
@@ -309,7 +295,7 @@ def reference_correction(
         lines = lines - T[group].T @ (A @ G).T
         plain = plain - G @ G.T
     C = P @ H.T + M
-    return Reference(
+    return SimpleNamespace(
         x=moves[:n], P=whole[:n, :n], y=z - H @ x, e=e, S=S, T=T, K=C @ T.T @ T, weights=weights, prior=x,
         whitened=whitened, log_det=log_det,
     )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import support
 
-from robust_filterpy import Contaminated, Huber, Learnt, RobustKalmanFilter, StudentT, TukeyBiweight, filter_series
+from robust_filterpy import Contaminated, Learnt, RobustKalmanFilter, StudentT, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError, Scales, SingularInnovationError
 from robust_filterpy.correction.learning import NoiseClasses
 
@@ -19,6 +19,7 @@ def problem_and_series(dims=(3, 2, 0)):
     zs = np.array([support.simulate(problem, N, seed, contamination=0.15)[0] for seed in range(SERIES)])
     zs[np.random.default_rng(0).random(zs.shape) < 0.1] = np.nan
     zs[1, 4:6] = np.nan
+    zs[2, 12:] += 40.0
     return problem, zs
 
 
@@ -55,7 +56,7 @@ def assert_same(found, expected, rtol=1e-8):
 
 
 OPTIONS = {
-    "default": {}, "innovation": {"scaling": "innovation"},
+    "default": {}, "recovering": {**support.RECOVERING, "patience": 4}, "innovation": {"scaling": "innovation"},
     "joint": {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
     "learnt noise": LEARNING, "learnt noise, joint": {**LEARNING, "grouping": "joint"},
     "learnt noise, groups": {**LEARNING, "grouping": ((0, 1),)},
@@ -73,7 +74,15 @@ def test_series_are_a_loop_over_filters(options, form):
     problem, zs = problem_and_series()
     correlated = support.with_(problem, R=problem.R + 0.1)
     for one in (problem, correlated) if options in ({}, LEARNING) else (problem,):
-        assert_same(filter_series(zs, *arguments(one), **options), by_filters(one, zs, **options))
+        whole = filter_series(zs, *arguments(one), **options)
+        assert_same(whole, by_filters(one, zs, **options))
+    # And however they are cut, to the last bit.
+    state = filter_series(zs[:, :13], *arguments(one), **options).state
+    rest = filter_series(zs[:, 13:], *arguments(one)[:4], state=state, **options)
+    for name in ("x", "P", "weights"):
+        np.testing.assert_array_equal(getattr(rest, name), getattr(whole, name)[:, 13:])
+    for name, value in whole.state.items():
+        np.testing.assert_array_equal(rest.state[name], value)
 
 
 @EITHER
@@ -239,44 +248,3 @@ def test_of_nothing_comes_nothing(form, shape, options):
     assert found.x.shape == (*shape[:2], 3) and found.P.shape == (*shape[:2], 3, 3)
     np.testing.assert_array_equal(found.log_likelihood, np.zeros(shape[0]))
     assert not options or found.state["learnt"].shape == (shape[0], *NoiseClasses().start(2).shape)
-
-
-@pytest.mark.parametrize("options", [{}, LEARNING, {"noise": Contaminated()}])
-def test_a_live_filter_goes_on_where_a_series_has_ended(options):
-    problem, zs = problem_and_series()
-    half = filter_series(zs[:, : N // 2], *arguments(problem), **options)
-    whole = filter_series(zs, *arguments(problem), **options)
-    for s in range(SERIES):
-        kf = support.load(RobustKalmanFilter(*problem.dims, **options), problem, 1)
-        kf.restore({name: values[s] for name, values in half.state.items()})
-        kf.batch_filter(zs[s, N // 2 :])
-        np.testing.assert_allclose(kf.x, whole.x[s, -1], rtol=1e-8, atol=1e-10)
-
-
-STEPWISE = {
-    "default": {}, "bounded": {"scaling": "bounded"},
-    "innovation": {"scaling": "innovation", "information": "expected"},
-    "joint": {"grouping": "joint", "influence": TukeyBiweight()}, "learnt noise": LEARNING,
-    "learnt noise, joint": {**LEARNING, "grouping": "joint"},
-    "by the definition": {"influence": Huber(1.5), "grouping": ((0, 1),)},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", STEPWISE)
-def test_a_step_at_a_time_gives_the_bits_of_one_call(name):
-    rng = np.random.default_rng(7)
-    F, H, Q = support.stable(rng, 3), 0.3 * rng.normal(size=(2, 3)), 0.01 * np.eye(3)
-    R, P0 = np.array([support.spd(rng, 2) for _ in range(4)])[:, None], 0.1 * np.eye(3)
-    zs = rng.normal(size=(4, 30, 2)) + 50.0 * (rng.random((4, 30, 2)) < 0.1)
-    zs[rng.random(zs.shape) < 0.2] = np.nan
-    options = STEPWISE[name]
-    whole = filter_series(zs, F, H, Q, R, np.zeros(3), P0, **options)
-    start = {"x0": np.zeros(3), "P0": P0}
-    for k in range(zs.shape[1]):
-        result = filter_series(zs[:, k : k + 1], F, H, Q, R, **start, **options)
-        for column in result._fields[:-1]:
-            if column != "log_likelihood" and getattr(whole, column) is not None:
-                np.testing.assert_array_equal(getattr(result, column)[:, 0], getattr(whole, column)[:, k])
-        start = {"state": result.state}
-    for part, array in whole.state.items():
-        np.testing.assert_array_equal(result.state[part], array)

@@ -18,7 +18,6 @@ from robust_filterpy.correction.learning import (
     left_over,
     ordinary_size,
     parity,
-    predicted,
     start,
     together,
     weigh_together,
@@ -95,11 +94,6 @@ def test_the_excess_of_an_outlier_is_independent_of_everything_else():
     exact = correct(one(np.zeros(3), P), sure.start(2), y, H, R + np.diag([99.0, 0.0]), sure, TRUSTED)
     assert_allclose(exact.models.x[0], P @ H.T @ np.linalg.solve(S, y), rtol=1e-8)
     assert_allclose(found.models.x[0], exact.models.x[0], rtol=0.15, atol=0.05)
-
-
-def test_the_prior_is_a_stationary_chain():
-    assert_allclose(predicted(start(4), 4), [0.85, 0.05, 0.05, 0.05], rtol=1e-12)
-    assert_allclose(start(1)[2:5], [1.0, 1.0, 10.0])
 
 
 def test_transitions_are_counted_with_a_memory():

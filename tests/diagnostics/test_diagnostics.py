@@ -245,16 +245,6 @@ def test_whiteness_is_statsmodels_test_of_the_cut_innovations(monkeypatch):
     assert statistics.whiteness(e) == pytest.approx((r, p))
 
 
-@pytest.mark.parametrize("contamination", [0.0, 0.1, 0.2])
-def test_scale_of_the_ordinary_samples_survives_outliers(contamination):
-    rng = np.random.default_rng(7)
-    e = 2.0 * rng.normal(size=20000)
-    e[rng.random(e.size) < contamination] *= 30.0
-    scale, share = statistics.bulk(e)
-    assert scale == pytest.approx(2.0, rel=0.05)
-    assert share == pytest.approx(contamination, abs=0.02)
-
-
 def test_longest_run_of_random_events_is_below_the_expected_in_99_percent():
     rng = np.random.default_rng(8)
     runs = np.array([statistics.longest_run(rng.random(500) < 0.2) for _ in range(2000)])

@@ -22,7 +22,7 @@ from robust_filterpy import (
     estimate_noise,
     smooth,
 )
-from robust_filterpy.correction import Scales
+from robust_filterpy.correction import Scales, SingularInnovationError
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters import RobustCubatureKalmanFilter
@@ -316,7 +316,7 @@ def test_nonlinear_filters_refuse_such_a_q_too(cls, n):
 def test_a_p_that_is_negative_is_named(m):
     kf = RobustKalmanFilter(2, m)
     kf.H, kf.P = np.eye(2)[:m], -98.0 * np.eye(2)
-    with pytest.raises(np.linalg.LinAlgError, match=r"least eigenvalue -97.*the Q that predict adds to P"):
+    with pytest.raises(SingularInnovationError, match=r"least eigenvalue -97.*the Q that predict adds to P"):
         kf.update(np.ones(m))
 
 

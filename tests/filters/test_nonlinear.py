@@ -1,7 +1,6 @@
 """The nonlinear filters: filterpy's without a threshold, the linear filter's on a linear model, under every policy."""
 
 import copy
-import pickle
 
 import numpy as np
 import pytest
@@ -186,16 +185,14 @@ def test_on_a_linear_model_they_are_the_linear_filter(cls, dims, policy):
 
 @pytest.mark.parametrize("policy", POLICIES)
 @EVERY_CLASS
-def test_copies_states_and_batches_go_on_alike_and_what_is_refused_changes_nothing(cls, policy):
+def test_a_copy_and_a_batch_go_on_alike_and_what_is_refused_changes_nothing(cls, policy):
     zs = returns(150, 2)
     zs[50:, 0] += 15.0
     zs[55, 1], zs[57] = np.nan, np.nan
     rows = [*zs[:60], None, *zs[61:]]
     kf = radar(cls, **POLICIES[policy])
     run(kf, rows[:58])
-    twins = [copy.deepcopy(kf), pickle.loads(pickle.dumps(kf)), radar(cls, **POLICIES[policy])]
-    twins[2].restore(kf.state())
-    before, good = contents(kf), zs[58]
+    twin, before, good = copy.deepcopy(kf), contents(kf), zs[58]
     for bad in ([1.0, 2.0, 3.0], 1.0, [np.inf, 0.0], "ab"):
         with pytest.raises((ValueError, TypeError), match="z: expected"):
             correct(kf, bad)
@@ -215,11 +212,8 @@ def test_copies_states_and_batches_go_on_alike_and_what_is_refused_changes_nothi
     assert len(saver) == 92
     if cls is RobustUnscentedKalmanFilter:
         assert kf.rts_smoother(means, covariances)[0].shape == means.shape
-    for twin in twins:
-        np.testing.assert_array_equal(run(twin, rows[58:]), means)
-        np.testing.assert_array_equal(twin.P, covariances[-1])
-        if policy == "learnt":
-            np.testing.assert_array_equal(twin.learnt, kf.learnt)
+    np.testing.assert_array_equal(run(twin, rows[58:]), means)
+    np.testing.assert_array_equal(twin.P, covariances[-1])
 
 
 def failing():

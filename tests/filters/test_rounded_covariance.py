@@ -8,7 +8,6 @@ from filterpy.common import kinematic_kf
 from support import Extended
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustFilterWarning, RobustKalmanFilter
-from robust_filterpy.correction import SingularInnovationError
 from robust_filterpy.influence import Linear
 
 MAKERS = {
@@ -51,11 +50,3 @@ def test_it_is_said_once(recwarn):
             kf.predict()
             kf.update([k])
     assert [str(w.message)[:40] for w in recwarn] == ["Mine: H P H' is negative by rounding, si"]
-
-
-def test_what_no_rounding_explains_is_refused():
-    kf = RobustKalmanFilter(2, 1)
-    kf.H = np.array([[1.0, 0.0]])
-    kf.P = np.diag([-2.0, 1.0])
-    with pytest.raises(SingularInnovationError):
-        kf.update(1.0)

@@ -2,11 +2,12 @@
 
 import copy
 import io
+from functools import partial
 
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
-from support import RECOVERING, noise_given, recovering, two_sided
+from support import RECOVERING, Extended, noise_given, of_matrices, recovering, two_sided
 
 from robust_filterpy import (
     ARX,
@@ -17,22 +18,22 @@ from robust_filterpy import (
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
     RobustUnscentedKalmanFilter,
+    TukeyBiweight,
 )
 from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustEnsembleKalmanFilter
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.identification import ARMA, ARMAX, FIR, BoxJenkins, TrackerBank
 from robust_filterpy.smoothing import FixedLagSmoother
 
-F = np.array([[1.0, 0.1], [-0.1, 0.97]])
+F, H = np.array([[1.0, 0.1], [-0.1, 0.97]]), np.array([[1.0, 0.0]])
 
 
 def linear(cls, **options):
-    def make():
-        kf = cls(2, 1, **options)
-        kf.x, kf.F, kf.H, kf.Q, kf.R = np.zeros(2), F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.eye(1)
-        return kf
+    return partial(of_matrices, cls, F, H, 0.01, x=np.zeros(2), **options)
 
-    return make
+
+#: Its functions are passed to each update.
+extended = linear(RobustExtendedKalmanFilter)
 
 
 def move(x, dt):
@@ -41,12 +42,6 @@ def move(x, dt):
 
 def observe(x):
     return np.ravel(x)[:1]
-
-
-def extended(cls=RobustExtendedKalmanFilter, **options):
-    kf = cls(2, 1, **options)
-    kf.F, kf.Q = F, 0.01 * np.eye(2)
-    return kf
 
 
 def sigma_points(cls, **options):
@@ -73,13 +68,15 @@ FILTERS = {
     "two-sided": linear(two_sided),
     "noise-matched": linear(noise_given, process=Contaminated(0.1, 10.0)),
     "adaptive": linear(AdaptiveKalmanFilter),
-    "extended": extended,
+    "adaptive, joint": linear(AdaptiveKalmanFilter, grouping="joint"),
+    "psi, joint": linear(RobustKalmanFilter, influence=TukeyBiweight(), grouping="joint", scaling="bounded"),
+    "extended": linear(Extended),
     "unscented": sigma_points(RobustUnscentedKalmanFilter),
     "cubature": sigma_points(RobustCubatureKalmanFilter),
-    "adaptive extended": lambda: extended(noise="learnt"),
+    "adaptive extended": linear(Extended, noise="learnt"),
     "adaptive unscented": sigma_points(RobustUnscentedKalmanFilter, noise="learnt"),
     "adaptive cubature": sigma_points(RobustCubatureKalmanFilter, noise="learnt"),
-    "recovering extended": lambda: extended(**COMES_BACK),
+    "recovering extended": linear(Extended, **COMES_BACK),
     "recovering unscented": sigma_points(RobustUnscentedKalmanFilter, **COMES_BACK),
     "recovering cubature": sigma_points(RobustCubatureKalmanFilter, **COMES_BACK),
     "ensemble": ensemble,
@@ -94,10 +91,7 @@ def advance(kf, z):
         kf.smooth(z)
         return [kf.x, kf.P, kf.weights, *kf.xSmooth[-5:]]
     kf.predict()
-    if isinstance(kf, RobustExtendedKalmanFilter):
-        kf.update(z, lambda x: np.array([[1.0, 0.0]]), observe)
-    else:
-        kf.update(z)
+    kf.update(z)
     shown = [np.asarray(getattr(kf, name)) for name in ("x", "P", "y", "S", "weights", "log_likelihood")]
     return [*shown, *(np.asarray(getattr(kf, name, 0.0)) for name in ("outlier_probability", "process_scale"))]
 
@@ -129,29 +123,20 @@ def test_a_filter_goes_on_to_the_last_bit(name, cut):
         np.testing.assert_array_equal(mine, theirs)
 
 
-@pytest.mark.parametrize("name", ["linear", "two-sided", "noise-matched", "unscented", "cubature", "adaptive cubature"])
-def test_between_prediction_and_correction_too(name):
+@pytest.mark.parametrize("name, steady", [
+    *((name, "") for name in ("linear", "two-sided", "noise-matched", "unscented", "cubature", "adaptive cubature")),
+    ("linear", "_steadystate"),
+])  # fmt: skip
+def test_between_prediction_and_correction_too(name, steady):
     kf, other = FILTERS[name](), FILTERS[name]()
     for z in recording()[:8]:
         advance(kf, z)
-    kf.predict()
+    getattr(kf, f"predict{steady}")()
     other.restore(kf.state())
-    kf.update(30.0)
-    other.update(30.0)
+    for one in (kf, other):
+        getattr(one, f"update{steady}")(30.0)
     np.testing.assert_array_equal(kf.x, other.x)
     np.testing.assert_array_equal(kf.P, other.P)
-
-
-def test_a_steady_state_goes_on():
-    kf, other = FILTERS["linear"](), FILTERS["linear"]()
-    for z in recording()[:20]:
-        advance(kf, z)
-    other.restore(kf.state())
-    for z in recording()[20:]:
-        for one in (kf, other):
-            one.predict_steadystate()
-            one.update_steadystate(z)
-        np.testing.assert_array_equal(kf.x, other.x)
 
 
 def signals(n=120):
@@ -217,9 +202,8 @@ EVERYTHING = {**FILTERS, **TRACKERS}
 @pytest.mark.parametrize("name", EVERYTHING)
 def test_a_state_of_something_else_is_refused_by_name(name):
     one = EVERYTHING[name]()
-    other = "adaptive" if name != "adaptive" else "linear"
-    theirs = FILTERS[other]().state()
-    refused(one, theirs, "got one of a " + ("AdaptiveKalmanFilter" if name != "adaptive" else "RobustKalmanFilter"))
+    theirs = FILTERS["linear" if name.startswith("adaptive") else "adaptive"]().state()
+    refused(one, theirs, "got one of a (AdaptiveKalman|RobustKalman)Filter")
 
 
 @pytest.mark.parametrize("name", EVERYTHING)

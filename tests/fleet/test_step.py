@@ -10,8 +10,8 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from support import two_sided
-from test_state import FILTERS, F, extended, observe, recording, signals
+from support import of_matrices, two_sided
+from test_state import FILTERS, F, H, extended, observe, recording, signals
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
 from robust_filterpy._state import StateError
@@ -23,7 +23,7 @@ pd = pytest.importorskip("pandas")
 
 
 def jacobian(x):
-    return np.array([[1.0, 0.0]])
+    return H
 
 
 def unscented():
@@ -36,6 +36,8 @@ MODELS = {
     "two-sided": lambda: FilterModel(FILTERS["two-sided"]()),
     "adaptive": lambda: FilterModel(FILTERS["adaptive"]()),
     "recovering": lambda: FilterModel(FILTERS["recovering"]()),
+    "adaptive, joint": lambda: FilterModel(FILTERS["adaptive, joint"]()),
+    "psi, joint": lambda: FilterModel(FILTERS["psi, joint"]()),
     "unscented": lambda: FilterModel(unscented()),
     "ensemble": lambda: FilterModel(FILTERS["ensemble"]()),
     "extended": lambda: FilterModel(extended(), update={"HJacobian": jacobian, "Hx": observe}),
@@ -97,8 +99,8 @@ def test_nothing_is_written_into(name):
 
 
 def driven():
-    kf = RobustKalmanFilter(2, 1, dim_u=2)
-    kf.F, kf.H, kf.Q, kf.B = F, np.array([[1.0, 0.0]]), 0.01 * np.eye(2), np.array([[0.5, 0.1], [0.0, 1.0]])
+    kf = of_matrices(RobustKalmanFilter, F, H, 0.01, x=np.zeros((2, 1)), dim_u=2)
+    kf.B = np.array([[0.5, 0.1], [0.0, 1.0]])
     return kf
 
 

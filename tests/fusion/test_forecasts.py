@@ -55,20 +55,6 @@ def test_bands_hold_on_clean_contaminated_and_misspecified_models(q, R, outliers
     assert abs(held[0] - 0.8) < 0.08 * wider and abs(held[1] - 0.8) < 0.15 * wider, held
 
 
-def test_a_forecast_writes_nothing_and_arrival_plays_no_part():
-    z = path(1, 200)[1]
-    order, swapped = np.arange(200), np.arange(200).reshape(-1, 2)[:, ::-1].ravel()
-    found = []
-    for places in (order, swapped):
-        fusion = made()
-        for k in places.tolist():
-            fusion.observe("gps", float(k), z[k])
-        before = fusion.estimate().P.tobytes()
-        found.append(fusion.forecast([200.0, 230.0]).readings["gps"].tobytes())
-        assert fusion.estimate().P.tobytes() == before
-    assert found[0] == found[1]
-
-
 def test_angles_noise_that_is_not_given_and_instants():
     north = {"h": lambda x: [np.arctan2(x[1], x[0])], "residual": angle,
              "jacobian": lambda x: np.array([[-x[1], x[0]]]) / (x @ x)}  # fmt: skip

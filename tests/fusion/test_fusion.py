@@ -87,23 +87,6 @@ def test_a_missing_component_leaves_the_others():
     assert fusion.estimate().ages == {"gps": 0.0, "wheel": math.inf}
 
 
-def test_a_known_delay_is_taken_off():
-    prompt = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0)
-    slow = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0, delay=0.5)}, 5.0)
-    for k in range(20):
-        prompt.observe("a", 1.0 * k, 2.0 * k)
-        slow.observe("a", 1.0 * k + 0.5, 2.0 * k)
-    assert slow.estimate(25.0).x.tobytes() == prompt.estimate(25.0).x.tobytes()
-
-
-def test_a_microsecond_at_an_instant_is_a_microsecond():
-    fusion = Fusion(constant_velocity(1), {"a": Sensor([1.0, 0.0], R=1.0)}, 5.0)
-    fusion.observe("a", np.datetime64("2026-01-01T00:00:00.000000100"), 0.0)
-    fusion.observe("a", np.datetime64("2026-01-01T00:00:00.000000200"), 0.0)
-    ages = fusion.estimate(np.datetime64("2026-01-01T00:00:01.000000200")).ages
-    assert ages == {"a": 1.0} and len(fusion.state()["keys"]) == 2
-
-
 @pytest.mark.parametrize(("t", "error", "says"), [
     (datetime(2026, 1, 1), ValueError, "time zone.*timezone.utc"),
     (timedelta(seconds=1), TypeError, "duration.*total_seconds"),

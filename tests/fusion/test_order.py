@@ -31,6 +31,7 @@ def test_any_order_of_arrival_gives_the_same_bits(policy, order, asks):
             for t in (None, 7.8, 1e4):
                 found = fusion.estimate(t)
                 found.x[:] = found.P[:] = np.nan
+            fusion.forecast(1e4)
     for t in (None, 3.0, 9.9):
         assert bits(fusion.estimate(t)) == bits(expected.estimate(t))
     assert fusion.estimate().ages == expected.estimate().ages

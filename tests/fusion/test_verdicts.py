@@ -32,9 +32,9 @@ def recording(seed, spoil, length=50.0):
     return found, np.array(places)
 
 
-def made(watch=True, window=1.0):
+def made(watch=True, **more):
     sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in RATES}
-    return Fusion(constant_velocity(1, 0.5), sensors, window, P0=100.0 * np.eye(2), watch=watch)
+    return Fusion(constant_velocity(1, 0.5), sensors, 1.0, P0=100.0 * np.eye(2), watch=watch, **more)
 
 
 def thrown(t):

@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
-from fusion.test_verdicts import RATES, recording
+from fusion.test_verdicts import made, recording
 
 from robust_filterpy.fleet import pack, unpack
-from robust_filterpy.fusion import Fusion, Reacquisition, Sensor, constant_velocity
+from robust_filterpy.fusion import Reacquisition
 
 
-def made(reacquire=True):
-    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in RATES}
-    options = {"reacquire": Reacquisition()} if reacquire else {}
-    return Fusion(constant_velocity(1, 0.5), sensors, 1.0, P0=100.0 * np.eye(2), watch=True, **options)
+def doubting():
+    return made(reacquire=Reacquisition())
 
 
 def readings_of(seed, far=30.0):
@@ -36,7 +34,7 @@ def followed(fusion, readings):
 @pytest.fixture(scope="module")
 def both():
     readings, places = readings_of(7)
-    return readings, places, followed(made(), readings)
+    return readings, places, followed(doubting(), readings)
 
 
 def test_one_is_biased_and_another_false_for_a_while(both):
@@ -56,13 +54,13 @@ def test_any_order_of_arrival_and_a_state_on_the_way_give_the_same_bits(both):
     readings, _, found = both
     rng = np.random.default_rng(1)
     late = [t + (rng.uniform(0.0, 0.9) if rng.random() < 0.2 else 0.0) for _, t, _ in readings]
-    mixed = made()
+    mixed = doubting()
     for k, place in enumerate(np.argsort(late, kind="stable")):
         mixed.observe(*readings[place])
         if k % 500 == 499 or k == 1460:
-            state, mixed = unpack(pack(mixed.state())), made()
+            state, mixed = unpack(pack(mixed.state())), doubting()
             mixed.restore(state)
     assert mixed.estimate().x.tobytes() == found[-1][1].x.tobytes()
     assert {n: v.fault for n, v in mixed.verdicts().items() if v.fault != "healthy"} == found[-1][2]
     with pytest.raises(ValueError, match="moments"):
-        made(reacquire=False).restore({n: a for n, a in mixed.state().items() if n != "doubt"})
+        made().restore({n: a for n, a in mixed.state().items() if n != "doubt"})

@@ -1,8 +1,22 @@
-"""Oracles: a recording as one normal distribution of all states, every matrix written out; no recursion."""
+"""A cart that is driven, and oracles: a recording as one normal distribution of all states, without a recursion."""
 
 from __future__ import annotations
 
 import numpy as np
+import support
+
+CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
+
+
+def drive(seed, contamination, scale=10.0, steps=200):
+    """True positions and measurements of the cart, and which are outliers."""
+    rng = np.random.default_rng(seed)
+    x, truth = np.zeros(2), np.empty(steps)
+    for k in range(steps):
+        x = CART.F @ x + 0.1 * np.array([0.5, 1.0]) * rng.normal()
+        truth[k] = x[0]
+    bad = rng.random(steps) < contamination
+    return truth, truth + np.where(bad, scale, 1.0) * rng.normal(size=steps), bad
 
 
 def prior(F, Q, c, x0, P0):

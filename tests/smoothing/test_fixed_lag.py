@@ -6,14 +6,13 @@ import filterpy.kalman
 import numpy as np
 import pytest
 import support
+from dense import CART, drive
 from interruption import half_steps
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, smooth
 from robust_filterpy.correction import Contaminated
 from robust_filterpy.influence import Linear
 from robust_filterpy.kalman import FixedLagSmoother
-
-CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
 
 
 def ready(cls=FixedLagSmoother, problem=CART, N=None, **choices):
@@ -23,16 +22,10 @@ def ready(cls=FixedLagSmoother, problem=CART, N=None, **choices):
     return smoother
 
 
-def drive(seed, contamination, steps=100, scale=10.0):
-    rng = np.random.default_rng(seed)
-    truth = np.cumsum(np.cumsum(0.1 * rng.normal(size=steps)))
-    return truth, truth + np.where(rng.random(steps) < contamination, scale, 1.0) * rng.normal(size=steps)
-
-
 @pytest.mark.core
 def test_linear_is_filterpys_filter_and_the_exact_smoother():
     """After each measurement xSmooth is what smoothing all data so far gives, back to the lag."""
-    _, zs = drive(1, 0.0, 30)
+    _, zs, _ = drive(1, 0.0, steps=30)
     zs[12] += 50.0
     ours = ready(N=4, influence=Linear())
     theirs = ready(filterpy.kalman.FixedLagSmoother, N=4)
@@ -56,7 +49,7 @@ def test_linear_is_filterpys_filter_and_the_exact_smoother():
 @pytest.mark.parametrize("choices", [{}, {"noise": Contaminated()}], ids=["default", "given"])
 def test_it_is_the_backward_pass_over_what_the_filter_made_of_each_measurement(choices, P):
     """The oracle is filterpy's pass over all steps so far, with a pseudoinverse for a state that is known exactly."""
-    zs = drive(7, 0.2, 30)[1] + np.repeat([0.0, 15.0], [20, 10])
+    zs = drive(7, 0.2, steps=30)[1] + np.repeat([0.0, 15.0], [20, 10])
     problem = support.with_(CART, P=P)
     smoother = ready(problem=problem, N=6, **choices)
     kf = support.make(RobustKalmanFilter if choices else AdaptiveKalmanFilter, problem, **choices)
@@ -79,7 +72,7 @@ def test_it_is_the_backward_pass_over_what_the_filter_made_of_each_measurement(c
 def test_a_jump_is_put_where_readings_were_first_rejected(N):
     """What is believed after them says nothing of the states before."""
     for seed in range(4):
-        truth, zs = drive(seed, 0.0)
+        truth, zs, _ = drive(seed, 0.0, steps=100)
         truth[60:] += 20.0
         zs[60:] += 20.0
         live, _ = ready().smooth_batch(list(zs), N)
@@ -87,7 +80,7 @@ def test_a_jump_is_put_where_readings_were_first_rejected(N):
 
 
 def test_a_batch_changes_nothing_and_is_a_loop():
-    _, zs = drive(3, 0.1, 40)
+    _, zs, _ = drive(3, 0.1, steps=40)
     smoother = ready(N=3)
     before = copy.deepcopy(vars(smoother))
     states, latest = smoother.smooth_batch(list(zs), 3)
@@ -100,7 +93,7 @@ def test_a_batch_changes_nothing_and_is_a_loop():
 
 
 def test_missing_measurements_inputs_and_matrices_that_change():
-    _, zs = drive(4, 0.0, 12)
+    _, zs, _ = drive(4, 0.0, steps=12)
     smoother = ready(N=20, influence=Linear())
     smoother.B = np.array([[0.0], [1.0]])
     kf = support.make(filterpy.kalman.KalmanFilter, CART)
@@ -144,7 +137,7 @@ def test_bad_arguments_are_refused():
 @pytest.mark.parametrize("choices", [{}, {"influence": Linear()}], ids=["learnt", "linear"])
 def test_an_interrupt_leaves_no_half_step(steps, choices):
     smoother = ready(N=3, **choices)
-    for z in drive(2, 0.1, steps)[1]:
+    for z in drive(2, 0.1, steps=steps)[1]:
         smoother.smooth(z)
 
     def seen(one):

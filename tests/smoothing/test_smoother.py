@@ -7,6 +7,7 @@ import dense
 import numpy as np
 import pytest
 import support
+from dense import CART, drive
 from filterpy.kalman import KalmanFilter
 from statsmodels.robust.norms import HuberT
 from support import noise_given, of_matrices, without_kernel
@@ -14,24 +15,10 @@ from support import noise_given, of_matrices, without_kernel
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight, smooth
 from robust_filterpy.influence import Linear
 from robust_filterpy.smoothing import smooth_series
-from robust_filterpy.smoothing.sweeps import _rows
-
-CART = support.with_(support.cart(), Q=0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), P=10.0 * np.eye(2))
 
 
 def filter_of(problem=CART, ndim=2, cls=KalmanFilter, **choices):
     return support.make(cls, problem, ndim, **choices)
-
-
-def drive(seed, contamination, scale, steps=200):
-    """True positions and measurements of the cart, and which are outliers."""
-    rng = np.random.default_rng(seed)
-    x, truth = np.zeros(2), np.empty(steps)
-    for k in range(steps):
-        x = CART.F @ x + 0.1 * np.array([0.5, 1.0]) * rng.normal()
-        truth[k] = x[0]
-    bad = rng.random(steps) < contamination
-    return truth, truth + np.where(bad, scale, 1.0) * rng.normal(size=steps), bad
 
 
 @pytest.mark.core
@@ -450,14 +437,3 @@ def test_a_state_that_has_moved_is_followed(begin, end):
         zs[begin:end] += 10.0
         error = smooth(plane(), zs).x[:, [0, 2], 0] - truth
         assert np.sqrt(np.mean(error**2)) < 1.2
-
-
-def test_a_row_of_outliers_is_one_that_chance_hardly_makes():
-    """Of 300 samples with three outliers in ten, gaps of one allowed, one such row in a hundred recordings."""
-    rng = np.random.default_rng(0)
-    rows = sum(len(_rows(rng.random(300) < 0.3)) for _ in range(400))
-    assert rows < 4.0 + 5.0 * 4.0**0.5
-    outliers = np.arange(300) % 3 == 0
-    outliers[100:120] = True
-    (row,) = _rows(outliers)
-    assert row[0] <= 100 and row[1] >= 120
