@@ -17,9 +17,14 @@ import scipy.linalg
 import scipy.stats
 from filterpy.kalman import CubatureKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from robust_filterpy import Contaminated, RobustExtendedKalmanFilter, RobustKalmanFilter, TukeyBiweight, kernel
+from robust_filterpy import Contaminated, RobustKalmanFilter, TukeyBiweight, kernel
 from robust_filterpy.correction import Scales
-from robust_filterpy.filters import shell
+from robust_filterpy.filters import (
+    RobustCubatureKalmanFilter,
+    RobustExtendedKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    shell,
+)
 from robust_filterpy.identification import ParameterTracker, TrackerBank
 from robust_filterpy.testing.contracts import assert_unchanged as assert_unchanged
 from robust_filterpy.testing.contracts import visible
@@ -35,6 +40,7 @@ recovering = partial(RobustKalmanFilter, **RECOVERING)
 noise_given = partial(RobustKalmanFilter, **NOISE_GIVEN)
 two_sided = partial(RobustKalmanFilter, **TWO_SIDED)
 
+NONLINEAR = (RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter)
 STATE = ("x", "P", "x_prior", "P_prior", "x_post", "P_post")
 CORRECTION = ("y", "K", "S", "SI", "z")
 ROBUST = ("e", "weights", "clipped", "T", "y_bounded")

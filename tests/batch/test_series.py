@@ -215,7 +215,7 @@ def test_a_series_whose_covariance_would_be_indefinite_is_named(form):
     ({"x0": 0.0}, "x0: expected shape"),
     ({"x0": np.zeros(0), "P0": np.zeros((0, 0))}, "x0: expected dim_x >= 1"),
     ({"Q": np.eye(3) + 0.1 * np.eye(3, k=1)}, "Q: expected a symmetric"),
-    ({"P0": np.eye(2)}, "P0: expected shape"),
+    ({"P0": np.eye(2)}, "P0: expected shape"), ({"F": np.full((3, 3), np.inf)}, "F: expected finite"),
     ({"R": 5.0}, "R: expected shape"),
     ({"R": -np.eye(2)}, "R: expected a positive semidefinite"),
     ({"R": np.tile(np.eye(2), (3, N, 1, 1)) * np.where(np.arange(3 * N) == 57, -0.1, 1.0).reshape(3, N, 1, 1)},

@@ -129,7 +129,7 @@ def test_what_is_missing_or_unseen_teaches_nothing_and_a_part_of_its_own_sensors
         np.testing.assert_allclose(getattr(kf, name), getattr(twin, name), rtol=1e-10, atol=1e-12, err_msg=name)
 
 
-def test_sensors_may_join_and_another_grouping_starts_to_learn_anew():
+def test_sensors_may_join_and_another_grouping_starts_to_learn_anew(form):
     problem = random_problem(9, 4, 3)
     kf = make(AdaptiveKalmanFilter, with_(problem, H=problem.H[:1], R=problem.R[:1, :1], M=problem.M[:, :1]), 1)
     zs = simulate(problem, 30, 9)[0]

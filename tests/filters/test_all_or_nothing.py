@@ -83,40 +83,36 @@ def test_a_saver_a_psi_or_a_step_of_ones_own_that_fails_leaves_the_filter_of_bef
 
 
 @pytest.mark.parametrize("error", [None, *ERRORS])
-@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
+@pytest.mark.parametrize("cls", support.NONLINEAR)
 def test_a_model_function_that_writes_into_its_argument_and_fails_changes_nothing(cls, error):
-    spoils = []
+    def square(x):
+        return np.square(np.ravel(x))
 
-    def spoiling(function):
-        """The function, that writes into x and raises when it is its turn."""
+    def spoiling(x):
+        value, x[:] = square(x), 7.0
+        if error is not None:
+            raise error("on purpose")
+        return value
 
-        def called(x):
-            value = function(np.ravel(x))
-            if spoils:
-                x[:] = 7.0
-                if error is not None:
-                    raise error("on purpose")
-            return value
-
-        return called
-
-    hx, jacobian = spoiling(np.square), spoiling(lambda x: np.diag(2.0 * x))
-    kf, z = support.of_matrices(cls, 0.9, np.eye(2), 0.1, x=[1.0, 2.0]), np.array([1.0, 2.0])
-    kf.hx, functions = hx, (jacobian, hx) if cls is RobustExtendedKalmanFilter else ()
-    for _ in range(2):
+    def step(kf, function):
         kf.predict()
-        kf.update(z, *functions)
-    kf.predict()
-    before, twin = support.contents(kf), copy.deepcopy(kf)
-    twin.update(z, *functions)
-    spoils.append(True)
+        before, kf.hx = support.contents(kf), function
+        # A Jacobian comes first.
+        extended = cls is RobustExtendedKalmanFilter
+        kf.update(np.array([1.0, 2.0]), *((lambda x: np.diag(2.0 * np.ravel(x)), function) if extended else ()))
+        return before
+
+    kf = support.of_matrices(cls, 0.9, np.eye(2), 0.1, x=[1.0, 2.0])
+    step(kf, square)
+    twin = copy.deepcopy(kf)
+    before = step(twin, square)
     if error is None:
-        kf.update(z, *functions)
+        step(kf, spoiling)
         np.testing.assert_array_equal(kf.x, twin.x)
         np.testing.assert_array_equal(kf.P, twin.P)
     else:
         with pytest.raises(error, match="on purpose"):
-            kf.update(z, *functions)
+            step(kf, spoiling)
         support.assert_same_contents(support.contents(kf), before)
 
 

@@ -25,7 +25,6 @@ from robust_filterpy import (
 from robust_filterpy.correction import Scales, SingularInnovationError
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters import RobustCubatureKalmanFilter
 from robust_filterpy.influence import Linear
 from robust_filterpy.testing.contracts import assert_refused_call_changes_nothing
 
@@ -191,7 +190,6 @@ def nonlinear(cls, n=2, **options):
     return cls(n, 1, **functions, **points, **options)
 
 
-NONLINEAR = (RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter)
 linear, adaptive = partial(RobustKalmanFilter, 2, 1), partial(AdaptiveKalmanFilter, 2, 1)
 NO_CHOICES = [
     ("scaling", "inovation"), ("scaling", 1), ("information", "realised"), ("information", ["realized"]),
@@ -239,7 +237,7 @@ OPTIONS = [
     (linear, {"noise": "learnt", "scaling": "unit"}, "scaling: expected none"),
     (partial(RobustKalmanFilter, 2, 2), {"noise": "learnt", "grouping": ((0,), (0,))}, "grouping: expected"),
     (partial(RobustExtendedKalmanFilter, 2, 1), {"noise": "learnt", "process": "scales"}, "linear models"),
-    *((partial(nonlinear, cls), options, words) for cls in NONLINEAR for options, words in (
+    *((partial(nonlinear, cls), options, words) for cls in support.NONLINEAR for options, words in (
         ({"influence": 3.0}, "influence"), ({**support.RECOVERING, "patience": 2.5}, "patience"),
     )),
 ]  # fmt: skip
@@ -254,9 +252,9 @@ def test_options_that_are_none_or_make_no_sense_together_are_named(build, option
 @pytest.mark.parametrize("kf, name, value, words", [
     (support.noise_given(2, 1), "scaling", "unit", "follows from noise="),
     (linear(), "process", "scales", "noise='learnt'"), (linear(), "learnt", np.zeros((1, 30)), "noise=Learnt"),
-    *((nonlinear(cls, noise="learnt"), "influence", Huber(), "noise=") for cls in NONLINEAR),
-    *((nonlinear(cls, **support.RECOVERING), "patience", 1, "patience") for cls in NONLINEAR),
-    *((nonlinear(cls), "scaling", "none", "scaling") for cls in NONLINEAR),
+    *((nonlinear(cls, noise="learnt"), "influence", Huber(), "noise=") for cls in support.NONLINEAR),
+    *((nonlinear(cls, **support.RECOVERING), "patience", 1, "patience") for cls in support.NONLINEAR),
+    *((nonlinear(cls), "scaling", "none", "scaling") for cls in support.NONLINEAR),
     *((linear(), name, value, name) for name, value in NO_CHOICES),
 ], ids=range(12 + len(NO_CHOICES)))  # fmt: skip
 def test_what_does_not_fit_a_filter_is_not_set(kf, name, value, words):
@@ -302,7 +300,7 @@ def test_a_q_that_is_no_covariance_is_refused_where_it_is_used(bad, words):
 
 
 @pytest.mark.parametrize("n", [2, 40])
-@pytest.mark.parametrize("cls", NONLINEAR)
+@pytest.mark.parametrize("cls", support.NONLINEAR)
 def test_nonlinear_filters_refuse_such_a_q_too(cls, n):
     kf = nonlinear(cls, n)
     kf.predict()

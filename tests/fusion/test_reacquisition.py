@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from fusion import worlds
 from fusion.worlds import GPS, POLICIES, WHEEL, fed, table
 
 from robust_filterpy.fusion import Fusion, Reacquisition, Sensor, constant_velocity
@@ -42,14 +43,8 @@ def made(policy="learnt", reacquire=True, **prior):
 
 
 def followed(fusion, readings):
-    """Return (t, estimate, what is not healthy) after each fix."""
-    found = []
-    for name, t, z in readings:
-        fusion.observe(name, t, z)
-        if name == "gps":
-            said = {who: v.fault for who, v in fusion.verdicts().items() if v.fault not in ("healthy", "silent")}
-            found.append((t, fusion.estimate(), said))
-    return found
+    """What is said after each fix."""
+    return worlds.followed(fusion, readings, lambda k, name: name == "gps")
 
 
 def apart(one, places):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from fusion.test_verdicts import made, recording
+from fusion.worlds import followed
 
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.fusion import Reacquisition
@@ -18,23 +19,10 @@ def readings_of(seed, far=30.0):
     return [(n, t, z + far * (n == "c" and 40.0 < t < 45.0)) for n, t, z in readings], places
 
 
-def followed(fusion, readings):
-    """Return (t, estimate, what is not healthy) after every fourth reading and the last."""
-    found = []
-    for k, one in enumerate(readings, 1):
-        fusion.observe(*one)
-        if k % 4 and k < len(readings):
-            continue
-        found.append(
-            (one[1], fusion.estimate(), {n: v.fault for n, v in fusion.verdicts().items() if v.fault != "healthy"})
-        )
-    return found
-
-
 @pytest.fixture(scope="module")
 def both():
     readings, places = readings_of(7)
-    return readings, places, followed(doubting(), readings)
+    return readings, places, followed(doubting(), readings, lambda k, name: k % 4 == 0 or k == len(readings))
 
 
 def test_one_is_biased_and_another_false_for_a_while(both):

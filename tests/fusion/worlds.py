@@ -48,3 +48,14 @@ def fed(fusion, readings):
     for one in readings:
         fusion.observe(*one)
     return fusion
+
+
+def followed(fusion, readings, looked):
+    """(t, estimate, who is not healthy nor silent) after each reading of which looked(number, sensor) is true."""
+    found = []
+    for k, (name, t, z) in enumerate(readings, 1):
+        fusion.observe(name, t, z)
+        if looked(k, name):
+            said = {who: v.fault for who, v in fusion.verdicts().items() if v.fault not in ("healthy", "silent")}
+            found.append((t, fusion.estimate(), said))
+    return found
