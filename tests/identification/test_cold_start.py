@@ -263,7 +263,7 @@ def test_missing_samples_and_tables_are_taken():
     ({"R": [1.0]}, "over: expected values to try by name"),
     ([1e-6], "over: expected values to try by name"),
     ({"Q": 1e-6}, r"over\['Q'\]: expected a sequence"),
-    ({"Q": []}, r"got no value of Q"),
+    ({"Q": []}, r"over\['Q'\]: expected a sequence.*got \[\]"),
     ({"Q": [-1.0]}, "Q: expected"),
     ({"forgetting": [1.5]}, "forgetting: expected"),
 ])  # fmt: skip

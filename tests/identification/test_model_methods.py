@@ -128,12 +128,9 @@ def test_pictures_of_states(driven, square):
 Y, U = recordings.recording(5, 200, share=0.0, sigma=0.05, a=[1.0, -0.5], b=[0.0, 2.0])
 
 
-def test_a_tracker_has_poles_in_continuous_time_and_names_what_goes_in_place_of_a_method():
+def test_a_tracker_has_poles_in_continuous_time():
     tracker = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0], P=1e-6)
     assert tracker.poles(dt=0.1).values == pytest.approx(np.log(0.5) / 0.1)
-    for name, other in (("to_continuous", "poles"), ("reduced", "StateSpace")):
-        with pytest.raises(AttributeError, match=f"{name}.*{other}"):
-            getattr(tracker, name)
 
 
 @pytest.mark.parametrize("structure", [OutputError(1, 1), StateSpace(1)], ids=["polynomials", "states"])

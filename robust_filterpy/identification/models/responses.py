@@ -419,11 +419,6 @@ def probability(level: Any) -> float:
 
 # A pole this near to the negative real axis, or to 0, is on it.
 _ON: Final = 1e-9
-# What had a method, and what does the same.
-_GONE: Final = {
-    "to_continuous": "poles(dt=..) are in continuous time; the matrices are scipy.linalg.logm([[A, B], [0, I]])/dt",
-    "reduced": "identify(y, u, StateSpace(n)) finds fewer states, control.balred(system, n) leaves some out",
-}
 
 
 class System(Estimated):
@@ -639,13 +634,6 @@ class System(Estimated):
                       for name, value in (("input", input), ("output", output)))  # fmt: skip
         of = partial(self._zeros, input=one, output=other)
         return regions(np.asarray(self.theta), np.asarray(self.P), of, level, rng)
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Refuse what a system has not, or has no more."""
-            more = f": {_GONE[name]}" if name in _GONE else ""
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}{more}")
 
     def _period(self, dt: Any) -> float:
         """Return the sampling period that was asked for, else that of the recording, else 1."""

@@ -10,12 +10,13 @@ from __future__ import annotations
 import copy
 import itertools
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from robust_filterpy import _checks
+from robust_filterpy._brief import tabulated
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.noise import likelihood_of_mixture
 from robust_filterpy.identification.models.signals import recorded_input, recorded_output, recording, table
@@ -82,14 +83,14 @@ class TunedTracker(NamedTuple):
         -------
         str
         """
-        lines = ["".join(f"{name:>16}" for name in self.best.values) + f"{'log-likelihood':>18}{'below best':>12}"]
+        heads = dict.fromkeys(self.best.values, 16) | {"log-likelihood": 18, "below best": 12}
+        rows = []
         for row in self.rows:
-            values = "".join(f"{_short(value):>16}" for value in row.values.values())
             below = self.best.log_likelihood - row.log_likelihood
-            chosen = "  chosen" if row is self.best else ""
-            lines.append(f"{values}{row.log_likelihood:>18.1f}{below:>12.1f}{chosen}")
-        lines.append(f"predictions one step ahead of {self.samples} samples")
-        return "\n".join([*lines, *([f"Doubtful: {self.warning}"] if self.warning else [])])
+            numbers = f"{row.log_likelihood:.1f}", f"{below:.1f}", "  chosen" if row is self.best else ""
+            rows.append((*map(_short, row.values.values()), *numbers))
+        doubt = [f"Doubtful: {self.warning}"] if self.warning else []
+        return tabulated(heads, rows, f"predictions one step ahead of {self.samples} samples", *doubt)
 
     def __str__(self) -> str:
         """Return the table."""
@@ -108,8 +109,7 @@ class TunedTracker(NamedTuple):
         ImportError
             If pandas is not installed.
         """
-        columns: dict[str, Any] = {name: [row.values[name] for row in self.rows] for name in self.best.values}
-        return table(columns | {"log_likelihood": [row.log_likelihood for row in self.rows]})
+        return table([{**row.values, "log_likelihood": row.log_likelihood} for row in self.rows])
 
 
 def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int | None) -> TunedTracker:
@@ -124,11 +124,11 @@ def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int |
     ready, start = copy.deepcopy(tracker), tracker.now.starts.get(0)
     first = 0 if start is None else min(max(start.samples - start.y.size, 0), output.size)
     settling = _SETTLING * tracker.structure.n_theta if leave_out is None else _checks.count("leave_out", leave_out)
-    measured = ~np.isnan(output) & (np.arange(output.size) >= first + settling)
-    if measured.sum() < _LEAST:
+    judged = np.flatnonzero(~np.isnan(output[first:]) & (np.arange(output.size - first) >= settling))
+    if judged.size < _LEAST:
         raise ValueError(
             f"y: expected at least {_LEAST} measured samples after the first {first + settling}, of which {first} are "
-            f"the start and {settling} are left out, got {measured.sum()}; record more, or take a smaller start or "
+            f"the start and {settling} are left out, got {judged.size}; record more, or take a smaller start or "
             "leave_out"
         )
     wild = _WILD * mad_scale(output[~np.isnan(output)] - np.nanmedian(output)) or np.inf
@@ -141,7 +141,7 @@ def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int |
             ready.run(output[:first], signal[:first])
         for values in candidates:
             try:
-                e = ready.replaced(**values).run(output[first:], signal[first:]).residual[measured[first:]]
+                e = ready.replaced(**values).run(output[first:], signal[first:]).residual[judged]
                 rows.append(Tried(values, likelihood_of_mixture(e[~np.isnan(e)], wild)))
             except (np.linalg.LinAlgError, ValueError):
                 rows.append(Tried(values, -np.inf))
@@ -151,23 +151,19 @@ def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int |
     doubt = _doubt(chosen.values, candidates)
     if doubt:
         warn(f"tuned: {doubt}")
-    return TunedTracker(tracker.replaced(**chosen.values), tuple(rows), int(measured.sum()), doubt)
+    return TunedTracker(tracker.replaced(**chosen.values), tuple(rows), judged.size, doubt)
 
 
 def _candidates(tracker: ParameterTracker, over: Any) -> list[dict[str, Any]]:
     """Return every combination of the values, checked."""
-    expected = 'over: expected values to try by name, of Q or forgetting or both, such as {"Q": [1e-6, 1e-5]}'
-    if not isinstance(over, Mapping):
-        raise TypeError(f"{expected}, got {_checks.shown(over)}")
-    if not over or set(over) - set(_STANDS_STILL):
-        raise ValueError(f"{expected}, got {_checks.shown(list(over))}")
+    if not isinstance(over, Mapping) or not over or set(over) - set(_STANDS_STILL):
+        example = 'of Q or forgetting or both, such as {"Q": [1e-6, 1e-5]}'
+        raise ValueError(f"over: expected values to try by name, {example}, got {_checks.shown(over)}")
     for name, values in over.items():
-        if not isinstance(values, Iterable) or isinstance(values, str):
-            raise TypeError(f"over[{name!r}]: expected a sequence of values to try, got {_checks.shown(values)}")
-    lists = [[one.item() if isinstance(one, np.generic) else one for one in values] for values in over.values()]
+        if np.ndim(values) == 0 or not len(values):
+            raise ValueError(f"over[{name!r}]: expected a sequence of values to try, got {_checks.shown(values)}")
+    lists = ([one.item() if isinstance(one, np.generic) else one for one in values] for values in over.values())
     candidates = [dict(zip(over, values, strict=True)) for values in itertools.product(*lists)]
-    if not candidates:
-        raise ValueError(f"{expected}, got no value of {list(over)[lists.index([])]}")
     for values in candidates:
         tracker.replaced(**values)
     return candidates
@@ -180,9 +176,8 @@ def _doubt(chosen: dict[str, Any], candidates: list[dict[str, Any]]) -> str:
         if any(np.ndim(one) for one in tried) or len(set(tried)) < 2 or value == _STANDS_STILL[name]:
             continue
         # Between Q = 0 and the next value are many.
-        least = min(one for one in tried if one > 0.0)
-        if value in (least, max(tried)):
-            where = "smaller" if value == least else "larger"
+        where = {max(tried): "larger", min(one for one in tried if one > 0.0): "smaller"}.get(value)
+        if where:
             return f"the best {name}, {value:g}, is at the end of what was tried; try {where} ones too"
     return ""
 
