@@ -28,11 +28,8 @@ def state_of(kf: Any) -> tuple[Array, Array]:
         x = x.reshape(1)
     if x.shape not in ((n, 1), (n,)):
         raise ValueError(f"x: expected shape {(n, 1)} or {(n,)} for dim_x={n}, got {_checks.described(x)}")
-    if np.ndim(P) == 0 and P is not None:
-        # filterpy multiplies by P, so there a scalar acts as P I.
-        P = _checks.real("P", P) * np.eye(n)
-    P = _checks.matrix("P", P, (n, n), f"dim_x={n}")
-    return x, P
+    # filterpy multiplies by P, so there a scalar acts as P I.
+    return x, square("P", P, n, "dim_x={}")
 
 
 def measured(z: Any, m: int, missing: bool = False) -> Any:
@@ -59,18 +56,18 @@ def measured(z: Any, m: int, missing: bool = False) -> Any:
     return number if missing or number == number else None
 
 
-def _square(name: str, value: Any, n: int, dim: str) -> Array:
-    """Return a matrix, shape (n, n), of a scalar that times I."""
+def square(name: str, value: Any, n: int, reason: str) -> Array:
+    """Return a matrix, shape (n, n), of a scalar that times I; reason: what n is, with a place for it."""
     if type(value) is np.ndarray and value.dtype == FLOAT and value.shape == (n, n):
         return value
     if np.ndim(value) == 0 and value is not None:
         value = _checks.real(name, value) * np.eye(n)
-    return _checks.matrix(name, value, (n, n), f"{dim}={n}")
+    return _checks.matrix(name, value, (n, n), reason.format(n))
 
 
 def noise_covariance(default: Any, given: Any, m: int) -> Array:
     """Return R, shape (m, m), positive semidefinite; a scalar means times I, wherever it comes from."""
-    R = _square("R", default if given is None else given, m, "dim_z")
+    R = square("R", default if given is None else given, m, "dim_z={}")
     if m == 1:
         if not 0.0 <= R.item() < math.inf:
             raise ValueError(f"R: expected a variance >= 0, got {R.item()}; use NaN in z for a sensor that is absent")
@@ -90,7 +87,7 @@ def _require(name: str, content: bytes, m: int, slack: float) -> None:
 
 def process_noise(default: Any, given: Any, n: int) -> Array:
     """Return Q, shape (n, n), symmetric, with variances >= 0; a scalar means times I, wherever it comes from."""
-    Q = _square("Q", default if given is None else given, n, "dim_x")
+    Q = square("Q", default if given is None else given, n, "dim_x={}")
     content = Q.tobytes()
     if content != _last_Q.get(n):
         if n <= _REMEMBERED:

@@ -257,8 +257,8 @@ def test_pickle_and_a_file_continue_bit_for_bit(structure):
 
 
 @pytest.mark.parametrize(("name", "value", "words"), [
-    ("R", 0.0, "R > 0, got"),
-    ("alpha_sq", 0.0, "alpha_sq >= 1, got"),
+    ("R", 0.0, "> 0 in R, got"),
+    ("alpha_sq", 0.0, ">= 1 in alpha_sq, got"),
     ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite"),
     ("P", np.diag([1e12, -1e3, 1.0, 1.0]), "positive semidefinite"),
     ("P", np.eye(4) + np.triu(np.full((4, 4), 0.1)), "symmetric"),

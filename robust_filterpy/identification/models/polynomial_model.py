@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.regressor import is_stable
-from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.identification.models.structures import Structure, fill_with_delays
 
 # Samples without output between two recordings, where a start is looked for in all of them as one.
 _BETWEEN: Final = 30
@@ -227,13 +227,13 @@ class PolynomialModel:
             rows[inputs] = lfilter([1.0], parts.f, rows[inputs])
             impulse = np.zeros(w.size)
             impulse[0] = -1.0
-            _fill_with_delays(rows[n + self.offset :], lfilter([1.0], parts.f, impulse), 0)
-            _fill_with_delays(rows[places.f], lfilter([1.0], parts.f, w), 1)
+            fill_with_delays(rows[n + self.offset :], lfilter([1.0], parts.f, impulse), 0)
+            fill_with_delays(rows[places.f], lfilter([1.0], parts.f, w), 1)
         if parts.c.size > 1 or parts.d.size > 1:
             rows = np.asarray(lfilter(parts.d, parts.c, rows))
             v = lfilter([1.0], parts.c, self._equation_error(parts, span, w))
-            _fill_with_delays(rows[places.d], v, 1)
-            _fill_with_delays(rows[places.c], -lfilter(parts.d, parts.c, v), 1)
+            fill_with_delays(rows[places.d], v, 1)
+            fill_with_delays(rows[places.c], -lfilter(parts.d, parts.c, v), 1)
         return rows
 
     def joined(self, missing: Any) -> tuple[PolynomialModel, Any]:
@@ -254,13 +254,6 @@ class PolynomialModel:
         if self.offset:
             q[n : n + len(self.spans)] = p[n]
         return q
-
-
-def _fill_with_delays(rows: Array, signal: Array, least: int) -> None:
-    """Write a signal into each row, one sample later in each than in the row before."""
-    for j, row in enumerate(rows):
-        delay = least + j
-        row[delay:] = signal[: max(signal.size - delay, 0)]
 
 
 def spans_of(begins: tuple[int, ...], size: int) -> tuple[slice, ...]:

@@ -245,11 +245,11 @@ def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None,
             raise ValueError(f"{name}: expected recordings of equally many columns, got {[*widths]}")
     measured, signal = (np.concatenate(each) for each in zip(*parts, strict=True))
     measured, lies = measurements(measured, signal)
-    if len(recordings) < len(parts):
-        text = f"gaps of more than {LONG_GAP} samples in u: {len(parts)} recordings, each with a level and a start"
-        findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
-    elif len(recordings) > 1 and groups is None and not are_several(y, u):
-        text = f"{len(recordings) - 1} jumps of the time axis: {len(parts)} recordings, each with a level and a start"
+    in_time = len(recordings) > 1 and groups is None and not are_several(y, u)
+    if len(recordings) < len(parts) or in_time:
+        jumps = f"{len(recordings) - 1} jumps of the time axis"
+        what = f"gaps of more than {LONG_GAP} samples in u" if len(recordings) < len(parts) else jumps
+        text = f"{what}: {len(parts)} recordings, each with a level and a start"
         findings.append(Finding("gap", text, float("nan"), (0, len(measured))))
     ends = np.cumsum([0, *(len(one) for one, _ in parts)]).tolist()
     spans = tuple(slice(a, b) for a, b in pairwise(ends))

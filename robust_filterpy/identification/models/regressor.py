@@ -346,13 +346,13 @@ def pushed(past: Array, newest: Array | float) -> Array:
 
 
 def coefficients(structure: Structure, theta: Array) -> Any:
-    """Split theta."""
+    """Split theta, the last axis of an array."""
     if structure.takes_phi:
         raise ValueError(f"{structure}: expected a model with a, b, c; the coefficients of your regressor are theta")
     places = structure.polynomials
-    b = tuple(theta[place] for place in places.b)
-    first = b[0] if len(b) == 1 else b or theta[:0]
-    a, f, c, d = (theta[place] for place in (places.a, places.f, places.c, places.d))
+    b = tuple(theta[..., place] for place in places.b)
+    first = b[0] if len(b) == 1 else b or theta[..., :0]
+    a, f, c, d = (theta[..., place] for place in (places.a, places.f, places.c, places.d))
     return Coefficients(f if structure.form == "OutputError" else a, first, c, d, f)
 
 

@@ -109,12 +109,9 @@ class Regions:
         """
         angles = np.linspace(0.0, 2.0 * np.pi, _checks.count("points", points, 3))
         circle = np.stack((np.cos(angles), np.sin(angles)))
-        boundaries = np.empty((self.values.size, angles.size), dtype=complex)
-        for k, covariance in enumerate(self.covariance):
-            sizes, axes = np.linalg.eigh(covariance)
-            x, y = self.radius[k] * (axes * np.sqrt(np.maximum(sizes, 0.0))) @ circle
-            boundaries[k] = self.values[k] + x + 1j * y
-        return boundaries
+        sizes, axes = np.linalg.eigh(self.covariance)
+        edges = self.radius[:, None, None] * (axes * np.sqrt(np.maximum(sizes, 0.0))[:, None]) @ circle
+        return self.values[:, None] + edges[:, 0] + 1j * edges[:, 1]
 
     def contains(self, others: ArrayLike) -> Any:
         """Tell which of other poles or zeros, in the order of these, lie in the regions.
@@ -128,11 +125,8 @@ class Regions:
         -------
         ndarray of bool, shape (k,)
         """
-        difference = np.asarray(others, dtype=complex) - self.values
-        inside = np.empty(self.values.size, dtype=bool)
-        for k, covariance in enumerate(self.covariance):
-            inside[k] = _distance(difference[k], covariance, abs(self.values[k])) <= self.radius[k]
-        return inside
+        each = zip(np.asarray(others, dtype=complex) - self.values, self.covariance, np.abs(self.values), strict=True)
+        return np.array([_distance(*one) for one in each]) <= self.radius
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -326,11 +320,8 @@ def bands(
 ) -> tuple[Array, Array, Any]:
     """Return the band of h(theta) about its value."""
     theta, z = np.asarray(theta), float(norm.ppf(0.5 + 0.5 * probability(level)))
-    center = h(theta[None])[0]
-    steps = principal_axes(np.asarray(P))
-    ahead, behind = h(theta + steps), h(theta - steps)
-    std = np.sqrt(np.sum((0.5 * (ahead - behind)) ** 2, axis=0))
-    curvature = np.abs(0.5 * (ahead + behind) - center).sum(axis=0)
+    center, steps, half, curvature = _around(theta, P, h)
+    std = np.sqrt(np.sum(half**2, axis=0))
     lower, upper = -z * std, z * std
     # Where a step has left the stable models, or is infinite, curvature is no number.
     stable = all(is_inside(row) for row in (*(theta + steps), *(theta - steps)))
@@ -350,26 +341,34 @@ def bands(
 def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float, rng: Any) -> Regions:
     """Return roots that theta determines, with their regions."""
     level = probability(level)
-    values, steps = roots(theta), principal_axes(P)
-    ahead, behind = (np.array([_matched(values, roots(row)) for row in theta + sign * steps]) for sign in (1.0, -1.0))
+    values = roots(theta)
     if not values.size:
         return Regions(values, np.zeros((0, 2, 2)), np.zeros(0), level, np.zeros(0, dtype=bool))
-    half = _plane(0.5 * (ahead - behind))
+
+    def matched(rows: Array) -> Any:
+        return np.array([_matched(values, roots(row)) for row in rows])
+
+    _, steps, half, curvature = _around(theta, P, matched)
+    half = _plane(half)
     covariance = np.einsum("ika,ikb->kab", half, half)
-    curvature = np.abs(0.5 * (ahead + behind) - values).sum(axis=0)
     curved = ~(curvature <= _CURVED * np.sqrt(np.trace(covariance, axis1=1, axis2=2)) + 1e-12 * np.abs(values))
-    flat = np.array(
-        [np.linalg.eigvalsh(c)[0] <= (_THIN * abs(v)) ** 2 for c, v in zip(covariance, values, strict=True)]
-    )
+    flat = np.linalg.eigvalsh(covariance)[:, 0] <= (_THIN * np.abs(values)) ** 2
     radius = np.sqrt(np.where(flat, chi2.ppf(level, 1), chi2.ppf(level, 2)))
     if curved.any():
-        drawn = np.array([_matched(values, roots(row)) for row in _drawn(theta, steps, rng)]) - values
+        drawn = matched(_drawn(theta, steps, rng)) - values
         for k in np.flatnonzero(curved):
             cloud = _plane(drawn[:, k])
             covariance[k] = cloud.T @ cloud / len(cloud)
             distances = [_distance(d, covariance[k], abs(values[k])) for d in drawn[:, k]]
             radius[k] = np.quantile(distances, level)
     return Regions(values, covariance, radius, level, curved)
+
+
+def _around(theta: Array, P: Any, h: Callable[[Array], Any]) -> tuple[Any, Array, Any, Any]:
+    """Return h(theta), the steps to both sides, half of what h does between them, and how much it is curved."""
+    center, steps = h(theta[None])[0], principal_axes(np.asarray(P))
+    ahead, behind = h(theta + steps), h(theta - steps)
+    return center, steps, 0.5 * (ahead - behind), np.abs(0.5 * (ahead + behind) - center).sum(axis=0)
 
 
 def principal_axes(P: Array) -> Array:
@@ -701,16 +700,12 @@ class PolynomialSystem(System):
         if self.structure.takes_phi:
             regressor.coefficients(self.structure, self.theta)
         self._require("transfer function")
-        number = isinstance(period, (int, float, np.integer, np.floating)) and not isinstance(period, bool)
-        if period is not True and not (number and 0.0 < period < np.inf):
+        is_number = isinstance(period, (int, float, np.number)) and period is not False
+        if period is not True and not (is_number and 0.0 < period < np.inf):
             raise ValueError(f"dt: expected a sampling period > 0 in s, or True, got {period!r}")
-        ways = []
-        for b in _numerators(self.structure, self.theta):
-            size = max(whole.size, b.size)
-            ways.append(
-                (np.pad(b, (0, size - b.size)) if b.any() else np.zeros(1), np.pad(whole, (0, size - whole.size)))
-            )
-        return control.tf([[b for b, _ in ways]], [[a for _, a in ways]], period)
+        ways = [(b, max(whole.size, b.size)) for b in _numerators(self.structure, self.theta)]
+        numerators = [np.pad(b, (0, size - b.size)) if b.any() else np.zeros(1) for b, size in ways]
+        return control.tf([numerators], [[np.pad(whole, (0, size - whole.size)) for _, size in ways]], period)
 
     @property
     def _sizes(self) -> tuple[int, int]:

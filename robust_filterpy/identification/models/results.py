@@ -71,25 +71,25 @@ class Intervals(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What one update did.
+    """What one update did, of n actuators in arrays of shape (n,).
 
     Attributes
     ----------
-    prediction : float
+    prediction : float or ndarray
         yhat(k) = phi(k)' theta(k-1), before y(k) is used (paper 22).
-    residual : float
+    residual : float or ndarray
         y(k) - prediction (23); NaN if y is missing.
-    weight : float
+    weight : float or ndarray
         psi(e)/e in [0, 1]: how much of the innovation was believed; 1 for a filter that has no weights, NaN if there
         was no correction (y missing, or adaptation off).
-    guard : int
+    guard : int or ndarray of int
         0: the step was taken as it is; h > 0: it was halved h times; -1: it was not taken.
     """
 
-    prediction: float
-    residual: float
-    weight: float
-    guard: int
+    prediction: Any
+    residual: Any
+    weight: Any
+    guard: Any
 
     def __str__(self) -> str:
         """Return a line for each part."""

@@ -9,7 +9,7 @@ import datetime
 import math
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, NamedTuple
 from zlib import crc32
 
@@ -40,7 +40,7 @@ def measured_output(y: Any) -> Array:
         output = output.ravel()
     if output.ndim != 1 or output.size == 0:
         raise ValueError(f"y: expected a recording of shape (N,), N >= 1, got shape {output.shape}")
-    return _measured(output)
+    return with_squares(output)
 
 
 def measured_outputs(y: Any, n_outputs: int) -> Array:
@@ -50,14 +50,19 @@ def measured_outputs(y: Any, n_outputs: int) -> Array:
     if output.ndim != 2 or output.shape[1] != n_outputs or len(output) == 0:
         mend = "; use y.T" if output.ndim == 2 and output.shape[0] == n_outputs else ""
         raise ValueError(f"y: expected shape (N, {n_outputs}), N >= 1, got shape {output.shape}{mend}")
-    return _measured(output)
+    return with_squares(output)
 
 
-def _measured(output: Array) -> Array:
-    """Return outputs as far as their squares are numbers, or raise if one is infinite."""
-    if np.isinf(output).any():
-        k = np.isinf(output).reshape(len(output), -1).any(axis=1).argmax()
-        raise ValueError(f"y: expected finite numbers or NaN (missing), got inf in sample {k}")
+def in_sample(bad: np.ndarray) -> str:
+    """Name the first sample of a mask (N, ..)."""
+    return f" in sample {bad.reshape(len(bad), -1).any(axis=1).argmax()}"
+
+
+def with_squares(output: Array, where: Callable[[np.ndarray], str] = in_sample) -> Array:
+    """Return outputs as far as their squares are numbers, or raise if one is infinite, and say where."""
+    infinite = np.isinf(output)
+    if infinite.any():
+        raise ValueError(f"y: expected finite numbers or NaN (missing), got infinity{where(infinite)}")
     return np.clip(output, -LARGEST, LARGEST)
 
 
@@ -104,7 +109,7 @@ def recorded_input(structure: Any, u: Any, length: int | None) -> Array:
         raise ValueError("u: expected a recording of at least one sample, got none")
     if length is not None and len(signal) != length:
         raise ValueError(f"u: expected {length} samples like y, got {len(signal)}")
-    _require_finite(signal)
+    require_finite(signal)
     for column in signal.T:
         _require_size("u", column)
     return signal
@@ -140,16 +145,15 @@ def _require_size(name: str, signal: Array) -> None:
         )
 
 
-def _require_finite(values: Array) -> None:
-    """Raise unless every input is a number that can be squared."""
-    good = np.abs(values) <= LARGEST
-    if not good.all():
-        k = np.unravel_index(int(np.argmin(good)), good.shape)
-        where = f" in sample {k[0]}" if good.ndim == 2 else ""
+def require_finite(values: Array, where: Callable[[np.ndarray], str] = in_sample) -> None:
+    """Raise unless every input is a number that can be squared, and say where."""
+    bad = ~(np.abs(values) <= LARGEST)
+    if bad.any():
+        place, got = where(bad), values[bad][0]
         mend = "; fill in what acted, u.ffill() for a valve that stayed where it was, else u.interpolate()"
         raise ValueError(
             f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; the order is y, u), "
-            f"got {values[k]}{where}{mend if where and np.isnan(values[k]) else ''}"
+            f"got {got}{place}{mend if 'in sample' in place and np.isnan(got) else ''}"
         )
 
 

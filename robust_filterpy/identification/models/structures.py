@@ -238,41 +238,37 @@ class Structure:
         --------
         >>> from robust_filterpy.identification import ARX
         >>> ARX(1, 2).regressors(u=[1.0, 2.0, 3.0], y=[4.0, 5.0, 6.0])
-        array([[-0.,  0.,  0.],
+        array([[ 0.,  0.,  0.],
                [-4.,  1.,  0.],
                [-5.,  2.,  1.]])
         """
         if self.nd or (self.nf and self.na + self.nc):
             raise ValueError(f"{self}: its regressor holds w and d, which only a model has; use identify")
-        given = {"u": u, "y": y, "residual": residual}
-        needed = {"u": self.n_inputs > 0, "y": self.na + self.nf > 0, "residual": self.nc > 0}
-        signals = {name: numbers(name, value) for name, value in given.items() if needed[name] and value is not None}
-        for name in needed:
-            if needed[name] and name not in signals:
+        signals: dict[str, Array] = {}
+        for name, signal, is_needed in (
+            ("u", u, self.n_inputs), ("y", y, self.na + self.nf), ("residual", residual, self.nc),
+        ):  # fmt: skip
+            if is_needed and signal is None:
                 raise ValueError(f"{name}: expected a signal for {self}, got None")
+            signals |= {name: numbers(name, signal)} if is_needed else {}
         length = len(next(iter(signals.values())))
         for name, signal in signals.items():
             if len(signal) != length:
                 raise ValueError(f"{name}: expected {length} samples like the other signals, got {len(signal)}")
-        places, phi = self.polynomials, np.zeros((length, self.n_theta))
-        if self.n_inputs:
-            columns = input_columns("u", signals["u"], self.n_inputs)
-            for place, column, (nb, nk) in zip(places.b, columns.T, self.inputs, strict=True):
-                phi[:, place] = _shifted(column, range(nk, nk + nb))
+        places, phi = self.polynomials, np.zeros((self.n_theta, length))
+        columns = input_columns("u", signals["u"], self.n_inputs).T if self.n_inputs else ()
+        for place, column, (_, nk) in zip(places.b, columns, self.inputs, strict=True):
+            fill_with_delays(phi[place], column, nk)
         for place in (places.a, places.f):
-            if place.stop > place.start:
-                phi[:, place] = -_shifted(signals["y"], range(1, place.stop - place.start + 1))
-        if self.nc:
-            phi[:, places.c] = _shifted(signals["residual"], range(1, self.nc + 1))
-        return phi
+            fill_with_delays(phi[place], -signals.get("y", phi[:0]), 1)
+        fill_with_delays(phi[places.c], signals.get("residual", phi[:0]), 1)
+        return np.ascontiguousarray(phi.T)
 
 
-def _shifted(signal: Array, lags: range) -> Array:
-    """Return the signal delayed by each lag, one column each, 0 before the start."""
-    columns = np.zeros((len(signal), len(lags)))
-    for j, lag in enumerate(lags):
-        columns[lag:, j] = signal[: max(len(signal) - lag, 0)]
-    return columns
+def fill_with_delays(rows: Array, signal: Array, least: int) -> None:
+    """Write a signal into each row, one sample later in each than in the row before."""
+    for delay, row in enumerate(rows, least):
+        row[delay:] = signal[: max(signal.size - delay, 0)]
 
 
 def input_columns(name: str, u: Any, n_inputs: int) -> Array:

@@ -337,6 +337,17 @@ class Following:
         Returns
         -------
         dict of str to ndarray
+            readings: what was learned of the steps of y, (7,);
+            theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
+            (nc,), gradients, measured (na,); enabled; recursion: center of y, limit of tr P, samples, mean and memory
+            of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
+            watch: whether it may start anew and of how many samples, samples seen, and of ordinary residuals the
+            autocovariances, how much of them follows the inputs anyway and what is rounding, and score and information
+            of the gain in the last blocks; followed: the residuals, predictions and
+            inputs it judges that by, (L, 2 + n_inputs);
+            and the filter's Q, R, F and alpha_sq, and what else it keeps, as ``filter_..``.
+            Of a bank all with a leading axis of n, but for Q and F that are shared.
+            ``format``: version, and name of tracker and structure as character codes. All of float64.
             ``numpy.savez(file, **state)`` stores it.
         """
         arrays = {**self.now.arrays(), "enabled": self._enabled}

@@ -10,7 +10,7 @@ replaced, correct theta along the gradient, restrain an unstable step, follow R,
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -25,7 +25,6 @@ from robust_filterpy.identification.models import dependence as gain
 from robust_filterpy.identification.models.regressor import (
     CLEANED_FROM,
     GUARDS,
-    Guard,
     Layout,
     Memory,
     are_stable,
@@ -73,17 +72,6 @@ class Form(NamedTuple):
     #: What the kernel is to do, (n, 5): gradient filtered, place in `GUARDS`, cleans, learns (written by the driver),
     #: judges.
     flags: np.ndarray
-
-    @classmethod
-    def of(
-        cls, structure: Structure, layout: Layout, has_offset: bool, cleans: bool, judges: bool, gradient: Gradient,
-        guard: Guard,
-    ) -> Form:  # fmt: skip
-        """Return the form of one actuator."""
-        places = np.arange(layout.n)
-        own = np.delete(places, structure.constant_place) if has_offset else places
-        flags = np.array([[gradient == "filtered", GUARDS.index(guard), cleans, True, judges]], dtype=np.intp)
-        return cls(structure, layout, own, has_offset, cleans, judges, flags)
 
     @property
     def record(self) -> np.dtype[Any]:
@@ -331,10 +319,9 @@ def checked(
     shapes |= {"readings": (READINGS,)} if "readings" in state else {}
     whole = {name: (*axes, *shape) for name, shape in shapes.items()}
     stored = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
-    for name, least in (("R", "> 0"), ("alpha_sq", ">= 1")):
-        if name in stored and not (stored[name] > 0.0 if name == "R" else stored[name] >= 1.0).all():
-            raise _state.StateError(f"state: expected {name} {least}, got {_checks.shown(stored[name])}")
-    _require_plausible(stored)
+    for name, what, is_good in _PLAUSIBLE:
+        if name in stored and not np.all(is_good(stored[name])):
+            raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(stored[name])}")
     guarded = form.flags[:, 1] > GUARDS.index("none")
     if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(stored["theta"])[guarded]):
         raise _state.StateError(
@@ -345,34 +332,28 @@ def checked(
     return {**stored, "enabled": stored["enabled"].astype(bool)}
 
 
-def _require_plausible(stored: Mapping[str, Array]) -> None:
-    """Raise unless what recursions of actuators keep, (.., 7), and their watch, (.., WATCHED), may be of `arrays`."""
-    _, limit, samples, mean, memory, begun, waits = np.moveaxis(stored["recursion"], -1, 0)
-    conditions = [
-        ("recursion", "a limit of tr P > 0", limit > 0.0),
-        ("recursion", "counts of samples >= 0", (samples >= 0.0) & (memory >= 0.0)),
-        ("recursion", "a mean of min(e^2, 4) in [0, 4]", (mean >= 0.0) & (mean <= 4.0)),
-        ("recursion", "begun to be 0 or 1", (begun == 0.0) | (begun == 1.0)),
-        ("recursion", "a whole number of samples until the next look, or -1", (waits >= -1.0) & (waits % 1.0 == 0.0)),
-    ]
-    if "watch" in stored:
-        # Format 1 began without the share that follows the inputs anyway, what is rounding, and the scores of the gain.
-        if stored["watch"].shape[-1] not in (6, 7, 8, WATCHED):
-            raise _state.StateError(f"state: expected watch of {WATCHED} numbers, got {stored['watch'].shape[-1]}")
-        restarts, looks, seen, variance = np.moveaxis(stored["watch"], -1, 0)[:4]
-        whole = (looks >= 1.0) & (seen >= 0.0) & (looks % 1.0 == 0.0) & (seen % 1.0 == 0.0)
-        conditions += [
-            ("watch", "whether it may start anew to be 0 or 1", (restarts == 0.0) | (restarts == 1.0)),
-            ("watch", "whole numbers of samples >= 0", whole),
-            ("watch", "a variance >= 0", variance >= 0.0),
-            ("watch", "information >= 0", stored["watch"][..., 9::2] >= 0.0),
-        ]
-    if "readings" in stored:
-        counts = stored["readings"][..., [2, 3, repeats.WIDTH]]
-        conditions.append(("readings", "a scale and counts >= 0", counts >= 0.0))
-    for name, what, good in conditions:
-        if not good.all():
-            raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(stored[name])}")
+# What arrays of a state hold, each with what must be so of it.
+_PLAUSIBLE: Final[tuple[tuple[str, str, Callable[[Array], Any]], ...]] = (
+    ("R", "variances > 0", lambda R: R > 0.0),
+    ("alpha_sq", "numbers >= 1", lambda alpha_sq: alpha_sq >= 1.0),
+    ("recursion", "a limit of tr P > 0", lambda row: row[..., 1] > 0.0),
+    ("recursion", "counts of samples >= 0", lambda row: row[..., [2, 4]] >= 0.0),
+    ("recursion", "a mean of min(e^2, 4) in [0, 4]", lambda row: np.abs(row[..., 3] - 2.0) <= 2.0),
+    ("recursion", "begun to be 0 or 1", lambda row: np.isin(row[..., 5], (0.0, 1.0))),
+    ("recursion", "a whole number of samples until the next look, or -1", lambda row: _are_whole(row[..., 6], -1.0)),
+    # Format 1 began without the share that follows the inputs anyway, what is rounding, and the scores of the gain.
+    ("watch", f"{WATCHED} numbers", lambda row: row.shape[-1] in (6, 7, 8, WATCHED)),
+    ("watch", "whether it may start anew to be 0 or 1", lambda row: np.isin(row[..., 0], (0.0, 1.0))),
+    ("watch", "whole numbers of samples >= 0", lambda row: _are_whole(row[..., 1:3], np.array([1.0, 0.0]))),
+    ("watch", "a variance >= 0", lambda row: row[..., 3] >= 0.0),
+    ("watch", "information >= 0", lambda row: row[..., 9::2] >= 0.0),
+    ("readings", "a scale and counts >= 0", lambda row: row[..., [2, 3, repeats.WIDTH]] >= 0.0),
+)
+
+
+def _are_whole(counts: Array, least: Any) -> Any:
+    """Tell which numbers are whole and large enough."""
+    return (counts >= least) & (counts % 1.0 == 0.0)
 
 
 # One sample of one actuator.
@@ -508,11 +489,22 @@ def _corrected(kf: Any, G: Array, y: float, predicted: float, R: float | None, r
 
 def _followed(kf: Any, scale: NoiseScale, R: float, nu: float, S: float) -> NoiseScale:
     """Let the filter's R follow the size of the innovations."""
-    estimate, samples = followed(R, scale, nu, S)
+    # What is followed is a scale of the standardized innovation e = nu/sqrt(S): the mean of min(e^2, 4), which no
+    # outlier moves by more than 4 (Huber's proposal 2), against what it would be if R were right. The learned share and
+    # size of the outliers belong to what it would be, so that R stays the variance of the ordinary samples.
+    # A sample whose regressor overflows tells nothing of R.
+    if not S < 1e290:
+        return scale
+    share = R / S
+    gain = share * max(_PACE / scale.memory, min(1.0, _FIRST / (scale.samples + 1.0)))
+    surprise = min(nu * nu / S, _REACH * _REACH) / scale.mean - 1.0
+    # A plant at rest shows no noise in steps of its sensor, one that moves does.
+    least = max(scale.rounding * scale.rounding / 12.0, 1e-290)
+    estimate = max(R * math.exp(gain * surprise), least)
     kf.R = np.array([[estimate]])
     if scale.samples < EARLY and estimate > R:
         kf.P = kf.P * (estimate / R)
-    return scale._replace(samples=samples)
+    return scale._replace(samples=scale.samples + share)
 
 
 def note(readings: Array, y: float, nu: float) -> None:
@@ -535,25 +527,6 @@ def variance(phi: Array, P: Array, r: float) -> float:
     """Return the variance of an innovation, phi' P phi + r, for a row phi."""
     # Rounding of a P that a spike in phi has made singular may have a sign.
     return max(float(phi.dot(P).dot(phi.T).item()), 0.0) + r
-
-
-# The variance R of the ordinary noise, followed sample by sample through outliers. What is followed is a scale of the
-# standardized innovation e = nu/sqrt(S): the mean of min(e^2, 4), which no outlier moves by more than 4 (Huber's
-# proposal 2), against what it would be if R were right. The learned share and size of the outliers belong to what it
-# would be, so that R stays the variance of the ordinary samples.
-
-
-def followed(R: float, scale: NoiseScale, nu: float, S: float) -> tuple[float, float]:
-    """Return R after one more innovation, and how many samples it stands on."""
-    # A sample whose regressor overflows tells nothing of R.
-    if not S < 1e290:
-        return R, scale.samples
-    share = R / S
-    gain = share * max(_PACE / scale.memory, min(1.0, _FIRST / (scale.samples + 1.0)))
-    surprise = min(nu * nu / S, _REACH * _REACH) / scale.mean - 1.0
-    # A plant at rest shows no noise in steps of its sensor, one that moves does.
-    least = max(scale.rounding * scale.rounding / 12.0, 1e-290)
-    return max(R * math.exp(gain * surprise), least), scale.samples + share
 
 
 def ordinary_mean(influence: Any) -> float:

@@ -9,6 +9,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from robust_filterpy import _checks
+from robust_filterpy._arrays import square
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
@@ -17,6 +18,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.shell import leave_unwatched
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
+from robust_filterpy.identification.models.signals import require_finite, with_squares
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.recursion import given_variance
 from robust_filterpy.influence.functions import Linear
@@ -88,7 +90,8 @@ def configure(kf: Any, structure: Structure, own: np.ndarray, given: Mapping[str
     """Check theta, P, Q, R, F and forgetting as given and write them into the filter; own: where theta stands in it."""
     theta, P, Q, R, F, forgetting = (given.get(name) for name in ("theta", "P", "Q", "R", "F", "forgetting"))
     n, size = structure.n_theta, np.size(kf.x)
-    start = np.ravel(kf.x).astype(float)[own] if theta is None else _start(theta, n)
+    given_start = np.ravel(kf.x)[own] if theta is None else np.full(n, theta) if np.ndim(theta) == 0 else theta
+    start = _checks.finite("theta", given_start, (n,), reshaped=True).copy()
     if not are_stable(start, structure.stable_parts):
         got = " and ".join(str(start[part]) for part in structure.stable_parts)
         raise ValueError(
@@ -130,12 +133,9 @@ def checked_values(n: int, P: Any = None, Q: Any = None, R: Any = None, F: Any =
     """Return those matrices that are given, as a filter of n parameters wants them, or raise."""
     values = {name: covariance(name, value, n) for name, value in (("P", P), ("Q", Q)) if value is not None}
     if R is not None:
-        variance = _checks.numbers("R", R)
-        if variance.size != 1:
-            raise ValueError(f"R: expected one variance for the one output, got {_checks.described(variance)}")
-        values["R"] = np.array([[_checks.positive("R", variance.item())]])
+        values["R"] = variances(R, 1)[:, None].copy()
     if F is not None:
-        values["F"] = finite("F", _checks.matrix("F", F, (n, n), f"{n} parameters")).copy()
+        values["F"] = _checks.finite("F", _checks.matrix("F", F, (n, n), f"{n} parameters"), (n, n)).copy()
     return values
 
 
@@ -146,28 +146,9 @@ def forget(kf: Any, forgetting: Any) -> None:
     kf.alpha = 1.0 / math.sqrt(forgetting)
 
 
-def _start(theta: Any, n: int) -> Array:
-    """Return the parameters to start from, shape (n,)."""
-    values = _checks.numbers("theta", theta)
-    if values.ndim == 0:
-        values = np.full(n, values.item())
-    if values.ndim > 2 or values.size != n:
-        raise ValueError(f"theta: expected {n} parameters, got {_checks.described(values)}")
-    return finite("theta", values.ravel()).copy()
-
-
-def finite(name: str, values: Array) -> Array:
-    """Return values or raise unless all of them are finite."""
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity among them")
-    return values
-
-
 def covariance(name: str, value: Any, n: int) -> Array:
     """Return a covariance of the parameters; a number stands for a multiple of I."""
-    scalar = np.ndim(value) == 0 and value is not None
-    matrix = _checks.real(name, value) * np.eye(n) if scalar else _checks.matrix(name, value, (n, n), f"{n} parameters")
-    finite(name, matrix)
+    matrix = square(name, value, n, "{} parameters")
     _checks.covariance(name, matrix)
     return matrix.copy()
 
@@ -240,10 +221,11 @@ def of_each(n: int, given: Mapping[str, Any]) -> tuple[set[str], list[dict[str, 
 def variances(value: Any, n: int, length: int | None = None) -> Array:
     """Return R of each actuator, shape (n,), or (length, n) of each sample of a recording too; or raise."""
     values = numbers("R", value)
-    values = values.reshape(()) if values.shape == (n,) == (1,) else values
+    values = values.reshape(()) if values.size == n == 1 else values
     shapes = [(), (n,)] if length is None else [(), (length,), (length, n)]
     if values.shape not in shapes:
-        raise ValueError(f"R: expected shape {shapes[-1]}, or {shapes[-2]} for all, got {described(values)}")
+        expected = "one variance" if n == 1 == len(shapes) - 1 else f"shape {shapes[-1]}, or {shapes[-2]} for all"
+        raise ValueError(f"R: expected {expected}, got {described(values)}")
     values = np.broadcast_to(values[:, None] if values.ndim < len(shapes[-1]) and values.ndim else values, shapes[-1])
     good = (values > 0.0) & (values < np.inf)
     if not good.all():
@@ -284,10 +266,7 @@ def outputs(y: Any, n: int, recorded: bool = False) -> Array:
     if _have_squares(values):
         # A single sample waits to be looked at, and whoever gave it may write the next one into the same array.
         return values if recorded else values.copy()
-    infinite = np.isinf(values)
-    if infinite.any():
-        raise ValueError(f"y: expected finite numbers or NaN (missing), got infinity{_where(infinite)}")
-    return np.clip(values, -LARGEST, LARGEST)
+    return with_squares(values, _where)
 
 
 def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> Array:
@@ -312,12 +291,7 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
             f"u: expected shape {forms[0]} for all or {forms[1]} for {structure} and n={n}, got {described(signal)}"
         )
     if not _have_squares(values):
-        bad = ~(np.abs(values) <= LARGEST)
-        where = np.asarray(np.broadcast_to(bad, (*time, n, width)).any(axis=-1))
-        raise ValueError(
-            f"u: expected finite numbers up to {LARGEST:g} in size (an input cannot be missing; the order is y, u), "
-            f"got {values[bad][0]}{_where(where)}; fill in what acted, u.ffill() for a valve that stayed where it was"
-        )
+        require_finite(values, lambda bad: _where(np.broadcast_to(bad, (*time, n, width)).any(axis=-1)))
     if values.shape != (*time, n, width):
         values = np.broadcast_to(values, (*time, n, width))
     return values if time else values.copy()

@@ -25,28 +25,9 @@ from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.signals import operating_point
-from robust_filterpy.identification.recursive import setup
-from robust_filterpy.identification.recursive.recursion import (
-    READINGS,
-    WINDUP,
-    ColdStart,
-    Form,
-    Recursion,
-    State,
-    Unjudged,
-    given_variance,
-    note,
-    ordinary_mean,
-)
-from robust_filterpy.identification.recursive.watch import (
-    OF_START,
-    OF_STUCK,
-    STUCK,
-    News,
-    Trouble,
-    is_right,
-    long_held,
-)
+from robust_filterpy.identification.recursive import recursion, setup
+from robust_filterpy.identification.recursive.recursion import ColdStart, Form, Recursion, State, Unjudged
+from robust_filterpy.identification.recursive.watch import OF_START, OF_STUCK, STUCK, News, Trouble, is_right, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
 
 _LEARNT = float(SCALINGS.index("learnt"))
@@ -264,9 +245,10 @@ def _left(model: Model, start: ColdStart) -> tuple[Array, Array]:
 
 def _with_readings(now: State, i: int, start: ColdStart, model: Model) -> State:
     """Learn from a model's own recording how often the sensor repeats itself, and how white its noise is."""
-    y, row, (nu, _) = measurements(start.y, start.u)[0] - now.part("centre")[i], np.zeros(READINGS), _left(model, start)
+    y, (nu, _) = measurements(start.y, start.u)[0] - now.part("centre")[i], _left(model, start)
+    row = np.zeros(recursion.READINGS)
     for k in np.flatnonzero(~np.isnan(y + nu)).tolist():
-        note(row, float(y[k]), float(nu[k]))
+        recursion.note(row, float(y[k]), float(nu[k]))
     return now.with_parts(i, readings=row)
 
 
@@ -315,7 +297,7 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
     if scale[3]:
         # A recording without noise says nothing of how large it is.
         stands_on = 0.0 if model.noise.is_rounding else float(model.weights.size)
-        scale[:3] = model.R, stands_on, ordinary_mean(model.noise.influence)
+        scale[:3] = model.R, stands_on, recursion.ordinary_mean(model.noise.influence)
     if form.has_offset:
         f, c, d = (1.0 + float(x[part].sum()) for part in (layout.f, layout.c, layout.d))
         prefiltered = 1.0 / max(abs(f), 1e-6)
@@ -327,7 +309,7 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
         )
     return now.with_parts(
         i, theta=x, P=P, **memory._asdict(), scale=scale, centre=centre,
-        windup=WINDUP * max(float(np.trace(P)), 1e-300), begun=True, restarts=True,
+        windup=recursion.WINDUP * max(float(np.trace(P)), 1e-300), begun=True, restarts=True,
     )  # fmt: skip
 
 
@@ -403,6 +385,7 @@ def _by_definition(form: Form, using: Settings, parts: Any, i: int, signals: _Si
     except (ValueError, TypeError, np.linalg.LinAlgError) as error:
         error.args = (f"{using.place(k, i)}{error}", *error.args[1:])
         raise
-    after = {"theta": np.ravel(kf.x), "P": kf.P, "scale": (given_variance(kf), *one.scale), "readings": one.readings}
-    for name, value in {**after, **one.memory._asdict()}.items():
+    scale = recursion.given_variance(kf), *one.scale
+    after = {"theta": np.ravel(kf.x), "P": kf.P, "scale": scale, "readings": one.readings, **one.memory._asdict()}
+    for name, value in after.items():
         parts[name] = value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,29 +20,12 @@ from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
-from robust_filterpy.identification.models.results import (
-    Recorded,
-    Sample,
-    TrackingResult,
-)
+from robust_filterpy.identification.models.results import Recorded, Sample, TrackingResult
 from robust_filterpy.identification.models.signals import filled_output, recorded_input, recording, table
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive import setup, track
+from robust_filterpy.identification.recursive import recursion, setup, track
 from robust_filterpy.identification.recursive.following import Following, joined
-from robust_filterpy.identification.recursive.recursion import (
-    GRADIENTS,
-    REGRESSORS,
-    Form,
-    Gradient,
-    Regressor,
-    State,
-    apart,
-    at_rest,
-    checked,
-    given_variance,
-    ordinary_mean,
-    padded,
-)
+from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Form, Gradient, Regressor, State
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
 from robust_filterpy.identification.recursive.watch import SPAN
 from robust_filterpy.influence.functions import Influence
@@ -244,8 +227,9 @@ class ParameterTracker(Following, PolynomialSystem):
         layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
         judges = self._regressor == "cleaned"
         cleans = judges and structure.na + structure.nd > 0
-        self.form = Form.of(structure, layout, has_offset, cleans, judges, gradient, guard)
-        own = self.form.own
+        own = np.delete(np.arange(layout.n), [structure.constant_place] if has_offset else [])
+        flags = np.array([[gradient == "filtered", GUARDS.index(guard), cleans, True, judges]], dtype=np.intp)
+        self.form = Form(structure, layout, own, has_offset, cleans, judges, flags)
         choices = {"influence": influence, "scaling": scaling, "information": information}
         kf = setup.make_filter(layout.n, filter, choices)
         setup.configure(kf, structure, own, self._given)
@@ -253,8 +237,8 @@ class ParameterTracker(Following, PolynomialSystem):
             setup.warn_of_default_noise(kf)
         self.n, self._filters, self._enabled = 1, [kf], np.array([True])
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
-        scale = np.array([[given_variance(kf), 0.0, ordinary_mean(None), memory, 0.0]])
-        self._now = at_rest(self.form, np.ravel(kf.x), np.asarray(kf.P), scale, samples or START, not samples)
+        scale = np.array([[recursion.given_variance(kf), 0.0, recursion.ordinary_mean(None), memory, 0.0]])
+        self._now = recursion.at_rest(self.form, np.ravel(kf.x), np.asarray(kf.P), scale, samples or START, not samples)
         self.dt, self._time, self._used = None, None, None
         self._asked = kf is filter
         if model is not None:
@@ -428,8 +412,8 @@ class ParameterTracker(Following, PolynomialSystem):
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        prediction, residual, weight, guard = self._updated(y, u, R)[0].tolist()
-        return Sample(prediction, residual, weight, int(guard))
+        *others, guard = self._updated(y, u, R)[0].tolist()
+        return Sample(*others, int(guard))
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, progress: bool | None = None
@@ -579,10 +563,10 @@ class ParameterTracker(Following, PolynomialSystem):
         """
         n = len(y)
         sizes = np.array([len(one) for one in states["start"]])
-        stored = {**states, "kept": sizes, **{name: padded(states[name]) for name in ("start", "followed")}}
+        stored = {**states, "kept": sizes, **{name: recursion.padded(states[name]) for name in ("start", "followed")}}
         many = self._like(Following, np.zeros(n, dtype=int))
         settings = {name: value.shape for name, value in setup.settings(self._filter).items() if name != "R"}
-        stored = checked(stored, many.form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
+        stored = recursion.checked(stored, many.form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
         now = many._now.restored(stored, stored["R"].ravel())
         flags = many.form.flags.copy()
         flags[:, 3] = stored["enabled"]
@@ -592,7 +576,7 @@ class ParameterTracker(Following, PolynomialSystem):
         self._say(news + more)
         after = now.arrays() | {"enabled": stored["enabled"], "R": now.scale[:, :1, None]}
         lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.watch.seen, SPAN)}
-        return out, after | {name: apart(after[name], size) for name, size in lengths.items()}
+        return out, after | {name: recursion.apart(after[name], size) for name, size in lengths.items()}
 
     @property
     def filter(self) -> Any:
@@ -614,30 +598,10 @@ class ParameterTracker(Following, PolynomialSystem):
     def _pulled(self) -> State:
         """Return the state with theta, P and R as the filter has them."""
         kf, scale = self._filter, self._now.scale.copy()
-        scale[0, 0] = given_variance(kf)
+        scale[0, 0] = recursion.given_variance(kf)
         return self._now.with_parts(theta=np.ravel(kf.x), P=kf.P, scale=scale)
 
     # Interruption.
-
-    def state(self) -> dict[str, Array]:
-        """Return everything the recursion needs to go on, as plain arrays.
-
-        Returns
-        -------
-        dict of str to ndarray
-            readings: what was learned of the steps of y, (7,);
-            theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
-            (nc,), gradients, measured (na,); enabled; recursion: center of y, limit of tr P, samples, mean and memory
-            of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
-            watch: whether it may start anew and of how many samples, samples seen, and of ordinary residuals the
-            autocovariances, how much of them follows the inputs anyway and what is rounding, and score and information
-            of the gain in the last blocks; followed: the residuals, predictions and
-            inputs it judges that by, (L, 2 + n_inputs);
-            and the filter's Q, R, F and alpha_sq, and what else it keeps, as ``filter_..``.
-            ``format``: version, and name of tracker and structure as character codes. All of float64.
-            ``numpy.savez(file, **state)`` stores it.
-        """
-        return super().state()
 
     def _settings(self) -> dict[str, Any]:
         """Return what may be set of the filter, and what it keeps of its sensor."""
@@ -674,31 +638,6 @@ def keeps_spread(tracker: ParameterTracker) -> bool:
     return "spread" in moved_shapes(tracker._filter)
 
 
-class BankSample(NamedTuple):
-    """What one update did to each of n actuators; see `Sample`.
-
-    Attributes
-    ----------
-    prediction : ndarray, shape (n,)
-        phi(k)' theta(k-1), before y(k) is used (paper 22).
-    residual : ndarray, shape (n,)
-        y(k) - prediction (23); NaN where y is missing.
-    weights : ndarray, shape (n,)
-        psi(e)/e; NaN where there was no correction (y missing, or adaptation off).
-    guard : ndarray of int, shape (n,)
-        0: step taken as it is; h > 0: halved h times; -1: not taken.
-    """
-
-    prediction: Array
-    residual: Array
-    weights: Array
-    guard: np.ndarray
-
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
-
-
 class BankResult(Recorded):
     """What recordings of n actuators gave: the columns of a `TrackingResult` with an axis of actuators.
 
@@ -709,9 +648,9 @@ class BankResult(Recorded):
     theta, std : ndarray, shape (K, n, n_theta)
         Parameters and their standard deviations, after each of the K samples that were kept.
     prediction, residual, weights : ndarray, shape (K, n)
-        As in `BankSample`.
+        As in `Sample`.
     guard : ndarray of int, shape (K, n)
-        As in `BankSample`.
+        As in `Sample`.
     sample : ndarray of int, shape (K,)
         Which samples were kept.
     names : tuple of str, length n_theta
@@ -882,8 +821,7 @@ class TrackerBank(Following):
     @property
     def coefficients(self) -> Any:
         """Those of the polynomials, each with a leading axis of n; see `ParameterTracker`."""
-        values = regressor.coefficients(self.structure, self.theta.T)
-        return type(values)(*(tuple(p.T for p in part) if isinstance(part, tuple) else part.T for part in values))
+        return regressor.coefficients(self.structure, self.theta)
 
     def tracker(self, i: int) -> ParameterTracker:
         """Return a tracker of one actuator that goes on where the bank is, and resets to where the bank began.
@@ -918,7 +856,7 @@ class TrackerBank(Following):
 
     # The recursion.
 
-    def update(self, y: ArrayLike | None, u: ArrayLike | None = None, R: ArrayLike | None = None) -> BankSample:
+    def update(self, y: ArrayLike | None, u: ArrayLike | None = None, R: ArrayLike | None = None) -> Sample:
         """Take one sample of every actuator: the outputs y(k) and the inputs u(k).
 
         Parameters
@@ -932,8 +870,8 @@ class TrackerBank(Following):
 
         Returns
         -------
-        BankSample
-            prediction, residual, weights, guard, each of shape (n,).
+        Sample
+            prediction, residual, weight, guard, each of shape (n,).
 
         Raises
         ------
@@ -942,8 +880,8 @@ class TrackerBank(Following):
         LinAlgError
             If a filter refuses its sample; no actuator has changed then.
         """
-        prediction, residual, weights, guard = self._updated(y, u, R).T
-        return BankSample(prediction, residual, weights, guard.astype(np.int64))
+        *others, guard = self._updated(y, u, R).T
+        return Sample(*others, guard.astype(np.int64))
 
     def run(
         self,
@@ -1002,20 +940,6 @@ class TrackerBank(Following):
     def _named(self, which: list[int]) -> str:
         """Return some actuators as a message begins with them."""
         return f"{setup.actuators(np.isin(np.arange(self.n), which))}: "
-
-    # Interruption.
-
-    def state(self) -> dict[str, Array]:
-        """Return everything the recursion needs to go on, as plain arrays.
-
-        Returns
-        -------
-        dict of str to ndarray
-            What `ParameterTracker.state` returns, with a leading axis of n but for ``format``; Q and F without it if
-            they are shared.
-            ``numpy.savez(file, **state)`` stores it.
-        """
-        return super().state()
 
     def _settings(self) -> dict[str, Array]:
         """Return what may be set of them."""

@@ -288,6 +288,18 @@ def long_held(left_out: np.ndarray, before: Array) -> np.ndarray:
     return np.logical_and.reduce([row[:, k : k + n] for k in range(_HELD)]).any(axis=1)
 
 
+# What is wrong with a window, in the order in which it is looked for.
+_WRONG: Final = (
+    "the residuals lie {level:.3g} off zero with a scatter of {scatter:.2g}: use offset=True",
+    f"of {_WINDOW} samples in a row the mean weight was {{weight:.2f}}: the filter takes ordinary samples for "
+    "outliers, since R={R:.3g} is too small or theta has not followed the plant; leave R out, let theta move (Q, "
+    "forgetting), or start anew",
+    f"{{guarded:.0f}} % of {_WINDOW} steps would have made the model unstable: the structure does not fit, or P and Q "
+    "allow steps that are too large",
+    "R went from {first:.3g} to {R:.3g}: theta does not follow the plant, or the sensor has changed",
+)
+
+
 def _judged(windows: Array, seen: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
     """Say what is wrong with the first window (n, k, ..) of each actuator that has something, of those to be judged."""
     residuals, weights, guard = np.moveaxis(windows, -1, 0)
@@ -297,28 +309,14 @@ def _judged(windows: Array, seen: np.ndarray, judged: np.ndarray, R: Array, firs
     off = (not has_offset) & (np.abs(level) > _OFFSET * scatter)
     with np.errstate(invalid="ignore"):
         wanders = ~((R / first > 1.0 / _WANDERING) & (R / first < _WANDERING))
-    wrong = judged & (off | (weight < _LEAST_WEIGHT) | (unstable > _MOST_GUARDED) | wanders[:, None])
+    faults = (off, weight < _LEAST_WEIGHT, unstable > _MOST_GUARDED, np.broadcast_to(wanders[:, None], off.shape))
+    wrong = judged & np.stack(faults)
     news: News = []
-    for i in np.flatnonzero(wrong.any(axis=1)).tolist():
-        k = int(wrong[i].argmax())
-        if off[i, k]:
-            said = (
-                f"the residuals lie {level[i, k]:.3g} off zero with a scatter of {scatter[i, k]:.2g}: use offset=True"
-            )
-        elif weight[i, k] < _LEAST_WEIGHT:
-            said = (
-                f"of {_WINDOW} samples in a row the mean weight was {weight[i, k]:.2f}: the filter takes ordinary "
-                f"samples for outliers, since R={R[i]:.3g} is too small or theta has not followed the plant; leave R "
-                "out, let theta move (Q, forgetting), or start anew"
-            )
-        elif unstable[i, k] > _MOST_GUARDED:
-            said = (
-                f"{100 * unstable[i, k]:.0f} % of {_WINDOW} steps would have made the model unstable: the "
-                "structure does not fit, or P and Q allow steps that are too large"
-            )
-        else:
-            said = (
-                f"R went from {first[i]:.3g} to {R[i]:.3g}: theta does not follow the plant, or the sensor has changed"
-            )
-        news.append(Trouble(i, said))
+    for i in np.flatnonzero(wrong.any(axis=(0, 2))).tolist():
+        k = int(wrong[:, i].any(axis=0).argmax())
+        text = _WRONG[wrong[:, i, k].argmax()].format(
+            level=level[i, k], scatter=scatter[i, k], weight=weight[i, k], guarded=100 * unstable[i, k], R=R[i],
+            first=first[i],
+        )  # fmt: skip
+        news.append(Trouble(i, text))
     return news
