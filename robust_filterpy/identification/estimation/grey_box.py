@@ -10,21 +10,10 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.identification.estimation.disturbances import Explanation, Search, of_impulses
-from robust_filterpy.identification.estimation.prediction_error import (
-    Limits,
-    evidence_of_outputs,
-    minimised,
-    sandwich,
-)
-from robust_filterpy.identification.models.grey_box import (
-    GreyBox,
-    GreyBoxModel,
-    GreyRecording,
-    GreyResiduals,
-    require_functions,
-)
+from robust_filterpy.identification.estimation.prediction_error import Limits, evidence_of_outputs, minimised, sandwich
+from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel, GreyResiduals, require_functions
 from robust_filterpy.identification.models.noise import ROUNDING, Noise, Noises
-from robust_filterpy.identification.models.recording import ANY_TIMES, recorded, require_motion
+from robust_filterpy.identification.models.recording import ANY_TIMES, Recording, recorded, require_motion
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.influence.functions import Huber, Influence
 
@@ -46,14 +35,10 @@ def identified_grey_box(
     recording = recorded(ANY_TIMES, y, u, t=t)
     outputs, inputs, spans = recording.y, recording.u, recording.spans
     require_motion(outputs, inputs)
-    recordings = [GreyRecording(recording.times[part], outputs[part], inputs[part]) for part in spans]
-    require_functions(structure, recordings[0], structure.values)
-
-    def of(y: Array, u: Array) -> list[GreyRecording]:
-        return [one._replace(y=y[part], u=u[part]) for one, part in zip(recordings, spans, strict=True)]
+    require_functions(structure, recording, structure.values)
 
     def alone(model: GreyBoxModel, y: Array, u: Array) -> Array:
-        equations = GreyResiduals(structure, of(y, u), model.starts, False)
+        equations = GreyResiduals(structure, recording._replace(y=y, u=u), model.starts, False)
         equations.settled(model.theta)
         return equations.simulated(model.theta)
 
@@ -62,12 +47,12 @@ def identified_grey_box(
         first = np.concatenate([np.broadcast_to(levels[part.start], levels[part].shape) for part in spans])
         models = []
         for own in (levels, levels - first) if levels.any() else (levels,):
-            model, residual = _modelled(structure, of(outputs - own, u), influence)
+            model, residual = _modelled(structure, recording._replace(y=outputs - own, u=u), influence)
             models.append(Explanation(model, own, u, evidence_of_outputs(model.noise, residual, spans)))
         return max(models, key=lambda one: one.evidence)
 
     def starts(u: Array, plain: GreyBoxModel) -> list[Array]:
-        return [of_impulses(outputs, u, spans) if all(r.is_sampled for r in recordings) else alone(plain, outputs, u)]
+        return [of_impulses(outputs, u, spans) if recording.is_sampled else alone(plain, outputs, u)]
 
     search = Search(outputs, inputs, spans, find, alone, starts)
     best = search.best(trend)
@@ -79,12 +64,10 @@ def identified_grey_box(
     return replace(best.model, findings=(*recording.findings, *best.findings, *left), trends=trends)
 
 
-def _modelled(
-    structure: GreyBox, recordings: list[GreyRecording], influence: Influence | None
-) -> tuple[GreyBoxModel, Array]:
+def _modelled(structure: GreyBox, recording: Recording, influence: Influence | None) -> tuple[GreyBoxModel, Array]:
     """Return the model of recordings as they are, and its residuals, NaN where an output is missing, shape (N, p)."""
-    starts = np.repeat(structure.x0[None], len(recordings), axis=0)
-    model = GreyResiduals(structure, recordings, starts, structure.start == "free")
+    starts = np.repeat(structure.x0[None], len(recording.spans), axis=0)
+    model = GreyResiduals(structure, recording, starts, structure.start == "free")
     if not model.settled(model.first):
         raise ValueError(
             "p0: expected first guesses with which f has finite outputs; the equations are unstable there, or too "
@@ -94,8 +77,7 @@ def _modelled(
     if rows.sum() < 2 * model.n:
         raise ValueError(f"y: expected at least {2 * model.n} measured samples, got {int(rows.sum())}")
     # Without noise R would end at 0.
-    outputs = np.concatenate([one.y for one in recordings])
-    least = np.maximum(ROUNDING**2 * np.nanstd(outputs, 0) ** 2, np.finfo(float).tiny)
+    least = np.maximum(ROUNDING**2 * np.nanstd(recording.y, 0) ** 2, np.finfo(float).tiny)
     noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), model.which)
     stage("search from the first guesses")
     limits = Limits(model.lower, model.upper)
@@ -108,7 +90,7 @@ def _modelled(
     parts = zip(learnt.parts, np.maximum(least, model.error**2).tolist(), strict=True)
     learnt = learnt._replace(parts=tuple(replace(one, least=low) for one, low in parts))
     end = minimised(model, end.p, learnt, rows, rows, limits=limits, precision=_NEARER)
-    residual = np.where(rows, end.residual, np.nan).reshape(outputs.shape)
+    residual = np.where(rows, end.residual, np.nan).reshape(recording.y.shape)
     return _as_model(structure, model, end, limits), residual
 
 

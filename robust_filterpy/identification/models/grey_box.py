@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,38 +18,15 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.noise import Noises, OutputResiduals
-from robust_filterpy.identification.models.recording import ANY_TIMES, columns_of, recorded
+from robust_filterpy.identification.models.recording import ANY_TIMES, Recording, columns_of, recorded
 from robust_filterpy.identification.models.results import Identified
-from robust_filterpy.identification.models.signals import Signals, TimeAxis, are_equal, held_input, trend_of
+from robust_filterpy.identification.models.signals import Signals, TimeAxis, held_input, trend_of
 from robust_filterpy.influence.regression import robust_regression
 
 _DIFFERENCE: Final = 1e-5
 _MOST_STEPS: Final = 128
 # Twice as many steps change an output by less than this share of its size.
 _ACCURATE: Final = 1e-4
-
-
-class GreyRecording(NamedTuple):
-    """One recording.
-
-    Attributes
-    ----------
-    t : ndarray, shape (N,)
-        Times in s.
-    y : ndarray, shape (N, p)
-        Outputs, NaN where they are missing.
-    u : ndarray, shape (N, m)
-        Inputs.
-    """
-
-    t: Array
-    y: Array
-    u: Array
-
-    @property
-    def is_sampled(self) -> bool:
-        """Whether the samples are equally far apart."""
-        return are_equal(np.diff(self.t))
 
 
 class GreyResiduals(OutputResiduals):
@@ -61,26 +38,27 @@ class GreyResiduals(OutputResiduals):
     ----------
     structure : GreyBox
         The equations.
-    recordings : list of GreyRecording
-        What was recorded.
+    recording : Recording
+        What was recorded, with times.
     starts : ndarray, shape (n_recordings, n)
         States in the first samples.
     free_start : bool
         Whether these are free.
     """
 
-    def __init__(self, structure: GreyBox, recordings: list[GreyRecording], starts: Array, free_start: bool) -> None:
+    def __init__(self, structure: GreyBox, recording: Recording, starts: Array, free_start: bool) -> None:
         """Find out whether f takes columns."""
-        super().__init__([one.y for one in recordings])
-        self.structure, self.recordings, self.starts, self.free_start = structure, recordings, starts, free_start
+        self.recordings = [(recording.times[own], recording.y[own], recording.u[own]) for own in recording.spans]
+        super().__init__([y for _, y, _ in self.recordings])
+        self.structure, self.starts, self.free_start = structure, starts, free_start
         self._at, self._values = [structure.names.index(name) for name in structure.free_names], structure.values
         self.k = len(self._at)
         self.first = np.concatenate((self._values[self._at], starts.ravel() if free_start else []))
         self.size, self.n = np.where(self.first == 0.0, 1.0, np.abs(self.first)), self.first.size
         bounds = [structure.limits.get(name, (-np.inf, np.inf)) for name in structure.free_names]
         self.lower, self.upper = np.array([*bounds, *[(-np.inf, np.inf)] * (self.n - self.k)]).T
-        self._measured = np.nan_to_num(np.concatenate([one.y for one in recordings]))
-        self.steps, self._columns, self.error = 1, False, np.zeros(recordings[0].y.shape[1])
+        self._measured = np.nan_to_num(recording.y)
+        self.steps, self._columns, self.error = 1, False, np.zeros(self.outputs)
         self._columns = self._takes_columns()
 
     def settled(self, z: Array) -> bool:
@@ -175,7 +153,7 @@ class GreyResiduals(OutputResiduals):
 
     def _takes_columns(self) -> bool:
         """Tell whether f and h do with columns what they do one by one."""
-        p, x, u = self._whole(self.first[: self.k]), self.starts[0], self.recordings[0].u[0]
+        p, x, u = self._whole(self.first[: self.k]), self.starts[0], self.recordings[0][2][0]
         sizes = np.array([1.0, 1.01, 1.0])
         for function in (self.structure.f, self.structure.h):
             single = np.stack([self._of(function, size * x, u, size * p) for size in sizes], axis=1)
@@ -188,7 +166,7 @@ class GreyResiduals(OutputResiduals):
         return True
 
 
-def require_functions(structure: GreyBox, one: GreyRecording, p: Array) -> None:
+def require_functions(structure: GreyBox, one: Recording, p: Array) -> None:
     """Raise unless f and h take the inputs of a recording and return what they should."""
     for name, function, size in (("f", structure.f, structure.x0.size), ("h", structure.h, one.y.shape[1])):
         try:
@@ -377,13 +355,12 @@ class GreyBoxModel(Identified):
         """
         samples = np.zeros((np.size(t), len(self.noise)))
         signal = None if u is None else held_input(Signals(columns_of("u", u).shape[1], 0), u, np.zeros(0))
-        given = recorded(ANY_TIMES, samples, signal, t=t)
+        recording = recorded(ANY_TIMES, samples, signal, t=t)._replace(y=samples)
         start = self.starts[0] if x0 is None else np.atleast_1d(_checks.numbers("x0", x0))
         if start.shape != self.structure.x0.shape:
             raise ValueError(f"x0: expected {self.structure.x0.size} states, got shape {start.shape}")
-        recording = GreyRecording(given.times, samples, given.u)
         require_functions(self.structure, recording, np.array([*self.p.values()]))
-        model = GreyResiduals(self.structure, [recording], start[None], False)
+        model = GreyResiduals(self.structure, recording, start[None], False)
         if not model.settled(self.theta):
             raise ValueError(_UNSETTLED)
         return model.simulated(self.theta)
@@ -422,11 +399,11 @@ class GreyBoxModel(Identified):
         count, free = given.y.shape[1], self.structure.start == "free"
         if count != len(self.noise):
             raise ValueError(f"y: expected {len(self.noise)} output(s), as the model has, got {count}")
-        recording = GreyRecording(given.times, given.y - trend_of(self.trends, given.y), given.u)
+        recording = given._replace(y=given.y - trend_of(self.trends, given.y))
         require_functions(self.structure, recording, np.array([*self.p.values()]))
         ends: list[Any] = []
         for start in (*self.starts, self.structure.x0) if free else (self.structure.x0,):
-            model = GreyResiduals(self.structure, [recording], start[None], free)
+            model = GreyResiduals(self.structure, recording, start[None], free)
             z = np.concatenate((self.theta, start if free else []))
             if model.settled(z):
                 noise = Noises(self.noise, model.which)

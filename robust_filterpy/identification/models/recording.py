@@ -25,6 +25,7 @@ from robust_filterpy.identification.models.results import Finding, of_fill_value
 from robust_filterpy.identification.models.signals import (
     Signals,
     TimeAxis,
+    are_equal,
     are_several,
     held,
     measured_output,
@@ -218,6 +219,11 @@ class Recording(NamedTuple):
     axis: TimeAxis
     times: Array
     findings: tuple[Finding, ...]
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the times of samples are equally far apart."""
+        return all(are_equal(np.diff(self.times[part])) for part in self.spans)
 
 
 def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None, t: Any = None) -> Recording:

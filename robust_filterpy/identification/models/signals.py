@@ -276,7 +276,7 @@ def recording(structure: Any, /, **signals: Any) -> tuple[Any, ...]:
     return TimeAxis(index, dt), *plain
 
 
-def table(columns: dict[Any, Any], index: Any = None, name: str | None = None) -> Any:
+def table(columns: Any, index: Any = None, name: str | None = None) -> Any:
     """Return a pandas DataFrame."""
     try:
         import pandas as pd

@@ -291,7 +291,7 @@ def inputs(structure: Structure, u: Any, n: int, length: int | None = None) -> A
             f"u: expected shape {forms[0]} for all or {forms[1]} for {structure} and n={n}, got {described(signal)}"
         )
     if not _have_squares(values):
-        require_finite(values, lambda bad: _where(np.broadcast_to(bad, (*time, n, width)).any(axis=-1)))
+        require_finite(values, lambda bad: _where(np.asarray(np.broadcast_to(bad, (*time, n, width)).any(axis=-1))))
     if values.shape != (*time, n, width):
         values = np.broadcast_to(values, (*time, n, width))
     return values if time else values.copy()

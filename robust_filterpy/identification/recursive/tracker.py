@@ -412,8 +412,8 @@ class ParameterTracker(Following, PolynomialSystem):
         LinAlgError
             If the filter refuses the sample; nothing has changed then.
         """
-        *others, guard = self._updated(y, u, R)[0].tolist()
-        return Sample(*others, int(guard))
+        prediction, residual, weight, guard = self._updated(y, u, R)[0].tolist()
+        return Sample(prediction, residual, weight, int(guard))
 
     def run(
         self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, progress: bool | None = None
@@ -880,8 +880,8 @@ class TrackerBank(Following):
         LinAlgError
             If a filter refuses its sample; no actuator has changed then.
         """
-        *others, guard = self._updated(y, u, R).T
-        return Sample(*others, guard.astype(np.int64))
+        prediction, residual, weight, guard = self._updated(y, u, R).T
+        return Sample(prediction, residual, weight, guard.astype(np.int64))
 
     def run(
         self,
