@@ -34,22 +34,14 @@ from scipy.signal import lfilter
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import Contaminated
-from robust_filterpy.identification.models import regressor
+from robust_filterpy.identification.models import regressor, signals
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import Identified, coloured, said, signals_of
-from robust_filterpy.identification.models.signals import (
-    TimeAxis,
-    held_input,
-    measured_output,
-    recorded_input,
-    recorded_output,
-    recording,
-    trend_of,
-)
+from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale, robust_regression
@@ -361,7 +353,7 @@ class Model(PolynomialSystem, Identified):
         True
         """
         axis, _, u = signals_of(self, None, u)
-        signal, at_point = held_input(self.structure, u, self.operating_point), 0.0
+        signal, at_point = signals.held_input(self.structure, u, self.operating_point), 0.0
         layout = Layout(self.structure)
         if self.operating_point.any() and isinstance(start, str) and start == "rest":
             # From the start: an input of 1e8 with motion of 1 on it is not switched on in the first sample.
@@ -377,7 +369,7 @@ class Model(PolynomialSystem, Identified):
         axis, y, u = signals_of(self, y, u, t)
         measured, (recorded, seen) = self._measured(y, u)[0], self.prepared(y, u)
         output = self._predicted(recorded, seen, steps) if steps else self._from_inputs(recorded, seen)
-        return axis, measured, output + trend_of(self.trends, measured)
+        return axis, measured, output + signals.trend_of(self.trends, measured)
 
     def _predicted(self, model: PolynomialModel, seen: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
@@ -410,7 +402,7 @@ class Model(PolynomialSystem, Identified):
             If y or u does not fit, or is too short for one regressor.
         """
         output, signal = self._measured(y, u)
-        output = output - trend_of(self.trends, output)
+        output = output - signals.trend_of(self.trends, output)
         seen = ~np.isnan(output)
         model = PolynomialModel(self.structure, np.where(seen, output, self.level), signal, True)
         if output.size <= model.first:
@@ -447,8 +439,8 @@ class Model(PolynomialSystem, Identified):
 
     def _measured(self, y: Any, u: Any) -> tuple[Array, Array]:
         """Return a checked output, NaN where it is no measurement, and the inputs."""
-        output = measured_output(y)
-        signal = recorded_input(self.structure, u, output.size)
+        output = signals.measured_output(y)
+        signal = signals.recorded_input(self.structure, u, output.size)
         return measurements(output, signal)[0], signal
 
     def _memory_at(self, start: Any, layout: Layout) -> Memory:
@@ -511,9 +503,9 @@ def as_model(name: str, given: Any, y: Any, u: Any) -> Model:
     if not nb:
         raise ValueError(f"{name}: expected a transfer function that is not 0, got {given}")
     structure = OutputError(na, nb, nk)
-    axis, y, u = recording(structure, y=y, u=u)
-    measured = recorded_output(y)
-    n, signal = structure.n_theta, recorded_input(structure, u, measured.size)
+    axis, y, u = signals.recording(structure, y=y, u=u)
+    measured = signals.recorded_output(y)
+    n, signal = structure.n_theta, signals.recorded_input(structure, u, measured.size)
     period = None if given.dt is True else float(given.dt)
     axis.require_period(period)
     model = Model(

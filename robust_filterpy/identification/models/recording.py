@@ -21,19 +21,9 @@ import numpy as np
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
+from robust_filterpy.identification.models import signals
 from robust_filterpy.identification.models.results import Finding, of_fill_values
-from robust_filterpy.identification.models.signals import (
-    Signals,
-    TimeAxis,
-    are_equal,
-    are_several,
-    held,
-    measured_output,
-    measured_outputs,
-    recorded_input,
-    recording,
-    require_squares,
-)
+from robust_filterpy.identification.models.signals import Signals, TimeAxis, are_equal, are_several, held
 from robust_filterpy.identification.models.structures import Structure, input_columns
 
 # A number that so many samples have, and such a share of them or in a row, is often; the others differ if this share of
@@ -234,7 +224,7 @@ def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None,
     axes: list[TimeAxis] = []
     parts, findings, times = [], [], [np.zeros(0)]
     for i, (one, other, when) in enumerate(recordings):
-        axis, one, other = recording(structure, y=one, u=other)
+        axis, one, other = signals.recording(structure, y=one, u=other)
         if axes:
             axis.require_period(axes[0].dt)
         axes.append(axis)
@@ -318,15 +308,15 @@ def _as_columns(structure: Structure | Signals, y: Any, u: Any, i: int) -> tuple
         output = columns_of("y", y)
         for j in np.flatnonzero(np.isnan(output).all(axis=0)):
             raise ValueError(f"y: expected some measured samples of output {j} in recording {i}, got none")
-        output = measured_outputs(output, output.shape[1])
+        output = signals.with_squares(output)
         structure = Signals(0 if u is None else columns_of("u", u).shape[1], output.shape[1])
     else:
-        output = measured_output(y)[:, None]
-    require_squares(output)
+        output = signals.measured_output(y)[:, None]
+    signals.require_squares(output)
     if u is None or not structure.n_inputs:
-        return output, recorded_input(structure, u, len(output))
+        return output, signals.recorded_input(structure, u, len(output))
     signal = input_columns("u", u, structure.n_inputs)
-    recorded_input(structure, np.where(np.isnan(signal), 0.0, signal), len(output))
+    signals.recorded_input(structure, np.where(np.isnan(signal), 0.0, signal), len(output))
     return output, signal
 
 

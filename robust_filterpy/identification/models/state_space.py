@@ -19,19 +19,13 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models import signals
 from robust_filterpy.identification.models.noise import Noises, OutputResiduals
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import period
 from robust_filterpy.identification.models.responses import System
 from robust_filterpy.identification.models.results import Identified, signals_of
-from robust_filterpy.identification.models.signals import (
-    Signals,
-    TimeAxis,
-    held_input,
-    measured_outputs,
-    recorded_input,
-    trend_of,
-)
+from robust_filterpy.identification.models.signals import Signals, TimeAxis
 from robust_filterpy.influence.regression import robust_regression
 
 if TYPE_CHECKING:
@@ -168,10 +162,10 @@ class StateSpaceResiduals(OutputResiduals):
         own = self.shared + i * (self.outputs + self.order)
         return np.concatenate((np.arange(self.shared), np.arange(own, own + self.outputs + self.order)))
 
-    def _by_entries(self, rows: int, **signals: Array) -> Array:
+    def _by_entries(self, rows: int, **multiplied: Array) -> Array:
         """Return the derivatives of M v by the entries of each matrix M, for signals v, shape (N, rows, columns)."""
-        columns = np.zeros((len(next(iter(signals.values()))), rows, self.shared + self.outputs + self.order))
-        for name, signal in signals.items():
+        columns = np.zeros((len(next(iter(multiplied.values()))), rows, self.shared + self.outputs + self.order))
+        for name, signal in multiplied.items():
             width = self.shapes[name][1]
             for j in range(rows if width else 0):
                 columns[:, j, self.places[name].start + width * j + np.arange(width)] = signal
@@ -431,7 +425,7 @@ class StateSpaceModel(System, Identified):
             If u or start does not fit.
         """
         axis, _, u = signals_of(self, None, u)
-        signal = held_input(self._signals, u, self.operating_point) - self.operating_point
+        signal = signals.held_input(self._signals, u, self.operating_point) - self.operating_point
         x = np.zeros(len(self.A))
         if isinstance(start, tuple) and len(start) == 2:
             _, _, began, q = self.started(*start)
@@ -450,10 +444,10 @@ class StateSpaceModel(System, Identified):
     ) -> tuple[Array, Array, StateSpaceResiduals, Array]:
         """Return a checked recording, its residuals and their free parameters, with the start that it tells."""
         _, y, u = signals_of(self, y, u, t)
-        outputs = measured_outputs(y, len(self.C))
-        u = recorded_input(self._signals, u, len(outputs))
+        outputs = signals.measured_outputs(y, len(self.C))
+        u = signals.recorded_input(self._signals, u, len(outputs))
         y, u = measurements(outputs, u)[0], u - self.operating_point
-        model = self._residuals(y - trend_of(self.trends, y), u)
+        model = self._residuals(y - signals.trend_of(self.trends, y), u)
         q, n, rows = self._packed(model, np.zeros(len(self.A))), len(self.A), model.rows
         noise = Noises(self.noise, model.which)
         if alone:
@@ -491,4 +485,4 @@ class StateSpaceModel(System, Identified):
         for _ in range(min(steps, len(signal)) - 1):
             x = np.concatenate((x[:1], x[:-1] @ self.A.T + signal[:-1] @ self.B.T))
         output = x @ self.C.T + signal @ self.D.T + self.level
-        return axis, measured, output + trend_of(self.trends, measured)
+        return axis, measured, output + signals.trend_of(self.trends, measured)
