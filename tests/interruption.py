@@ -10,28 +10,31 @@ import robust_filterpy
 PACKAGE = robust_filterpy.__path__[0]
 
 
-def interrupted(call, line):
-    """Call, and raise KeyboardInterrupt before that line of the package is run; tell whether it fell into the call."""
+def interrupted(call, at, calls=False):
+    """Call, and raise KeyboardInterrupt before that line of the package is run; tell whether it fell into the call.
+
+    With `calls` only where Python itself looks for signals: after so many calls and returns.
+    """
     count = 0
 
     def trace(frame, event, arg):
         nonlocal count
         if not frame.f_code.co_filename.startswith(PACKAGE):
             return None
-        if event == "line":
+        if calls or event == "line":
             count += 1
-            if count == line:
+            if count == at:
                 raise KeyboardInterrupt
         return trace
 
-    before = sys.gettrace()
-    sys.settrace(trace)
+    before, settle = (sys.getprofile(), sys.setprofile) if calls else (sys.gettrace(), sys.settrace)
+    settle(trace)
     try:
         call()
     except KeyboardInterrupt:
         return True
     finally:
-        sys.settrace(before)
+        settle(before)
     return False
 
 

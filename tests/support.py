@@ -114,6 +114,14 @@ def make(cls, problem, ndim=2, **choices):
     return load(cls(*problem.dims, **choices), problem, ndim)
 
 
+def states(F, w, x=0.0):
+    """The states of x_k = F x_(k-1) + w_k, shape of w, from x before them."""
+    path, x = np.empty_like(w), x * np.ones(len(F))
+    for k, noise in enumerate(w):
+        path[k] = x = F @ x + noise
+    return path
+
+
 def simulate(problem, n, seed, contamination=0.0, size=100.0):
     """Return n measurements (n, dim_z) of the problem, and which components are outliers."""
     rng = np.random.default_rng(seed)
@@ -121,10 +129,7 @@ def simulate(problem, n, seed, contamination=0.0, size=100.0):
     w = rng.multivariate_normal(np.zeros(dim_x), problem.Q, n)
     v = rng.multivariate_normal(np.zeros(dim_z), problem.R, n)
     bad = rng.random((n, dim_z)) < contamination
-    x, z = problem.x[:, 0], np.empty((n, dim_z))
-    for k in range(n):
-        x = problem.F @ x + w[k]
-        z[k] = problem.H @ x + v[k]
+    z = states(problem.F, w, problem.x[:, 0]) @ problem.H.T + v
     return z + bad * size * rng.choice([-1.0, 1.0], (n, dim_z)), bad
 
 
@@ -341,10 +346,10 @@ def assert_same_state(robust, plain, names=(*STATE, "y", "K", "S", "SI"), rtol=1
         assert_close(getattr(robust, name), getattr(plain, name), rtol, name)
 
 
-def predict_and_update(kf, z):
-    """Take the usual step."""
+def predict_and_update(kf, z, **of_call):
+    """Take the usual step, with what is passed to the update."""
     kf.predict()
-    kf.update(z)
+    kf.update(z, **of_call)
 
 
 def through(kf, zs):

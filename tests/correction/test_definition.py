@@ -11,16 +11,6 @@ from robust_filterpy.correction.options import Choices, typical_length
 pytestmark = pytest.mark.core
 
 
-def problem(n, m, seed):
-    """A prior, and an innovation's moments with R that correlates the sensors."""
-    rng = np.random.default_rng(seed)
-    A, B, H = rng.normal(size=(n, n)), rng.normal(size=(m, m)), rng.normal(size=(m, n))
-    x, P, R = rng.normal(size=n), A @ A.T + np.eye(n), B @ B.T + 0.5 * np.eye(m)
-    C, S = innovation_moments(P, H, R)
-    y = np.linalg.cholesky(S) @ rng.normal(size=m)
-    return x, P, y, C, S
-
-
 def test_the_threshold_is_in_units_of_the_spread():
     one = np.eye(1)
     plain = correct(np.zeros(1), one, np.array([6.0]), one, 2.0 * one)

@@ -10,7 +10,7 @@ from filterpy.common import Saver
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from scipy import stats
 from statsmodels.stats.diagnostic import acorr_ljungbox
-from support import by_night, of_matrices
+from support import by_night, of_matrices, predict_and_update, states
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -36,12 +36,9 @@ R = np.diag([0.3, 0.1])
 def world(seed, sensors=2, contamination=0.05, memory=0.0, coupling=0.0, Q=Q, jump=0.0):
     """Draw a moving point and its position (and velocity) with outliers."""
     rng = np.random.default_rng(seed)
-    x = np.zeros((N, 2))
-    root = np.linalg.cholesky(Q)
-    for k in range(1, N):
-        x[k] = F @ x[k - 1] + root @ rng.normal(size=2)
-        if k == 300:
-            x[k, 0] += jump
+    w = np.vstack([np.zeros(2), rng.normal(size=(N - 1, 2)) @ np.linalg.cholesky(Q).T])
+    w[300, 0] += jump
+    x = states(F, w)
     noise = rng.normal(size=(N, 2)) @ np.linalg.cholesky([[1.0, coupling], [coupling, 1.0]]).T
     for k in range(1, N):
         noise[k] = memory * noise[k - 1] + np.sqrt(1 - memory**2) * noise[k]
@@ -151,8 +148,7 @@ def test_a_saver_and_filterpys_filter_are_diagnosed_in_words_with_the_factor_and
     assert str(diagnose(kf, zs)) == expected and repr(kf) == before
     saver = Saver(kf)
     for z in zs:
-        kf.predict()
-        kf.update(z)
+        predict_and_update(kf, z)
         saver.save()
     assert str(diagnose(saver)) == expected
     saver.to_array()

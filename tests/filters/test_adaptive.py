@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from support import cart, make, of_matrices, random_problem, simulate, through, with_
+from support import cart, make, of_matrices, predict_and_update, random_problem, simulate, states, through, with_
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, Learnt, RobustKalmanFilter
 from robust_filterpy.correction import Scales
-
-ORDINARY = {"process": Scales((1.0,), jump=1e-9)}
 
 
 def moving(seed, n, label=1.0, R=1.0, Q=1.0):
@@ -16,9 +14,7 @@ def moving(seed, n, label=1.0, R=1.0, Q=1.0):
     rng = np.random.default_rng(seed)
     w = 0.1 * rng.standard_normal(n)
     problem = with_(cart(), Q=Q * 0.01 * np.array([[0.25, 0.5], [0.5, 1.0]]), R=np.array([[R]]), P=10.0 * np.eye(2))
-    x, truth = np.zeros(2), np.empty((n, 2))
-    for k in range(n):
-        x = truth[k] = problem.F @ x + w[k] * np.array([0.5, 1.0])
+    truth = states(problem.F, np.outer(w, [0.5, 1.0]))
     return problem, truth, truth[:, 0] + label * rng.standard_normal(n)
 
 
@@ -69,8 +65,7 @@ def test_a_jump_of_the_whole_state_is_believed(size, path):
 def test_what_is_shown_where_s_is_singular_to_rounding(sensors):
     """Sensors are taken one after the other, so that nothing was refused; only what is shown needs an inverse of S."""
     kf = of_matrices(AdaptiveKalmanFilter, 1.0, np.ones((sensors, 1)), P=1e18)
-    kf.predict()
-    kf.update(np.full(sensors, 5.0))
+    predict_and_update(kf, np.full(sensors, 5.0))
     assert kf.x.item() == pytest.approx(5.0)
     for name in ("weights", "clipped", "e", "S", "SI", "K", "mahalanobis", "y_bounded"):
         assert np.isfinite(getattr(kf, name)).all(), name
@@ -136,8 +131,7 @@ def test_sensors_may_join_and_another_grouping_starts_to_learn_anew(form):
     through(kf, zs[:, :1])
     width = kf.learnt.shape[1]
     for m, most in ((2, 2), (3, 3), (1, 3)):
-        kf.predict()
-        kf.update(zs[0, :m], H=problem.H[:m], R=problem.R[:m, :m])
+        predict_and_update(kf, zs[0, :m], H=problem.H[:m], R=problem.R[:m, :m])
         assert kf.learnt.shape == (most, width)
     assert kf.R_learnt.shape == (1, 1)
     kf = make(AdaptiveKalmanFilter, problem, 1)
@@ -224,8 +218,7 @@ def test_what_nothing_couples_is_filtered_as_by_filters_of_their_own(options):
     apart_by = 0.0
     for z in zs:
         for kf, part in zip(filters, (z, z[:1], z[1:]), strict=True):
-            kf.predict()
-            kf.update(part)
+            predict_and_update(kf, part)
         p, q = first.outlier_probability, second.outlier_probability
         assert both.outlier_probability == pytest.approx(1.0 - (1.0 - p) * (1.0 - q), rel=1e-6, abs=1e-10)
         apart_by = max(apart_by, both.outlier_probability - max(p, q))
@@ -248,8 +241,7 @@ def test_a_start_that_is_doubted_stays_so_where_a_sensor_couples_two_parts(off):
         kf, noise = make(AdaptiveKalmanFilter, problem, 1), np.random.default_rng(seed).normal(size=(5, 2))
         for k in range(5):
             H = np.array([[1.0, 1.0], [1.0, -1.0]]) if k == 1 else np.eye(2)
-            kf.predict()
-            kf.update(H @ off + noise[k], H=H)
+            predict_and_update(kf, H @ off + noise[k], H=H)
             assert k < 2 or np.abs(np.ravel(kf.x) - off).max() < 4.0
 
 
@@ -285,8 +277,7 @@ def test_a_jump_that_nothing_confirms_does_not_show(path, wild):
     kf = make(AdaptiveKalmanFilter, cart(), 1)
     through(kf, 0.1 * np.arange(100) + np.random.default_rng(0).normal(size=100))
     before, P = np.ravel(kf.x).copy(), kf.P.copy()
-    kf.predict()
-    kf.update(before[0] + wild)
+    predict_and_update(kf, before[0] + wild)
     assert np.abs(np.ravel(kf.x) - before).max() < 1.0
     assert kf.P[0, 0] < 5.0 * P[0, 0]
 
@@ -294,7 +285,6 @@ def test_a_jump_that_nothing_confirms_does_not_show(path, wild):
 def test_sensors_that_fail_together_have_one_noise_whatever_H_is_passed():
     kf = of_matrices(AdaptiveKalmanFilter, 1.0, np.eye(2), 0.01, 0.1, grouping="joint")
     for k, z in enumerate(np.random.default_rng(0).normal(size=20)):
-        kf.predict()
-        kf.update(z, R=0.1, H=kf.H[[k % 2]])
+        predict_and_update(kf, z, R=0.1, H=kf.H[[k % 2]])
         assert kf.learnt.shape[0] == 1
     kf.restore(kf.state())

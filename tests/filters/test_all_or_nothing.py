@@ -68,8 +68,7 @@ def test_a_saver_a_psi_or_a_step_of_ones_own_that_fails_leaves_the_filter_of_bef
     options = {"influence": FailingPsi()} if cls is FailingPsi else {}
     monkeypatch.setattr(FailingPsi, "fails", staticmethod(lambda: None))
     kf = support.make(RobustKalmanFilter if options else cls, support.random_problem(3, 3, 2), **options)
-    kf.predict()
-    kf.update([0.3, 0.1])
+    support.predict_and_update(kf, [0.3, 0.1])
     fails, saver = raising(error, 3), None
     if cls in (Tracker, FailingPsi):
         monkeypatch.setattr(cls, "fails", staticmethod(fails))

@@ -38,8 +38,7 @@ Z = np.array([0.1, 0.2])
 def started(ndim=2, **choices):
     """A filter with dim_x=4, dim_z=2, dim_u=1 in the middle of its work."""
     kf = support.make(RobustKalmanFilter, support.random_problem(61, 4, 2, dim_u=1), ndim, **choices)
-    kf.predict()
-    kf.update(Z)
+    support.predict_and_update(kf, Z)
     kf.predict()
     return kf
 

@@ -46,8 +46,7 @@ def another_height(kf, k):
     """dim_z is written anew between two calls."""
     other = support.random_problem(10, len(kf.x), 1 + k % 4)
     kf.dim_z, kf.H, kf.R = 1 + k % 4, other.H.copy(), other.R.copy()
-    kf.predict()
-    kf.update(np.arange(kf.dim_z) + 1.0)
+    support.predict_and_update(kf, np.arange(kf.dim_z) + 1.0)
 
 
 def one_input(kf, o, k):
@@ -180,8 +179,7 @@ def test_what_can_be_asked_without_a_step(ndim):
         support.assert_close(P, plain.P)
     support.load(plain, problem, ndim)
     for kf in (robust, plain):
-        kf.predict()
-        kf.update(z)
+        support.predict_and_update(kf, z)
     support.assert_close(robust.residual_of(z), plain.residual_of(z))
     support.assert_close(robust.measurement_of_state(plain.x), plain.measurement_of_state(plain.x))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
-from support import mover, through, white
+from support import mover, predict_and_update, through, white
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter
 from robust_filterpy.correction.spread import NUMBERS
@@ -16,8 +16,7 @@ stuck = pytest.mark.filterwarnings("ignore::robust_filterpy.filters.StuckSensorW
 
 
 def step(kf, z):
-    kf.predict()
-    kf.update(z)
+    predict_and_update(kf, z)
     return kf.x[0, 0]
 
 

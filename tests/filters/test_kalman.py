@@ -182,9 +182,7 @@ def test_every_path_bounds_the_correction(path, ndim, policy):
     problem, states, (kind, options) = support.random_problem(26, 4, 2), [], POLICIES[policy]
     for size in (1e6, 1e12, 1e300):
         kf = support.make(kind, problem, ndim, **options)
-        for z in support.simulate(problem, 5, 1)[0]:
-            kf.predict()
-            kf.update(z)
+        support.through(kf, support.simulate(problem, 5, 1)[0])
         PATHS[path](kf, [size, -size])
         states.append((np.ravel(kf.x), kf.P))
         support.assert_positive_definite(kf.P)
@@ -245,7 +243,6 @@ def test_a_first_innovation_of_rounding_is_not_typical(first):
 def test_the_first_innovation_is_a_typical_one():
     kf = RobustKalmanFilter(1, 1)
     kf.H[:] = 1.0
-    kf.predict()
-    kf.update(3.0)
+    support.predict_and_update(kf, 3.0)
     # A median of a single |e| with S = 3, in units of a normal deviation.
     assert kf.spread == pytest.approx([3.0 / np.sqrt(3.0) / scipy.stats.norm.ppf(0.75)])

@@ -185,8 +185,7 @@ def test_members_of_a_robust_ensemble_spread_as_P_says(choices):
         np.zeros(2), np.eye(2), 2, 1.0, size, lambda x: x + [0.0, 0.5 * x[0]], lambda x, dt: x,
         rng=np.random.default_rng(0), **choices,
     )  # fmt: skip
-    kf.predict()
-    kf.update([4.0, 0.3])
+    support.predict_and_update(kf, [4.0, 0.3])
     error = 5.0 * np.sqrt(2.0 / size) * np.abs(kf.P).max()
     np.testing.assert_allclose(np.cov(kf.sigmas.T), kf.P, atol=error)
     np.testing.assert_allclose(kf.sigmas.mean(axis=0), kf.x, atol=1e-10)
@@ -194,9 +193,7 @@ def test_members_of_a_robust_ensemble_spread_as_P_says(choices):
 
 def test_an_outlier_does_not_carry_the_ensemble_away():
     kf = ensemble(ours, N=200, rng=np.random.default_rng(1))
-    for z in (0.1, 0.2, 1e6, 0.4, np.nan, 0.6):
-        kf.predict()
-        kf.update(np.array([z]))
+    support.through(kf, np.array([[0.1], [0.2], [1e6], [0.4], [np.nan], [0.6]]))
     assert abs(kf.x[0] - 0.6) < 1.5
     for bad in (np.inf, [1.0, 2.0]):
         before = kf.sigmas.copy()

@@ -62,8 +62,7 @@ def test_a_missing_component_is_a_sensor_that_is_not_there(method, ndim, scaling
 ])  # fmt: skip
 def test_nothing_is_no_measurement_in_every_form(ndim, method, m, nothing):
     kf = robust(ndim, support.random_problem(41, 4, m))
-    kf.predict()
-    kf.update([0.1, 200.0, 0.3][-m:])
+    support.predict_and_update(kf, [0.1, 200.0, 0.3][-m:])
     kf.predict()
     before = support.snapshot(kf, ("x", "P", "K", "S", "SI", "T", "x_prior", "P_prior"))
     getattr(kf, method)(nothing)
@@ -80,8 +79,7 @@ def test_nothing_is_no_measurement_in_every_form(ndim, method, m, nothing):
 @pytest.mark.parametrize("ndim", NDIMS)
 def test_steady_state_and_blocks_use_the_components_that_are_there(ndim):
     kf = robust(ndim, influence=Linear())
-    kf.predict()
-    kf.update([0.1, 0.2, 0.3])
+    support.predict_and_update(kf, [0.1, 0.2, 0.3])
     kf.predict_steadystate()
     x, gain = kf.x.copy(), kf.K.copy()
     kf.update_steadystate([0.5, NAN, 0.7])

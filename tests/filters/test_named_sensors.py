@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from support import Extended, cart, load, of_matrices
+from support import Extended, cart, load, of_matrices, predict_and_update
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, _state
 from robust_filterpy.correction.spread import SPREAD
@@ -97,8 +97,7 @@ def test_vectors_of_other_heights_by_their_names():
     kf = load(AdaptiveKalmanFilter(2, 1), cart())
     g = np.random.default_rng(0)
     for _ in range(300):
-        kf.predict()
-        kf.update(4.0 * g.normal(), sensor="one")
+        predict_and_update(kf, 4.0 * g.normal(), sensor="one")
         kf.update(g.normal(size=2) * [1.0, 0.1], R=np.eye(2), H=np.eye(2), sensor="both")
     known = kf.sensors_learnt
     assert known["one"].r.shape == (1,) and known["both"].r.shape == (2,)
@@ -114,8 +113,7 @@ def test_an_hx_with_an_argument_of_that_name_has_it_too():
 
     kf = of_matrices(RobustUnscentedKalmanFilter, F, H, noise="learnt")
     kf.hx = measured
-    kf.predict()
-    kf.update(1.0, sensor="gps")
+    predict_and_update(kf, 1.0, sensor="gps")
     assert set(handed) == {"gps"} and list(kf.sensors_learnt) == ["gps"]
     # What is no name is hx's alone, as in filterpy.
     kf.update(1.0, sensor=(3.0, 4.0))

@@ -140,8 +140,7 @@ def test_sensors_that_take_turns_are_told_apart_by_their_rows(path):
     rng, rows, sigma = np.random.default_rng(3), (np.array([[1.0, 0.0]]), np.array([[1.0, 1e-9]])), (5.0, 0.1)
     kf = of_matrices(RobustKalmanFilter, 1.0, [[0.0, 1.0]], 1e-6)
     for k in range(400):
-        kf.predict()
-        kf.update(sigma[k % 2] * rng.normal(), H=rows[k % 2])
+        support.predict_and_update(kf, sigma[k % 2] * rng.normal(), H=rows[k % 2])
     spreads = [kf._prior(1, row).memory[0, 1] for row in rows]
     assert spreads[0] / spreads[1] == pytest.approx(50.0, rel=0.4)
 
@@ -248,9 +247,8 @@ def driven(seen, sensors=1):
     """A position whose speed white noise moves, and what the sensors make of it and of their noise."""
 
     def drawn(g):
-        x, (F, Q) = np.zeros((400, 2)), support.white(1.0, 1e-2)
-        for k in range(1, 400):
-            x[k] = F @ x[k - 1] + g.multivariate_normal(np.zeros(2), Q)
+        F, Q = support.white(1.0, 1e-2)
+        x = support.states(F, np.vstack([np.zeros(2), g.multivariate_normal(np.zeros(2), Q, 399)]))
         zs = seen(x[:, :1], g.normal(size=(400, sensors)))
         return lambda kind: mover(kind, H=[[1.0, 0.0]] * sensors, q=1e-2), x[:, :1], zs
 

@@ -21,6 +21,7 @@ from support import (
     of_matrices,
     polar,
     polar_jacobian,
+    predict_and_update,
     random_problem,
     simulate,
     with_,
@@ -352,8 +353,7 @@ def test_what_curvature_adds_to_the_innovation_is_no_noise():
     kf.hx = np.square
     for _ in range(1500):
         x = 0.5 * x + rng.normal()
-        kf.predict()
-        kf.update(np.array([x**2 + 0.2 * rng.normal()]))
+        predict_and_update(kf, np.array([x**2 + 0.2 * rng.normal()]))
         excess.append(kf.S[0, 0] / 0.04)
     assert np.median(excess) > 10.0
     assert kf.R_learnt[0, 0] < 2.0 * 0.04

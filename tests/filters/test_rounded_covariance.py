@@ -1,11 +1,11 @@
 """States that no sensor sees grow until what a sensor sees of P drowns in rounding: filterpy goes on there."""
 
-import warnings
 
 import numpy as np
 import pytest
 from filterpy.common import kinematic_kf
-from support import Extended
+from recordings import unheard
+from support import Extended, predict_and_update, through
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustFilterWarning, RobustKalmanFilter
 from robust_filterpy.influence import Linear
@@ -27,11 +27,9 @@ def test_a_sum_of_chains_is_followed_with_a_warning(make, dim, order, dt):
     if not hasattr(kf, "H"):
         kf.H = np.zeros((1, kf.dim_x))
     kinematic_kf(dim=dim, order=order, dt=dt, kf=kf)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RobustFilterWarning)
+    with unheard(RobustFilterWarning):
         for k in range(150):
-            kf.predict()
-            kf.update(np.array([float(k)]))
+            predict_and_update(kf, np.array([float(k)]))
             assert np.isfinite(kf.x).all()
         assert kf.H @ kf.x == pytest.approx(k, abs=5.0)
         for z in range(100) if make is MAKERS["linear"] and dim == 7 else ():
@@ -46,7 +44,5 @@ def test_it_is_said_once(recwarn):
 
     for _ in range(2):
         kf = kinematic_kf(dim=7, order=5, kf=Mine(42, 1, influence=Linear()))
-        for k in range(120):
-            kf.predict()
-            kf.update([k])
+        through(kf, range(120))
     assert [str(w.message)[:40] for w in recwarn] == ["Mine: H P H' is negative by rounding, si"]

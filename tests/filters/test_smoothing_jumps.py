@@ -39,8 +39,7 @@ def test_it_is_filterpys_smoother_with_Q_times_the_scale_of_each_step(kind):
     without = by_kernel.rts_smoother(*by_kernel.batch_filter(list(zs), Rs=Rs)[:2])
     scales, states, spreads = [], [], []
     for z, R in zip(zs, Rs, strict=True):
-        loop.predict()
-        loop.update(z, R=R)
+        support.predict_and_update(loop, z, R=R)
         scales.append(loop.process_scale)
         states.append(loop.x)
         spreads.append(loop.P)

@@ -76,8 +76,7 @@ class Calls(RuleBasedStateMachine):
         copies = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda kf: pickle.loads(pickle.dumps(kf))}
         other = copies[how](self.kf)
         for kf in (other, self.kf):
-            kf.predict()
-            kf.update([0.5, -0.5])
+            support.predict_and_update(kf, [0.5, -0.5])
         np.testing.assert_array_equal(other.x, self.kf.x)
         np.testing.assert_array_equal(other.P, self.kf.P)
         self.kf = other

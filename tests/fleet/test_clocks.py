@@ -1,10 +1,11 @@
 """A device's clock that is wrong once, or is set: it costs a few rows, never the device, and is said."""
 
-import warnings
 
 import numpy as np
 import pandas as pd
 import pytest
+from recordings import silence
+from support import of_matrices
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.fleet import FilterModel, filter_table, step
@@ -14,8 +15,7 @@ BACK = "the clock was set"
 
 
 def model(dt=1.0, **more):
-    kf = RobustKalmanFilter(1, 1)
-    kf.H, kf.Q = np.eye(1), 0.01 * np.eye(1)
+    kf = of_matrices(RobustKalmanFilter, 1.0, [[1.0]], 0.01)
     return FilterModel(kf, time="t", measurements=["z"], dt=dt, **more)
 
 
@@ -87,6 +87,5 @@ def test_a_device_whose_clock_is_wrong_is_named_among_others():
     ):
         filter_table(model(), table)
     table.loc[table.device == "c", "t"] = t
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         assert filter_table(model(), table)["error"].isna().all()

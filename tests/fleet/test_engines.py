@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from support import of_matrices
 
 from robust_filterpy import ARX, RobustKalmanFilter
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, step
@@ -17,8 +18,7 @@ pytestmark = pytest.mark.engines
 
 
 def model():
-    kf = RobustKalmanFilter(2, 1)
-    kf.F, kf.H, kf.Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.eye(2)
+    kf = of_matrices(RobustKalmanFilter, [[1.0, 0.1], [0.0, 1.0]], [[1.0, 0.0]], 0.01)
     return FilterModel(kf, measurements=["z"], time="t", dt=1.0)
 
 

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
-from support import RECOVERING, Extended, noise_given, of_matrices, recovering, two_sided
+from support import RECOVERING, Extended, noise_given, of_matrices, predict_and_update, recovering, two_sided
 
 from robust_filterpy import (
     ARX,
@@ -90,8 +90,7 @@ def advance(kf, z):
     if isinstance(kf, FixedLagSmoother):
         kf.smooth(z)
         return [kf.x, kf.P, kf.weights, *kf.xSmooth[-5:]]
-    kf.predict()
-    kf.update(z)
+    predict_and_update(kf, z)
     shown = [np.asarray(getattr(kf, name)) for name in ("x", "P", "y", "S", "weights", "log_likelihood")]
     return [*shown, *(np.asarray(getattr(kf, name, 0.0)) for name in ("outlier_probability", "process_scale"))]
 

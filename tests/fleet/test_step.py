@@ -3,14 +3,14 @@
 import copy
 import itertools
 import pickle
-import warnings
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from recordings import same, silence, unheard
 from scipy.signal import lfilter
-from support import of_matrices, two_sided
+from support import of_matrices, predict_and_update, two_sided
 from test_state import FILTERS, F, H, extended, observe, recording, signals
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
@@ -26,20 +26,10 @@ def jacobian(x):
     return H
 
 
-def unscented():
-    """A sigma-point filter whose functions a worker can import."""
-    return FILTERS["unscented"]()
-
-
 MODELS = {
-    "linear": lambda: FilterModel(FILTERS["linear"]()),
-    "two-sided": lambda: FilterModel(FILTERS["two-sided"]()),
-    "adaptive": lambda: FilterModel(FILTERS["adaptive"]()),
-    "recovering": lambda: FilterModel(FILTERS["recovering"]()),
-    "adaptive, joint": lambda: FilterModel(FILTERS["adaptive, joint"]()),
-    "psi, joint": lambda: FilterModel(FILTERS["psi, joint"]()),
-    "unscented": lambda: FilterModel(unscented()),
-    "ensemble": lambda: FilterModel(FILTERS["ensemble"]()),
+    **{name: lambda name=name: FilterModel(FILTERS[name]()) for name in (
+        "linear", "two-sided", "adaptive", "adaptive, joint", "psi, joint", "recovering", "unscented", "ensemble",
+    )},
     "extended": lambda: FilterModel(extended(), update={"HJacobian": jacobian, "Hx": observe}),
     "ARX": lambda: TrackerModel(ARX(2, 1), {"start": 0}),
     "starting": lambda: TrackerModel(ARX(2, 1), {"start": 60}),
@@ -55,12 +45,6 @@ def batch_for(model):
     # An outlier that the kernel leaves to the definition.
     z[15] = 1e200
     return z[:, None]
-
-
-def same(one, other):
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -218,8 +202,7 @@ def test_milliseconds_are_noticed():
     t = 1.7e12 + 1000.0 * np.arange(4)
     with pytest.warns(UserWarning, match="milliseconds"):
         step(timed(dt=1.0), None, np.column_stack((t, np.zeros(4))))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with silence():
         step(timed(dt=1000.0), None, np.column_stack((t, np.zeros(4))))
         step(timed(dt=1.0), None, np.column_stack((1e-3 * t, np.zeros(4))))
 
@@ -278,8 +261,7 @@ def test_a_state_of_other_matrices_is_refused_unless_asked_for():
             step(other, state, [[1.0]])
         adopted, _ = step(other, other.adopt(state), [[1.0]])
         kf.restore({name: state[name] for name in ("x", "P")})
-        kf.predict()
-        kf.update(1.0)
+        predict_and_update(kf, 1.0)
         np.testing.assert_allclose(adopted["x"], kf.x, rtol=1e-12)
         states, output = step(other, {"a": state}, pd.DataFrame({"device": ["a", "b"], "z": 1.0}), key="device")
         assert "other matrices" in output["error"][0] and states["a"]["x"] is not None
@@ -535,9 +517,8 @@ def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
 def test_a_key_whose_covariance_is_lost_in_rounding_stops_alone():
     # Exact sensors of a state at rest: P is rounding, and the step after an absurd reading is for the definition.
     rng = np.random.default_rng(0)
-    kf = RobustKalmanFilter(2, 2, scaling="innovation")
-    kf.F, kf.H, kf.Q = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([[1.0, 0.0], [1.0, 1e-9]]), np.zeros((2, 2))
-    kf.R, kf.P = np.diag([1e-3, 0.0]), 1e-3 * np.eye(2)
+    F, H, R = [[1.0, 0.5], [0.0, 1.0]], [[1.0, 0.0], [1.0, 1e-9]], np.diag([1e-3, 0.0])
+    kf = of_matrices(RobustKalmanFilter, F, H, 0.0, R, 1e-3, scaling="innovation")
     z = rng.normal(size=(60, 2))
     z[rng.random((60, 2)) < 0.05] = 1e290
     a, b = z.repeat(2, axis=0).T
@@ -560,8 +541,7 @@ def test_keys_of_trackers_go_together_and_are_the_trackers(options, monkeypatch)
     alone = ParameterTracker.advance
     monkeypatch.setattr(ParameterTracker, "advance", lambda *given: calls.append(0) or alone(*given))
     cuts = [0, 1, 40, 41, 42, 90, 91, 120, 150]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with unheard():
         for first, stop in itertools.pairwise(cuts):
             part = {"key": np.repeat(keys, stop - first), "y": y[:, first:stop].ravel(), "u": u[:, first:stop].ravel()}
             states, found = step(model, states, pd.DataFrame(part), key="key")

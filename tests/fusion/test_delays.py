@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support import states
 
 from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, constant_velocity
 
@@ -15,11 +16,7 @@ def recording(seed, late=LATE, wild=True, outliers=0.05, length=60.0):
     at = np.arange(0.0, length, 0.005)
     F, Q, _ = MOTION.matrices(0.005)
     steps = rng.multivariate_normal(np.zeros(2), Q, len(at)) * wild
-    x, places = np.array([0.0, 1.0]), []
-    for step in steps:
-        x = F @ x + step
-        places.append(x[0])
-    rows = []
+    places, rows = states(F, steps, np.array([0.0, 1.0]))[:, 0], []
     for name, rate in {"a": 10.0, "b": 5.0, "c": 20.0}.items():
         for t in np.arange(1.0, length - 1.0, 1.0 / rate) + rng.uniform(0.0, 0.01):
             v = 0.3 * rng.normal() * (10.0 if rng.random() < outliers else 1.0)

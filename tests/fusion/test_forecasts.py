@@ -11,12 +11,9 @@ from robust_filterpy.influence import Linear
 def path(seed, steps, outliers=0.0):
     """Where a point is and what is read of it, once a second; q = .1, sigma = 1."""
     rng, (F, Q, _) = np.random.default_rng(seed), constant_velocity(1, 0.1).matrices(1.0)
-    x, places = np.zeros(2), []
-    for _ in range(steps):
-        x = rng.multivariate_normal(F @ x, Q)
-        places.append(x[0])
+    places = support.states(F, rng.multivariate_normal(np.zeros(2), Q, steps))[:, 0]
     v = rng.normal(size=steps) * np.where(rng.random(steps) < outliers, 10.0, 1.0)
-    return np.array(places), np.array(places) + v
+    return places, places + v
 
 
 def made(q=0.1, R=1.0, **options):

@@ -1,12 +1,11 @@
 """Ctrl-C anywhere in a fusion: the reading was taken or it was not, and what comes afterwards is as if it never was."""
 
 import copy
-import sys
 
 import numpy as np
 import pytest
 from fusion.worlds import fed
-from interruption import PACKAGE
+from interruption import interrupted
 
 from robust_filterpy import Huber
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
@@ -29,26 +28,6 @@ def estimated(one):
     return np.concatenate([found.x, found.P.ravel()])
 
 
-def interrupted(call, at):
-    """Call, and raise KeyboardInterrupt where Python looks for signals, after so many calls; tell whether it was."""
-    count = 0
-
-    def profile(frame, event, arg):
-        nonlocal count
-        count += frame.f_code.co_filename.startswith(PACKAGE)
-        if count == at:
-            raise KeyboardInterrupt
-
-    sys.setprofile(profile)
-    try:
-        call()
-    except KeyboardInterrupt:
-        return True
-    finally:
-        sys.setprofile(None)
-    return False
-
-
 @pytest.mark.parametrize("options", [{}, {"influence": Huber()}], ids=["learned", "huber"])
 @pytest.mark.parametrize("count, every", [(21, 1), (633, 11)], ids=["late", "let go"])
 def test_a_fusion_that_was_interrupted_goes_on_as_if_it_had_not_been(options, count, every):
@@ -61,7 +40,7 @@ def test_a_fusion_that_was_interrupted_goes_on_as_if_it_had_not_been(options, co
     expected, outcomes = estimated(done), set()
     for at in range(1, 30_000, every):
         broken = copy.deepcopy(ready)
-        if not interrupted(lambda broken=broken: broken.observe(*one), at):
+        if not interrupted(lambda broken=broken: broken.observe(*one), at, calls=True):
             break
         outcomes.add(broken.observe(*one))
         broken.observe(*other)

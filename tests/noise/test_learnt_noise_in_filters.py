@@ -22,9 +22,7 @@ TRUTH = Contaminated(0.15, 10.0, scale=0.5)
 
 
 def walk(**options):
-    kf = RobustKalmanFilter(1, 1, **options)
-    kf.H, kf.Q, kf.R = np.eye(1), 0.01 * np.eye(1), 0.25 * np.eye(1)
-    return kf
+    return support.of_matrices(RobustKalmanFilter, 1.0, [[1.0]], 0.01, 0.25, **options)
 
 
 @pytest.fixture(scope="module")
@@ -77,15 +75,13 @@ def test_every_filter_takes_it(learnt):
     kinds = (RobustKalmanFilter, support.Extended, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter)
     filters = [support.of_matrices(kind, [[1.0]], [[1.0]], noise=learnt) for kind in kinds]
     for kf in (*filters, robust(plain, noise=learnt)):
-        kf.predict()
-        kf.update(np.array([100.0]))
+        support.predict_and_update(kf, np.array([100.0]))
         assert kf.noise == learnt and kf.outlier_probability > 0.99
     tracker = ParameterTracker(ARX(1, 1), filter=RobustKalmanFilter(2, 1, noise=learnt))
     tracker.update(1.0, 1.0)
     # It is an influence function of a filter as well.
     kf = walk(influence=learnt, scaling="innovation")
-    kf.predict()
-    kf.update(100.0)
+    support.predict_and_update(kf, 100.0)
     assert kf.weights[0, 0] < 0.1
 
 

@@ -33,10 +33,7 @@ def test_linear_is_filterpys_filter_and_the_exact_smoother():
     for k, z in enumerate(zs):
         ours.smooth(z)
         theirs.smooth(z)
-        np.testing.assert_allclose(ours.x, theirs.x, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(ours.y, theirs.y, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(ours.S, theirs.S, rtol=1e-9, atol=1e-10)
+        support.assert_same_state(ours, theirs, ("x", "P", "y", "S"), 1e-9)
         so_far = support.make(filterpy.kalman.KalmanFilter, CART)
         means, covariances, _, _ = so_far.batch_filter(list(zs[: k + 1]))
         expected = [*expected[: max(k - 4, 0)], *so_far.rts_smoother(means, covariances)[0][max(k - 4, 0) :]]

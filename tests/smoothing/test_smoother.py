@@ -320,10 +320,8 @@ def plane(q=0.05):
 def walk(seed, steps=300, q=0.05):
     """Positions in the plane, shape (steps, 2), and what is measured of them."""
     rng = np.random.default_rng(seed)
-    x, truth = np.array([0.0, 1.0, 0.0, 0.5]), np.empty((steps, 2))
-    for k in range(steps):
-        x = PLANE @ x + q * np.kron(np.eye(2), G[:, None]) @ rng.normal(size=2)
-        truth[k] = POSITIONS @ x
+    w = q * rng.normal(size=(steps, 2)) @ np.kron(np.eye(2), G)
+    truth = support.states(PLANE, w, np.array([0.0, 1.0, 0.0, 0.5])) @ POSITIONS.T
     return truth, truth + rng.normal(size=truth.shape)
 
 
