@@ -10,7 +10,8 @@ Side by side run filters of the state and of one number more, b::
     healthy            none of this
 
 If nothing but a Q that is 10 or 100 times smaller explains the stretch better, all of them have that: a state that is
-calmer than Q allows is nobody's fault, though a sensor that is noisily stuck looks like it.
+calmer than Q allows is nobody's fault, though a sensor that is noisily stuck looks like it. Without
+this a bias of four deviations of one of three sensors of an object at rest, Q trusted, is called "stuck".
 
 Noise and its outliers are those learned before the stretch that is judged. What a hypothesis is worth is the density of
 all readings of the stretch under it, the size of b integrated out, times how often such a thing happens. No reading is

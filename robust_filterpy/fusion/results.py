@@ -6,7 +6,8 @@ have been drawn for it as long before as the forecast looks ahead. Its score is 
 the width; the quantile of the scores at the level widens the band. Few scores, or many that overlap, count little.
 
 The signal was never seen. What the scores say about its spread is what they leave when the noise is taken off, and
-counts as far as that spread exceeds the noise.
+counts as far as that spread exceeds the noise. It matters where Q is trusted: with one a hundred times too small bands
+of .95 hold .58 to .75 of the time, without this .25 to .33.
 """
 
 from __future__ import annotations

@@ -126,10 +126,9 @@ class PlantScenario:
         tracker object
             tracker itself.
         """
-        if hasattr(tracker, "R"):
-            tracker.R = self.R
-        if hasattr(tracker, "Q"):
-            tracker.Q = self.Q
+        for name in ("R", "Q"):
+            if hasattr(tracker, name):
+                setattr(tracker, name, getattr(self, name))
         return tracker
 
     @cached_property
