@@ -171,11 +171,10 @@ def _keys(key: str, column: Any, said: Reasons) -> Sequence[Any]:
         return values
     keys = values.tolist()
     for row, name in enumerate(keys):
-        if type(name).__name__ in _MISSING or name != name:
-            said[row], keys[row] = f"{key}: expected a name or number in each row, got none", NOBODY
-        elif not isinstance(name, Hashable):
-            said[row] = f"{key}: expected a name or number in each row, got {_checks.shown(name)}"
-            keys[row] = NOBODY
+        missing = type(name).__name__ in _MISSING or name != name
+        if missing or not isinstance(name, Hashable):
+            got = "none" if missing else _checks.shown(name)
+            said[row], keys[row] = f"{key}: expected a name or number in each row, got {got}", NOBODY
     return keys
 
 

@@ -177,8 +177,15 @@ class Layout:
         #: Which sensor, and which party, each component belongs to, (M,).
         self.owner = np.repeat(np.arange(len(sizes)), sizes)
         self.party = np.repeat([distinct.index(group) for group in groups], sizes)
+        shared = {one: np.flatnonzero(self.party == k) for k, one in enumerate(distinct) if isinstance(one, str)}
+        for one, components in shared.items():
+            if len(components) < 2:
+                raise ValueError(
+                    f"sensor {self.names[self.owner[components[0]]]!r}: expected another sensor of the group {one!r}, "
+                    "got none; name another one so, or leave group out"
+                )
         #: Components that fail together, as `correction` takes them.
-        self.grouping = _grouping(self.sensors, self.party)
+        self.grouping: Any = tuple(tuple(components.tolist()) for components in shared.values()) or "component"
         self.H, self.R = np.zeros((at, n)), np.eye(at)
         #: Components whose R nobody gave, (M,).
         self.without_R = np.zeros(at, dtype=bool)
@@ -237,20 +244,6 @@ class Layout:
                 H[place] = slope
                 z[place] = apart + slope @ x
         return Seen(z, H, tuple(failed))
-
-
-def _grouping(sensors: dict[str, Sensor], party: np.ndarray) -> Any:
-    """Return which components fail together, or raise for a group of one."""
-    grouped = np.repeat([s.group is not None for s in sensors.values()], [s.dim_z for s in sensors.values()])
-    groups = tuple(tuple(np.flatnonzero(party == k).tolist()) for k in dict.fromkeys(party[grouped].tolist()))
-    names = [sensor.group for sensor in sensors.values()]
-    for name, sensor in sensors.items():
-        if sensor.group is not None and sensor.dim_z == 1 and names.count(sensor.group) < 2:
-            raise ValueError(
-                f"sensor {name!r}: expected another sensor of the group {sensor.group!r}, got none; name another one "
-                "so, or leave group out"
-            )
-    return groups or "component"
 
 
 def _compared(sensor: Sensor, x: Array, z: Array) -> tuple[Array, Array]:

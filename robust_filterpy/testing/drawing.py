@@ -7,10 +7,10 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import filterpy.kalman
 import numpy as np
@@ -127,12 +127,9 @@ def draw(
     rng = np.random.default_rng(rng)
     steps = _checks.count("steps", steps, 1)
     if isinstance(problem, str):
-        name = _checks.option("problem", problem, (*MODELS, *PLANTS))
-        build = {**MODELS, **PLANTS}[name]
-        problem = cast(
-            "StateModel | Plant",
-            build(**options, **({"rng": rng} if "rng" in inspect.signature(build).parameters else {})),
-        )
+        build: Callable[..., Any] = {**MODELS, **PLANTS}[_checks.option("problem", problem, (*MODELS, *PLANTS))]
+        more = {"rng": rng} if "rng" in inspect.signature(build).parameters else {}
+        problem = build(**options, **more)
     elif options:
         raise TypeError(f"{', '.join(options)}: expected only with the name of a problem, not with a system")
     if isinstance(problem, Plant):

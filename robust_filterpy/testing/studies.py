@@ -325,18 +325,10 @@ class Interval(NamedTuple):
     """Standard deviation of the statistic over the resamples."""
 
 
-def _rms(samples: Any, axis: int) -> Any:
-    """Take the root of the mean square."""
-    return np.sqrt(np.mean(samples**2, axis=axis))
-
-
-def _ratio_of_means(error: Any, reference: Any, axis: int) -> Any:
-    """Divide the means of two samples."""
-    return np.mean(error, axis=axis) / np.mean(reference, axis=axis)
-
-
 _STATISTICS: dict[str, Callable[..., Any]] = {
-    "mean": np.mean, "median": np.median, "rms": _rms, "ratio": _ratio_of_means,
+    "mean": np.mean, "median": np.median,
+    "rms": lambda samples, axis: np.sqrt(np.mean(samples**2, axis=axis)),
+    "ratio": lambda error, reference, axis: np.mean(error, axis=axis) / np.mean(reference, axis=axis),
 }  # fmt: skip
 
 
