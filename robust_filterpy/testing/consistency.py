@@ -234,11 +234,9 @@ def _correlation(columns: list[Array], lag: int) -> tuple[float, float, int, int
     for column in columns:
         seen = ~np.isnan(column)
         e, k = np.where(seen, column, 0.0), np.arange(len(column))
-        neighbours, counts = np.zeros(len(e)), np.zeros(len(e), dtype=int)
-        neighbours[lag:] += e[:-lag] if lag < len(e) else 0.0
-        neighbours[: len(e) - lag] += e[lag:]
-        counts[lag:] += seen[:-lag] if lag < len(e) else 0
-        counts[: len(e) - lag] += seen[lag:]
+        # Of each sample the ones before and after it, as far as there are any.
+        padded = np.pad([e, seen.astype(float)], ((0, 0), (lag, lag)))
+        neighbours, counts = padded[:, : -2 * lag] + padded[:, 2 * lag :]
         use = seen & (counts > 0) & ((k // lag) % 2 == 0)
         ab, aa, bb = ab + neighbours[use] @ e[use], aa + neighbours[use] @ neighbours[use], bb + e[use] @ e[use]
         pairs, samples = pairs + int(counts[use].sum()), samples + int(use.sum())

@@ -77,9 +77,7 @@ REFUSALS = (ValueError, TypeError, np.linalg.LinAlgError)
 def visible(estimator: Any, names: Iterable[str] | None = None) -> dict[str, Any]:
     """Return copies of the numbers and arrays that an estimator shows: public attributes and properties."""
     shown = {}
-    for name in dir(estimator) if names is None else names:
-        if name.startswith("_") and names is None:
-            continue
+    for name in [name for name in dir(estimator) if name[0] != "_"] if names is None else names:
         try:
             value = getattr(estimator, name)
             array = None if callable(value) else np.array(value, copy=True)

@@ -128,6 +128,8 @@ def test_correlation_at_a_later_lag_is_found():
     run = Run(e, np.ones((400, 1, 1)))
     assert "at lag 3" in words(assert_innovations_white, run)
     assert_innovations_white(run, lags=2)
+    # Of fewer steps than lags there is nothing to say.
+    assert_innovations_white(Run(run.y[:3], run.S[:3]), lags=5)
 
 
 @pytest.mark.parametrize(("P", "expected"), [
