@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -48,9 +49,7 @@ class Coefficients(NamedTuple):
     d: Array
     f: Array
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
 
 class LinearParameters(NamedTuple):
@@ -212,18 +211,13 @@ class Layout:
     def __init__(self, structure: Structure, constant: int = -1) -> None:
         """Work out the places; constant: which input is 1 in every sample and not among those that are given."""
         self.constant = constant
-        starts: list[int] = []
-        picks: list[int] = []
-        used: list[int] = []
-        length = 0
-        for i, (nb, nk) in enumerate(structure.inputs):
-            if nb:
-                starts.append(length)
-                picks.extend(range(length + nk, length + nk + nb))
-                used.append(i)
-                length += nk + nb
-        self.n, self.length = structure.n_theta, length
-        self.starts, self.picks, self.used = (np.array(v, dtype=np.intp) for v in (starts, picks, used))
+        acting = [(i, nb, nk) for i, (nb, nk) in enumerate(structure.inputs) if nb]
+        *starts, self.length = accumulate((nb + nk for _, nb, nk in acting), initial=0)
+        self.ends = [*starts[1:], self.length][: len(acting)]
+        picks = [end - nb + j for end, (_, nb, _) in zip(self.ends, acting, strict=True) for j in range(nb)]
+        each = starts, picks, [i for i, _, _ in acting]
+        self.starts, self.picks, self.used = (np.array(places, dtype=np.intp) for places in each)
+        self.n = structure.n_theta
         self.stable, places = structure.stable_parts, structure.polynomials
         self.a, self.f, self.c, self.d = places.a, places.f, places.c, places.d
         self.na, self.nc, self.nd, self.nf = structure.na, structure.nc, structure.nd, structure.nf
@@ -308,9 +302,8 @@ class Memory(NamedTuple):
         length = len(u)
         phi = np.zeros((length, layout.n))
         inputs = self.inputs.copy()
-        ends = [*layout.starts[1:], layout.length][: len(layout.starts)]
         columns = iter(layout.inputs_in_phi)
-        for i, start, end in zip(layout.used, layout.starts, ends, strict=True):
+        for i, start, end in zip(layout.used, layout.starts, layout.ends, strict=True):
             signal = np.concatenate((self.inputs[start:end][::-1], u[:, i]))
             inputs[start:end] = signal[: -(end - start) - 1 : -1]
             for lag in layout.picks[(layout.picks >= start) & (layout.picks < end)] - start:

@@ -65,9 +65,7 @@ class Intervals(NamedTuple):
     lower: Array
     upper: Array
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
 
 class Sample(NamedTuple):
@@ -91,9 +89,7 @@ class Sample(NamedTuple):
     weight: Any
     guard: Any
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
 
 class Recorded(NamedTuple):

@@ -21,18 +21,9 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction import repeats
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.identification.models import dependence as gain
-from robust_filterpy.identification.models.regressor import (
-    CLEANED_FROM,
-    GUARDS,
-    Layout,
-    Memory,
-    are_stable,
-    bounded,
-    gradient,
-    pushed,
-    restrained,
-)
+from robust_filterpy.identification.models import regressor
+from robust_filterpy.identification.models.dependence import BLOCKS
+from robust_filterpy.identification.models.regressor import CLEANED_FROM, GUARDS, Layout, Memory, bounded, pushed
 from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive.watch import Watch
@@ -50,7 +41,7 @@ WINDUP = 1e8
 READINGS = repeats.WIDTH + 1
 #: What decides about another start: whether and of how many samples, samples seen, what is usual, what is rounding, and
 #: the scores of the gain.
-WATCHED = 8 + 2 * gain.BLOCKS
+WATCHED = 8 + 2 * BLOCKS
 # What a record has one number of.
 _ALONE: Final = ("centre", "windup", "begun", "restarts", "samples")
 # A recording that tells nothing yet may become so many times as long before its oldest samples go.
@@ -323,7 +314,7 @@ def checked(
         if name in stored and not np.all(is_good(stored[name])):
             raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(stored[name])}")
     guarded = form.flags[:, 1] > GUARDS.index("none")
-    if not all(are_stable(row, form.layout.stable) for row in np.atleast_2d(stored["theta"])[guarded]):
+    if not all(regressor.are_stable(row, form.layout.stable) for row in np.atleast_2d(stored["theta"])[guarded]):
         raise _state.StateError(
             "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
             "circle"
@@ -428,8 +419,8 @@ class Recursion:
         G = H
         if self.filtered:
             past, newest = np.ravel(x), H[0] * layout.precedes_noise
-            if self.guard != "none" or are_stable(past, layout.stable):
-                psi, newest = gradient(layout, H[0], past, memory)
+            if self.guard != "none" or regressor.are_stable(past, layout.stable):
+                psi, newest = regressor.gradient(layout, H[0], past, memory)
                 G = psi[None, :]
             gradients, prefiltered = pushed(gradients, G[0]), pushed(prefiltered, newest)
         if self.enabled and seen:
@@ -440,7 +431,7 @@ class Recursion:
             if R is None and self.scale.memory and S + (y - predicted) * (y - predicted) != r:
                 self.scale = _followed(kf, self.scale, r, y - predicted, S)
         if self.enabled and layout.stable:
-            moved, event = restrained(np.ravel(kf.x), old, layout.stable, self.guard)
+            moved, event = regressor.restrained(np.ravel(kf.x), old, layout.stable, self.guard)
             if event:
                 kf.x = moved.reshape(np.shape(kf.x))
         if stuck:

@@ -112,8 +112,6 @@ def configure(kf: Any, structure: Structure, own: np.ndarray, given: Mapping[str
 
 def embedded(whole: Any, own: np.ndarray, values: Array) -> Array:
     """Return a matrix of all that a filter estimates, with these values in the places of theta."""
-    if len(own) == len(values) == len(whole):
-        return values
     matrix = np.array(whole, dtype=float)
     matrix[np.ix_(own, own)] = values
     return matrix

@@ -363,28 +363,7 @@ class ParameterTracker(Following, PolynomialSystem):
         y = regressor.simulate(self.structure, layout, memory, x, signal) + level
         return axis.series(y, "simulated")
 
-    @staticmethod
-    def fit(y: ArrayLike, y_model: ArrayLike) -> float:
-        """Compute the normalized root-mean-square fit, 100 (1 - ||y - y_model||/||y - mean(y)||), in percent.
-
-        Parameters
-        ----------
-        y : array_like, shape (N,)
-            Measured output; NaN does not count.
-        y_model : array_like, shape (N,)
-            Output of the model.
-
-        Returns
-        -------
-        float
-            100 is perfect, 0 no better than the mean.
-
-        Raises
-        ------
-        ValueError
-            If the shapes differ or y is constant.
-        """
-        return fit_percent(y, y_model)
+    fit = staticmethod(fit_percent)
 
     # The recursion.
 

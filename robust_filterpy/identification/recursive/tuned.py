@@ -92,9 +92,7 @@ class TunedTracker(NamedTuple):
         doubt = [f"Doubtful: {self.warning}"] if self.warning else []
         return tabulated(heads, rows, f"predictions one step ahead of {self.samples} samples", *doubt)
 
-    def __str__(self) -> str:
-        """Return the table."""
-        return self.to_text()
+    __str__ = to_text
 
     def to_frame(self) -> Any:
         """Return the candidates as a pandas DataFrame, a row for each.
