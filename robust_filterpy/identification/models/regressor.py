@@ -49,7 +49,9 @@ class Coefficients(NamedTuple):
     d: Array
     f: Array
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 class LinearParameters(NamedTuple):

@@ -65,7 +65,9 @@ class Intervals(NamedTuple):
     lower: Array
     upper: Array
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 class Sample(NamedTuple):
@@ -89,7 +91,9 @@ class Sample(NamedTuple):
     weight: Any
     guard: Any
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 class Recorded(NamedTuple):

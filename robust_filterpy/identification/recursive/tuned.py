@@ -92,7 +92,9 @@ class TunedTracker(NamedTuple):
         doubt = [f"Doubtful: {self.warning}"] if self.warning else []
         return tabulated(heads, rows, f"predictions one step ahead of {self.samples} samples", *doubt)
 
-    __str__ = to_text
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
 
     def to_frame(self) -> Any:
         """Return the candidates as a pandas DataFrame, a row for each.
