@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import support
+from recordings import same
 
 from robust_filterpy import Contaminated, Learnt, RobustKalmanFilter, StudentT, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError, Scales, SingularInnovationError
@@ -81,8 +82,7 @@ def test_series_are_a_loop_over_filters(options, form):
     rest = filter_series(zs[:, 13:], *arguments(one)[:4], state=state, **options)
     for name in ("x", "P", "weights"):
         np.testing.assert_array_equal(getattr(rest, name), getattr(whole, name)[:, 13:])
-    for name, value in whole.state.items():
-        np.testing.assert_array_equal(rest.state[name], value)
+    same(rest.state, whole.state)
 
 
 @EITHER
@@ -114,8 +114,7 @@ def test_what_was_learnt_is_passed_on_and_arguments_are_left_alone():
     shared = filter_series(zs, *arguments(problem), learnt=learnt[1], **LEARNING)
     assert_same(shared, by_filters(problem, zs, learnt=[learnt[1]] * SERIES, **LEARNING))
     assert np.abs(again.x - by_filters(problem, zs, **LEARNING)["x"]).max() > 1e-3
-    for one, other in zip(given, before, strict=True):
-        np.testing.assert_array_equal(one, other)
+    same(given, before)
 
 
 def test_a_state_is_not_written_into_and_a_refused_series_stays_refused():
@@ -128,8 +127,7 @@ def test_a_state_is_not_written_into_and_a_refused_series_stays_refused():
     found = filter_series(zs, *arguments(problem)[:4], state=spoilt, refused="nan", **LEARNING)
     assert np.isnan(found.x[1]).all() and np.isnan(found.state["x"][1]).all() and np.isfinite(found.x[[0, 2]]).all()
     state["means"][1] = before["means"][1]
-    for name, kept in before.items():
-        np.testing.assert_array_equal(state[name], kept)
+    same(state, before)
 
 
 def test_a_state_that_does_not_fit_is_refused():
@@ -161,8 +159,7 @@ def test_threads_and_what_is_kept_change_nothing(options, form):
     for name in ("x", "weights", *(("outlier_probability", "process_scale") if options else ())):
         np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[:, 6::7])
     np.testing.assert_array_equal(some.log_likelihood, whole.log_likelihood)
-    for name, values in whole.state.items():
-        np.testing.assert_array_equal(some.state[name], values)
+    same(some.state, whole.state)
 
 
 @EITHER

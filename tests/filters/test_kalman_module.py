@@ -171,8 +171,7 @@ def test_the_ensemble_filter_is_filterpys_with_the_same_random_numbers():
         for kf in (one, other):
             kf.predict()
             kf.update(None if z is None else np.array([z]))
-        for name in ("x", "P", "sigmas", "K", "S", "SI", "x_prior", "P_prior", "x_post", "P_post"):
-            np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-9, atol=1e-12, err_msg=name)
+        support.assert_same_state(other, one, (*support.STATE, "sigmas", "K", "S", "SI"), 1e-9)
 
 
 @pytest.mark.parametrize(

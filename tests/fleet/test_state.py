@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints
+from recordings import same, unchanged
 from support import RECOVERING, Extended, noise_given, of_matrices, predict_and_update, recovering, two_sided
 
 from robust_filterpy import (
@@ -113,13 +114,10 @@ def test_a_filter_goes_on_to_the_last_bit(name, cut):
     before = copy.deepcopy(state)
     other.restore(unpack(pack(state)))
     for z in zs[cut:]:
-        for mine, theirs in zip(advance(kf, z), advance(other, z), strict=True):
-            np.testing.assert_array_equal(mine, theirs)
+        same(advance(kf, z), advance(other, z))
     # What was given away has not moved with the filter.
-    for key, value in before.items():
-        np.testing.assert_array_equal(state[key], value)
-    for mine, theirs in zip(kf.state().values(), other.state().values(), strict=True):
-        np.testing.assert_array_equal(mine, theirs)
+    same(before, state)
+    same(kf.state(), other.state())
 
 
 @pytest.mark.parametrize("name, steady", [
@@ -178,8 +176,7 @@ def test_a_tracker_goes_on_to_the_last_bit(name, cut):
     other.restore(unpack(pack(state)))
     for k in range(cut, len(y)):
         now = pairs[k], None if name == "ARMA" else u[k]
-        for mine, theirs in zip(one.update(*now), other.update(*now), strict=True):
-            np.testing.assert_array_equal(mine, theirs)
+        same(one.update(*now), other.update(*now))
         np.testing.assert_array_equal(one.theta, other.theta)
         np.testing.assert_array_equal(one.P, other.P)
 
@@ -188,11 +185,8 @@ def test_a_tracker_goes_on_to_the_last_bit(name, cut):
 
 
 def refused(kf, state, match, error=ValueError):
-    before = kf.state()
-    with pytest.raises(error, match=match):
+    with unchanged(kf), pytest.raises(error, match=match):
         kf.restore(state)
-    for mine, theirs in zip(before.values(), kf.state().values(), strict=True):
-        np.testing.assert_array_equal(mine, theirs)
 
 
 EVERYTHING = {**FILTERS, **TRACKERS}

@@ -507,8 +507,7 @@ def test_a_column_of_lists_is_read_row_by_row_whatever_their_lengths():
     pa = pytest.importorskip("pyarrow")
     lists = pa.array([[1.0, 2.0, 3.0, 4.0], [], [5.0, None], None], pa.list_(pa.float64()))
     rows = [[1.0, 2.0], [3.0, 4.0]], np.zeros((0, 2)), [[5.0, np.nan]], np.zeros((0, 2))
-    for found, expected in zip(_ragged(lists, [2]), rows, strict=True):
-        np.testing.assert_array_equal(found, expected)
+    same(_ragged(lists, [2]), rows)
     # Four numbers are two rows of two, but not as three and one.
     with pytest.raises(ValueError, match="reshape"):
         _ragged(pa.array([[1.0, 2.0, 3.0], [4.0]], pa.list_(pa.float64())), [2])

@@ -159,6 +159,17 @@ def test_a_contamination_at_its_limit_is_said():
     assert found.contamination == pytest.approx(0.45, abs=1e-3) and "contamination" in found.message
 
 
+def test_a_search_that_did_not_end_is_said(monkeypatch):
+    def unended(fit, ends=NoiseFit.ends):
+        found = ends(fit)
+        found.converged[:] = np.arange(len(found.converged)) > 0
+        return found
+
+    monkeypatch.setattr(NoiseFit, "ends", unended)
+    found = estimate_noise(level(0.9, R=1.0, Q=1.0, P=5.0), random_walk(0, 200, 0.9, 1.0))
+    assert not found.converged and found.message == "the search did not end"
+
+
 @pytest.mark.parametrize("start", [0.01, 100.0])
 def test_what_is_not_determined_is_said(start):
     """Q far above R: the sum of both is all that one sees."""
