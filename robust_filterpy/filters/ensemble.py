@@ -17,7 +17,6 @@ from robust_filterpy._state import StateError, read, spelt
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters.nonlinear_mixin import (
     NonlinearFilterMixin,
-    innovation_of,
     require_finite,
 )
 from robust_filterpy.filters.policies import Options, with_options
@@ -186,19 +185,16 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         R = noise_covariance(self.R, R, m)
         predicted = _rows([self.hx(s) for s in self.sigmas])
         require_finite(hx=predicted)
-        mean = predicted.mean(axis=0)
-        values, y = innovation_of(z, mean, m, np.subtract, "hx")
-        if values is None:
-            self._skip()
-            return
+        mean, before = predicted.mean(axis=0), self.x
         apart, seen = self.sigmas - self.x, predicted - mean
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
-        last, carried = self._corrected(self.P, values, y, C, S, R)
-        last = last if isinstance(last, Correction) else last.as_arrays()._replace(memory=last.memory)
-        require_finite(x=self.x + last.x)
+        if not self._correct_by_moments("hx", z, mean, C, S, R, np.subtract):
+            return
+        gain = self._shrinking(self._arrays(), C)
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
-        self.sigmas = self.sigmas + last.x + (noise - seen) @ self._shrinking(last, C).T
-        self._keep(last._replace(x=np.mean(self.sigmas, axis=0)), carried, values)
+        self.sigmas = self.sigmas + (self.x - before) + (noise - seen) @ gain.T
+        self.x = np.mean(self.sigmas, axis=0)
+        self.x_post = self.x.copy()
 
     def _moving(self) -> dict[str, Any]:
         """Return x, P, the members and where the random numbers are."""

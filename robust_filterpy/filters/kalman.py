@@ -27,13 +27,11 @@ from robust_filterpy._checks import FLOAT, Array
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
 from robust_filterpy.correction.definition import Innovation
-from robust_filterpy.correction.result import Correction
 from robust_filterpy.filters.driver import without_rounding
 from robust_filterpy.filters.policies import Bounded, Options, finite_product, with_options
 from robust_filterpy.filters.problem import RecordingMixin
 from robust_filterpy.filters.shell import Parts, is_own
 from robust_filterpy.filters.snapshot import whole
-from robust_filterpy.kernel import moments
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -443,14 +441,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         y = values - finite_product(H, x.ravel())
         # Of the correction by this S only what psi leaves of y is used: the gain is K.
         before, C = self._prior(m)._replace(carried=None), P @ H.T
-        correction: Any = None
-        if not self._skips:
-            correction = moments.correct(self._choices, before.memory, P, values, y, C, np.asarray(S, dtype=float), R)
-        if correction is None:
-            innovation = Innovation(values, y, C, S, R)
-            correction, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._skips)
-        last = correction if isinstance(correction, Correction) else correction.as_arrays()
-        self._learn(correction.memory, m)
+        innovation = Innovation(values, y, C, np.asarray(S, dtype=float), R)
+        last, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._skips)
+        self._learn(last.memory, m)
         SI = self.SI
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)

@@ -13,7 +13,6 @@ from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
 from robust_filterpy.filters.driver import columns_of, take_steps, without_rounding
 from robust_filterpy.filters.shell import Shell
-from robust_filterpy.kernel import moments
 
 #: Whether the installed filterpy draws new points from the predicted covariance for the correction; 1.4.5 does not.
 REDRAWS = "sigma_points" in UnscentedKalmanFilter.predict.__code__.co_names
@@ -69,7 +68,13 @@ class NonlinearFilterMixin(Shell):
         if values is None:
             self._skip()
             return False
-        if add is np.add and self._stepped(values, None, y, C, S, R):
+        if self._stepped(values, None, y, C, S, R):
+            if add is not np.add:
+                # As angles are added, say.
+                moved = np.asarray(add(x.ravel(), (self.x - x).ravel()), dtype=float)
+                require_finite(x=moved)
+                self.x = moved.reshape(x.shape)
+                self.x_post = self.x.copy()
             return True
         last, carried = self._corrected(P, values, y, C, S, R)
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
@@ -79,11 +84,6 @@ class NonlinearFilterMixin(Shell):
 
     def _corrected(self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array) -> tuple[Any, Any]:
         """Return the correction of a state at 0; C and S are the innovation's moments, or the Jacobian H and None."""
-        before = self._prior(len(y))
-        if self._policy.noise is None and not self._skips:
-            taken = moments.correct(self._choices, before.memory, P, z, y, C, S, R)
-            if taken is not None:
-                return taken, before.carried
 
         def correct(before: Any, P: Array) -> Any:
             """Correct with the moments of P, where C is a Jacobian."""
@@ -91,7 +91,7 @@ class NonlinearFilterMixin(Shell):
             innovation = Innovation(z, y, cross, spread, R, C if S is None else None)
             return self._policy.corrected_by_moments(before, np.zeros(len(P)), P, innovation, self._skips)
 
-        return without_rounding(type(self).__name__, correct, before, P, C if S is None else None, R)
+        return without_rounding(type(self).__name__, correct, self._prior(len(y)), P, C if S is None else None, R)
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""

@@ -44,7 +44,7 @@ from robust_filterpy.correction.policies import (
 from robust_filterpy.correction.result import Correction, ordered_scaling
 from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.influence.functions import Huber, Influence
-from robust_filterpy.kernel import moments, series
+from robust_filterpy.kernel import series
 from robust_filterpy.kernel.series import Rows, State
 
 __all__ = ["Bounded", "Mixture", "Options", "Policy", "finite_product", "ordinary_noise", "policy_of", "with_options"]
@@ -129,12 +129,8 @@ class Bounded:
 
     def corrected(
         self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, skips: bool
-    ) -> tuple[Correction | moments.Taken, Any]:
+    ) -> tuple[Correction, Any]:
         """Return the correction by a linear sensor."""
-        if not skips:
-            taken = moments.correct_linear(self.choices, before.memory, x, P, z, H, R, M)
-            if taken is not None:
-                return taken, before.carried
         y = z - finite_product(H, x)
         return self.corrected_by_moments(before, x, P, Innovation(z, y, *innovation_moments(P, H, R, M), R, H), skips)
 

@@ -335,7 +335,7 @@ class Shell(StateMixin):
 
     def _record(self) -> Any:
         """Return the last correction, or what makes one by `as_arrays`; x_post and P_post belong to it no longer."""
-        return Taken(self.x_post, self.P_post, self._last, None) if type(self._last) is np.ndarray else self._last
+        return Taken(self.x_post, self.P_post, self._last) if type(self._last) is np.ndarray else self._last
 
     def _arrays(self) -> Correction | None:
         """Return the last correction, as arrays."""

@@ -1,9 +1,8 @@
-/* Noise that is learned, models of a filter side by side: robust_filterpy.correction.learnt, .learning, .side_by_side in C.
-
-   q models take the process noise for s_j Q. If jumps are possible there is one more for a state that has jumped, the
-   candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its mixture of classes
-   and the derivative of it, the most plausible first, under every model. A sensor's memory is a row of numbers:
-   [r, samples, shares (K), last (K), counts (K, K), habits]. */
+/* Noise that is learned, models of a filter side by side: robust_filterpy.correction.learnt, .learning, .side_by_side
+   in C.  q models take the process noise for s_j Q. If jumps are possible there is one more for a state that has
+   jumped, the candidate, whose probability is 0 while there is none. Each sensor is conditioned on by the score of its
+   mixture of classes and the derivative of it, the most plausible first, under every model. A sensor's memory is a row
+   of numbers: [r, samples, shares (K), last (K), counts (K, K), habits]. */
 #ifndef ROBUST_FILTERPY_LEARNT_H
 #define ROBUST_FILTERPY_LEARNT_H
 
@@ -332,8 +331,8 @@ INLINE void learnt_typical(const int K, const learnt_memory *const memory, real 
     learnt_normalize(1, 0, K, p);
 }
 
-/* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R, part
-   the share of its variance that is noise. */
+/* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R,
+   part the share of its variance that is noise. */
 INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, const real *RESTRICT before,
                          const real used, const real excess, const real part, const learnt_memory *const memory) {
     const int K = rule->K;
@@ -342,8 +341,8 @@ INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, 
     learnt_habits *RESTRICT const habits = memory->habits;
     const real *RESTRICT prior = rule->begin + 2 + 2 * K;
     const real keep = 1 - 1 / rule->memory, less = (1 - LEARNT_LESS) * part;
-    /* A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step, and it
-       is no independent sample of white noise. */
+    /* A reading that repeats the one before, as its sensor does, tells of the noise only that it is less than a step,
+       and it is no independent sample of white noise. */
     if (real_copysign(1, habits->repeats.seldom) > 0) {
         /* Of what is noise by a part it tells the square of that. One sample is never forgotten, else r would reel. */
         *memory->samples = 1 + (1 - 1 / rule->r_memory) * (*memory->samples - 1) + p[0] * part * part;
@@ -395,150 +394,13 @@ INLINE real learnt_note_parity(real e, const real memory, learnt_habits *const h
     return habits->parity.count >= LEARNT_FIRST && variance > 0 ? real_min(covariance / variance, LEARNT_COLOUR) : 0;
 }
 
-/* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, of which spread is
-   the covariance, as a part of it. left_over (m, m), row (m): scratch. */
-INLINE void learnt_kept(const int n, const int m, const real *RESTRICT spread, const real *RESTRICT H,
-                        const real *RESTRICT R, const real *RESTRICT left, const real *RESTRICT r, real *RESTRICT kept,
-                        real *RESTRICT left_over, real *RESTRICT row) {
-    for (int i = 0; i < m * m; i++) left_over[i] = 0;
-    for (int i = 0; i < m; i++)
-        for (int k = 0; k < n; k++) {
-            if (H[i * n + k] == 0) continue;
-            for (int j = 0; j < m; j++) left_over[i * m + j] += H[i * n + k] * real_dot(n, spread + k * n, H + j * n);
-        }
-    for (int i = 0; i < m; i++) kept[i] = left_over[i * m + i];
-    for (int j = 0; j < m; j++) {
-        const real whole = left_over[j * m + j] + r[j] * R[j * m + j];
-        if (!(left[j] > 0 && whole > 0)) continue;
-        real_copy(m, left_over + j * m, row);
-        for (int i = 0; i < m; i++)
-            for (int k = 0; k < m; k++) left_over[i * m + k] -= row[i] * row[k] / whole;
-    }
-    for (int i = 0; i < m; i++)
-        kept[i] = kept[i] > 0 ? real_min(real_max(left_over[i * m + i] / kept[i], 0), 1) : 1;
-}
-
-#define learnt_parity_work(m) ((size_t)((m) * ((m) + 5)))
-
-/* Let r of each sensor that is left be nowhere less than its parity allows, and that of white noise which would leave the
-   state as uncertain as noise with its color; note this sample's parity. */
-INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                         const real *RESTRICT spread, const real *RESTRICT z, const real *RESTRICT H,
-                         const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r, real *RESTRICT work) {
-    real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
-    real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m;
-    int count = 0, coloured = 0;
-    for (int i = 0; i < m; i++) {
-        /* Whom the others can stand in for is not one that is followed. */
-        unit[i] = left[i] > 0 ? real_sqrt(real_max(r[i], 1) * R[i * m + i]) : 1;
-        if (!(unit[i] > 0)) return;
-        count += left[i] > 0;
-    }
-    if (count < 2) return;
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j < m; j++) rest[i * m + j] = i == j && left[i] > 0 ? 1 : 0;
-    /* What is left of the space of measurements when the state's part is taken out, direction by direction. */
-    for (int k = 0; k < n; k++) {
-        real length = 0, whole = 0;
-        for (int i = 0; i < m; i++) {
-            column[i] = left[i] > 0 ? H[i * n + k] / unit[i] : 0;
-            whole += column[i] * column[i];
-        }
-        for (int i = 0; i < m; i++) {
-            out[i] = real_dot(m, rest + i * m, column);
-            length += out[i] * out[i];
-        }
-        if (!(length > REAL(1e-16) * whole)) continue;
-        for (int i = 0; i < m; i++)
-            for (int j = 0; j < m; j++) rest[i * m + j] -= out[i] * out[j] / length;
-    }
-    for (int i = 0; i < m; i++) {
-        learnt_habits *const habits = learnt_of(rule, s, i).habits;
-        real e = 0;
-        colour[i] = 0;
-        if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
-        for (int j = 0; j < m; j++) {
-            out[j] = left[j] > 0 ? rest[i * m + j] / unit[j] : 0;
-            if (left[j] > 0) e += out[j] * z[j];
-        }
-        e /= real_sqrt(real_square(m, out, R));
-        if (!real_is_finite(e)) continue;
-        correlation[i] = learnt_note_parity(e, rule->memory, habits);
-        /* A color is that of the sensor of whose noise a parity is made. */
-        colour[i] = real_min(real_max(LEARNT_OWN * correlation[i], 0), 1) * real_min(LEARNT_OWN * rest[i * m + i], 1);
-        if (colour[i] > 0) {
-            /* Samples that depend on each other are worth fewer, against R as given, which is worth begin[1] of them. */
-            const real square = correlation[i] * correlation[i];
-            const real worth = real_min(habits->parity.count, rule->memory) * (1 - square) / (1 + square);
-            const real sure = worth / (worth + rule->begin[1]);
-            const real least = real_exp(sure * real_log(real_min(real_max(habits->parity.variance, REAL(1e-8)), 1)));
-            r[i] = real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)));
-            coloured = 1;
-        }
-    }
-    if (!coloured) return;
-    learnt_kept(n, m, spread, H, R, left, r, column, rest, out);
-    for (int i = 0; i < m; i++) {
-        const real part = correlation[i] * column[i];
-        if (colour[i] > 0) r[i] *= real_exp(colour[i] * real_log((1 + part) / (1 - part)));
-    }
-}
-
-/* What x leaves of a reading, in standard deviations of R, at most a million. */
-INLINE real learnt_left(const int n, const real *RESTRICT x, const real z, const real *RESTRICT h, const real variance) {
-    return real_within((z - real_dot(n, h, x)) / real_sqrt(variance), LEARNT_WILDEST);
-}
-
-/* A reading in the standard deviations that R gives, finite however small R is. */
-INLINE real learnt_reading(const real z, const real R) {
-    return real_within(z / real_sqrt(R), REAL_MAX);
-}
-
-/* Whether an innovation is so far from a mean that it asks for a jump. */
-INLINE int learnt_asks(const int n, const real *RESTRICT x, const real *RESTRICT P, const real z, const real *RESTRICT h,
-                       const real noise) {
-    const real rest = z - real_dot(n, h, x), seen = real_square(n, h, P);
-    return seen > 0 && rest * rest / (seen + noise) > LEARNT_ASKS;
-}
-
-/* Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white, and
-   that was an outlier, or it asks for a jump of the models that have not jumped. */
-INLINE int learnt_stuck(const int n, const learnt_rule *const rule, const real *RESTRICT at, const real *RESTRICT spread,
-                        const real z, const real reading, const real *RESTRICT h, const real R,
-                        const learnt_memory *const memory) {
-    if (!(rule->learns && R > 0)) return 0;
-    if (!repeats_again(learnt_reading(reading, R), *memory->r, &memory->habits->repeats)) return 0;
-    return learnt_asks(n, at, spread, z, h, *memory->r * R) || memory->last[0] < REAL(0.5);
-}
-
-/* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
-   show, of which white noise makes 6 r, unless other sensors show more; note this change. */
-INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           const real *RESTRICT at, const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
-                           const real *RESTRICT R, const real *RESTRICT left, real *RESTRICT r) {
-    for (int i = 0; i < m; i++) {
-        const learnt_memory memory = learnt_of(rule, s, i);
-        repeats_memory *const repeats = &memory.habits->repeats;
-        real most;
-        if (!(left[i] > 0 && R[i * m + i] > 0)) continue;
-        repeats_note_reading(learnt_reading(readings[i], R[i * m + i]), repeats);
-        repeats_note_change(learnt_left(n, at, z[i], H + i * n, R[i * m + i]), repeats);
-        if (!(repeats->count > LEARNT_FIRST + 1)) continue;
-        /* What others contradict by more than its noise is no motion of the state, however even its changes. */
-        const real apart = memory.habits->parity.variance;
-        most = real_max(real_max(1, repeats->scale * repeats->scale * LEARNT_MOST), apart * apart);
-        r[i] = real_min(r[i], most);
-        *memory.r = real_min(*memory.r, most);
-    }
-}
-
-#define learnt_weigh_work(n, m, models, K) \
-    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (9 + 2 * (n) + (K)) * (m) + 4 * (K) + \
-              (3 + (K)) * (m) * (m)) + \
-     learnt_parity_work(m))
-
-/* What the models are while sensor after sensor is taken. */
+/* A measurement that corrects the models, and what these are while sensor after sensor is taken. */
 typedef struct {
+    int n, m, follows, grouped; /* whether a sensor's habits are followed, whether some fail together */
+    const learnt_rule *rule;
+    learnt_state *s;
+    const real *z, *readings, *H, *R, *M; /* as learnt_correct has them */
+    const real *part;
     real *y;     /* (models, m) */
     real *C;     /* (models, m, n) */
     real *S;     /* (models, m, m) */
@@ -553,24 +415,161 @@ typedef struct {
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
     real *before, *typical, *after, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
-    /* Of sensors that are taken at once: their places (m), under each model score and information (m), (m, m), energy and
-       noise's part of the variance (m); scratch. */
+    /* Of sensors that are taken at once: their places (m), under each model score and information (m), (m, m), energy
+       and noise's part of the variance (m); scratch. */
     real *members, *scores, *informations, *energies, *noises, *scratch;
 } learnt_work;
 
-/* Innovations under one model, and their covariances with the state and each other without noise; return how large they are. */
-INLINE real learnt_innovations(const int n, const int m, const int model, const learnt_state *const s,
-                               const real *RESTRICT H, const real *RESTRICT z, const learnt_work *const w) {
-    const real *RESTRICT x = s->x + model * n, *RESTRICT P = s->P + model * n * n;
+#define learnt_parity_work(m) ((size_t)((m) * ((m) + 5)))
+#define learnt_weigh_work(n, m, models, K) \
+    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (9 + 2 * (n) + (K)) * (m) + \
+              4 * (K) + (3 + (K)) * (m) * (m)) + \
+     learnt_parity_work(m))
+
+/* The first state that sensor i sees, or 0. */
+INLINE int learnt_sees(const int n, const real *RESTRICT H, const int i) {
+    int k = 0;
+    while (k < n && H[i * n + k] == 0) k++;
+    return k < n ? k : 0;
+}
+
+/* The first state of the part that it sees. */
+INLINE int learnt_head(const learnt_work *const w, const int i) {
+    return (int)w->part[learnt_sees(w->n, w->H, i)];
+}
+
+/* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, as a part of
+   it. left_over (m, m), row (m): scratch. */
+INLINE void learnt_kept(const learnt_work *const w, real *RESTRICT kept, real *RESTRICT left_over, real *RESTRICT row) {
+    const int n = w->n, m = w->m;
+    real_multiply(m, n, n, w->H, w->spread, w->C);
+    real_multiply_symmetric(m, n, w->C, w->H, left_over);
+    for (int i = 0; i < m; i++) kept[i] = left_over[i * m + i];
+    for (int j = 0; j < m; j++) {
+        const real per = 1 / (left_over[j * m + j] + w->r[j] * w->R[j * m + j]);
+        if (!(w->left[j] > 0 && per > 0 && real_is_finite(per))) continue;
+        real_copy(m, left_over + j * m, row);
+        real_shrink(m, per, row, left_over);
+    }
+    for (int i = 0; i < m; i++)
+        kept[i] = kept[i] > 0 ? real_min(real_max(left_over[i * m + i] / kept[i], 0), 1) : 1;
+}
+
+/* Let r of each sensor that is left be nowhere less than its parity allows, and that of white noise which would leave
+   the state as uncertain as noise with its color; note this sample's parity. */
+INLINE void learnt_sizes(const learnt_work *const w, real *RESTRICT work) {
+    const int n = w->n, m = w->m;
+    const learnt_rule *const rule = w->rule;
+    real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
+    real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m, *RESTRICT r = w->r;
+    const real *RESTRICT left = w->left;
+    int count = 0, coloured = 0;
+    for (int i = 0; i < m; i++) {
+        /* Whom the others can stand in for is not one that is followed. */
+        unit[i] = left[i] > 0 ? real_sqrt(real_max(r[i], 1) * w->R[i * m + i]) : 1;
+        if (!(unit[i] > 0)) return;
+        count += left[i] > 0;
+    }
+    if (count < 2) return;
+    for (int i = 0; i < m * m; i++) rest[i] = i % (m + 1) == 0 && left[i / m] > 0 ? 1 : 0;
+    /* What is left of the space of measurements when the state's part is taken out, direction by direction. */
+    for (int k = 0; k < n; k++) {
+        for (int i = 0; i < m; i++) column[i] = left[i] > 0 ? w->H[i * n + k] / unit[i] : 0;
+        real_multiply(m, m, 1, rest, column, out);
+        const real length = real_dot(m, out, out), per = 1 / length;
+        if (length > REAL(1e-16) * real_dot(m, column, column) && real_is_finite(per)) real_shrink(m, per, out, rest);
+    }
+    for (int i = 0; i < m; i++) {
+        learnt_habits *const habits = learnt_of(rule, w->s, i).habits;
+        real e = 0;
+        colour[i] = 0;
+        if (!(left[i] > 0 && rest[i * m + i] > LEARNT_REDUNDANT)) continue;
+        for (int j = 0; j < m; j++) {
+            out[j] = left[j] > 0 ? rest[i * m + j] / unit[j] : 0;
+            if (left[j] > 0) e += out[j] * w->z[j];
+        }
+        e /= real_sqrt(real_square(m, out, w->R));
+        if (!real_is_finite(e)) continue;
+        correlation[i] = learnt_note_parity(e, rule->memory, habits);
+        /* A color is that of the sensor of whose noise a parity is made. */
+        colour[i] = real_min(real_max(LEARNT_OWN * correlation[i], 0), 1) * real_min(LEARNT_OWN * rest[i * m + i], 1);
+        if (colour[i] > 0) {
+            /* Samples that depend on each other are worth fewer, against R as given, which is worth begin[1] of them.
+               */
+            const real square = correlation[i] * correlation[i];
+            const real worth = real_min(habits->parity.count, rule->memory) * (1 - square) / (1 + square);
+            const real sure = worth / (worth + rule->begin[1]);
+            const real least = real_exp(sure * real_log(real_min(real_max(habits->parity.variance, REAL(1e-8)), 1)));
+            r[i] = real_max(r[i], real_exp((1 - colour[i]) * real_log(r[i]) + colour[i] * real_log(least)));
+            coloured = 1;
+        }
+    }
+    if (!coloured) return;
+    learnt_kept(w, column, rest, out);
+    for (int i = 0; i < m; i++) {
+        const real part = correlation[i] * column[i];
+        if (colour[i] > 0) r[i] *= real_exp(colour[i] * real_log((1 + part) / (1 - part)));
+    }
+}
+
+/* What the models that have not jumped leave of a reading, in standard deviations of R, at most a million. */
+INLINE real learnt_left(const learnt_work *const w, const int i) {
+    const real y = w->z[i] - real_dot(w->n, w->H + i * w->n, w->at);
+    return real_within(y / real_sqrt(w->R[i * w->m + i]), LEARNT_WILDEST);
+}
+
+/* A reading in the standard deviations that R gives, finite however small R is. */
+INLINE real learnt_reading(const learnt_work *const w, const int i) {
+    return real_within(w->readings[i] / real_sqrt(w->R[i * w->m + i]), REAL_MAX);
+}
+
+/* Whether an innovation is so far from a mean that it asks for a jump. */
+INLINE int learnt_asks(const learnt_work *const w, const real *RESTRICT x, const real *RESTRICT P, const int i,
+                       const real noise) {
+    const real *const h = w->H + i * w->n, rest = w->z[i] - real_dot(w->n, h, x), seen = real_square(w->n, h, P);
+    return seen > 0 && rest * rest / (seen + noise) > LEARNT_ASKS;
+}
+
+/* Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white,
+   and that was an outlier, or it asks for a jump of the models that have not jumped. */
+INLINE int learnt_stuck(const learnt_work *const w, const int i, const learnt_memory *const memory) {
+    const real R = w->R[i * w->m + i];
+    if (!(R > 0) || !repeats_again(learnt_reading(w, i), *memory->r, &memory->habits->repeats)) return 0;
+    return learnt_asks(w, w->at, w->spread, i, *memory->r * R) || memory->last[0] < REAL(0.5);
+}
+
+/* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
+   show, of which white noise makes 6 r, unless other sensors show more; note this change. */
+INLINE void learnt_changes(const learnt_work *const w) {
+    for (int i = 0; i < w->m; i++) {
+        const learnt_memory memory = learnt_of(w->rule, w->s, i);
+        repeats_memory *const repeats = &memory.habits->repeats;
+        if (!(w->left[i] > 0 && w->R[i * w->m + i] > 0)) continue;
+        repeats_note_reading(learnt_reading(w, i), repeats);
+        repeats_note_change(learnt_left(w, i), repeats);
+        if (!(repeats->count > LEARNT_FIRST + 1)) continue;
+        /* What others contradict by more than its noise is no motion of the state, however even its changes. */
+        const real apart = memory.habits->parity.variance;
+        const real most = real_max(real_max(1, repeats->scale * repeats->scale * LEARNT_MOST), apart * apart);
+        w->r[i] = real_min(w->r[i], most);
+        *memory.r = real_min(*memory.r, most);
+    }
+}
+
+/* Innovations under one model, and their covariances with the state and each other without noise; return how large they
+   are. */
+INLINE real learnt_innovations(const int model, const learnt_work *const w) {
+    const int n = w->n, m = w->m;
+    const real *RESTRICT x = w->s->x + model * n, *RESTRICT P = w->s->P + model * n * n;
     real *RESTRICT C = w->C + model * m * n, *RESTRICT S = w->S + model * m * m, *RESTRICT y = w->y + model * m;
     real check = 0;
     for (int i = 0; i < m; i++) {
-        y[i] = w->left[i] > 0 ? z[i] - real_dot(n, H + i * n, x) : 0;
+        y[i] = w->left[i] > 0 ? w->z[i] - real_dot(n, w->H + i * n, x) : 0;
         check += y[i] - y[i];
         y[i] = real_within(y[i], REAL_LARGE);
     }
-    real_multiply(m, n, n, H, P, C);
-    real_multiply_symmetric(m, n, C, H, S);
+    real_multiply(m, n, n, w->H, P, C);
+    real_multiply_symmetric(m, n, C, w->H, S);
     return check;
 }
 
@@ -584,8 +583,8 @@ INLINE real learnt_like_before(const jumps_memory *const jumps, const real y, co
     return jumps->chance / (1 - jumps->chance) * learnt_normal(y, variance + jumps->size * jumps->size * R);
 }
 
-/* Note with which sensor a candidate has begun, and how likely it is a jump like those that this sensor has seen: no reading
-   that repeats the one before, nor one that another contradicts. */
+/* Note with which sensor a candidate has begun, and how likely it is a jump like those that this sensor has seen: no
+   reading that repeats the one before, nor one that another contradicts. */
 INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const learnt_state *const s, const int i,
                               const real y, const real S, const real R, const learnt_work *const w) {
     jumps_memory *const jumps = learnt_jumps(rule, s, i);
@@ -608,8 +607,7 @@ INLINE void learnt_note_began(const int m, const learnt_rule *const rule, const 
    of each state were independent, so that the others keep what they have. P is so wide that the innovation does not ask any
    more, or would not if that state alone had moved; less what it tells by Joseph's form, as the gain is not C / S. */
 INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                         const real *RESTRICT H, const real *RESTRICT R, const real *RESTRICT z,
-                         const learnt_work *const w) {
+                         const real *RESTRICT H, const real *RESTRICT R, const learnt_work *const w) {
     const int q = rule->q;
     const real *const part = learnt_part(n, rule, s), *const unseen = learnt_unseen(n, rule, s);
     real *const x = s->x + q * n, *const P = s->P + q * n * n, *const d = w->direction;
@@ -651,34 +649,31 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         for (int o = 0; o < n; o++)
             for (int k = 0; part[o] == w->head[i] && k < n; k++)
                 if (part[k] == part[o]) P[o * n + k] += whole * (d[o] * d[k]) - (d[o] * C[k] + d[k] * C[o]);
-        learnt_innovations(n, m, q, s, H, z, w);
+        learnt_innovations(q, w);
     }
 }
 
 /* Let what a measurement couples be one part: the states that a sensor sees or whose error is its noise's too, those of
    correlated sensors and of those that fail together. Say of each sensor which part it sees. */
-INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                          const real *RESTRICT H, const real *RESTRICT R, const real *M, const learnt_work *const w) {
-    const real *const part = learnt_part(n, rule, s);
+INLINE void learnt_couple(const learnt_work *const w) {
+    const learnt_rule *const rule = w->rule;
+    const int n = w->n, m = w->m;
     for (int i = 0; i < m; i++) {
-        int first = 0;
         if (!(w->left[i] > 0)) continue;
-        while (H[i * n + first] == 0) first++;
-        for (int k = first + 1; k < n; k++)
-            if (H[i * n + k] != 0) learnt_join(n, rule, s, first, k);
-        for (int k = 0; M && k < n; k++)
-            if (M[k * m + i] != 0) learnt_join(n, rule, s, first, k);
+        const int first = learnt_sees(n, w->H, i);
+        for (int k = 0; k < n; k++)
+            if (w->H[i * n + k] != 0 || (w->M && w->M[k * m + i] != 0)) learnt_join(n, rule, w->s, first, k);
         w->head[i] = (real)first;
         for (int j = 0; j < i; j++)
-            if (w->left[j] > 0 && (R[i * m + j] != 0 || learnt_lead(rule, i) == learnt_lead(rule, j)))
-                learnt_join(n, rule, s, first, (int)w->head[j]);
+            if (w->left[j] > 0 && (w->R[i * m + j] != 0 || learnt_lead(rule, i) == learnt_lead(rule, j)))
+                learnt_join(n, rule, w->s, first, (int)w->head[j]);
     }
     for (int i = 0; i < m; i++)
-        if (w->left[i] > 0) w->head[i] = part[(int)w->head[i]];
+        if (w->left[i] > 0) w->head[i] = w->part[(int)w->head[i]];
 }
 
-/* Learn from a candidate that a sensor began and that is believed now: how often that happens, and how far. What was refused
-   until then, or until the state followed, was no outlier. */
+/* Learn from a candidate that a sensor began and that is believed now: how often that happens, and how far. What was
+   refused until then, or until the state followed, was no outlier. */
 INLINE void learnt_jumped(const learnt_rule *const rule, const learnt_state *const s, const int i, const int believed) {
     const int K = rule->K;
     const real *const prior = rule->begin + 2 + 2 * K;
@@ -731,12 +726,12 @@ INLINE void learnt_settle(const int n, const learnt_rule *const rule, learnt_sta
 }
 
 /* How likely a reading begins a jump, one like the sensor's last one rather than an outlier. */
-INLINE real learnt_new_chance(const int n, const learnt_rule *const rule, const learnt_state *const s, const int i,
-                              const real z, const real *RESTRICT h, const real noise, const real R,
-                              const learnt_work *const w) {
-    const jumps_memory *const jumps = learnt_jumps(rule, s, i);
-    const learnt_memory memory = learnt_of(rule, s, i);
-    const real y = z - real_dot(n, h, w->at), seen = real_square(n, h, w->spread);
+INLINE real learnt_new_chance(const learnt_work *const w, const int i) {
+    const learnt_rule *const rule = w->rule;
+    const jumps_memory *const jumps = learnt_jumps(rule, w->s, i);
+    const learnt_memory memory = learnt_of(rule, w->s, i);
+    const real *const h = w->H + i * w->n, noise = w->N[i * w->m + i], R = w->R[i * w->m + i];
+    const real y = w->z[i] - real_dot(w->n, h, w->at), seen = real_square(w->n, h, w->spread);
     real outlier = 0, like;
     if (!jumps) return 0;
     like = learnt_like_before(jumps, y, seen + noise, R);
@@ -745,70 +740,65 @@ INLINE real learnt_new_chance(const int n, const learnt_rule *const rule, const 
     return real_max(like > 0 ? like / (like + outlier) : 0, rule->jump);
 }
 
-/* Drop candidates that have lost: in their place a new one may begin, where all others are. A reading that is far from them
-   and from all others decides: who is more likely than not is believed, who has gained nothing is dropped. */
-INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                           const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R,
-                           const learnt_work *const w, real *RESTRICT work) {
-    const int q = rule->q, jumps = rule->jump > 0;
-    const real *const part = learnt_part(n, rule, s);
+/* Drop candidates that have lost: in their place a new one may begin, where all others are. A reading that is far from
+   them and from all others decides: who is more likely than not is believed, who has gained nothing is dropped. */
+INLINE void learnt_refresh(const learnt_work *const w, real *RESTRICT work) {
+    const int n = w->n, m = w->m, q = w->rule->q;
+    learnt_state *const s = w->s;
     int believed = 0;
+    if (!(w->rule->jump > 0)) return;
     for (int i = 0; i < m; i++)
-        if (w->left[i] > 0) w->fresh[i] = jumps && s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * rule->jump;
-    for (int i = 0; i < m && jumps; i++) {
+        if (w->left[i] > 0) w->fresh[i] = s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * w->rule->jump;
+    for (int i = 0; i < m; i++) {
         const real noise = w->N[i * m + i];
-        real chance;
-        if (!(w->left[i] > 0) || w->fresh[i] > 0 || !learnt_asks(n, w->at, w->spread, z[i], H + i * n, noise) ||
-            !learnt_asks(n, s->x + q * n, s->P + q * n * n, z[i], H + i * n, noise))
+        if (!(w->left[i] > 0) || w->fresh[i] > 0 || !learnt_asks(w, w->at, w->spread, i, noise) ||
+            !learnt_asks(w, s->x + q * n, s->P + q * n * n, i, noise))
             continue;
-        chance = s->p[q * n + (int)w->head[i]];
-        if (!(chance > REAL(0.5)) && !(chance * (1 + REAL(1e-9)) < learnt_new_chance(n, rule, s, i, z[i], H + i * n, noise,
-                                                                                 R[i * m + i], w)))
-            continue;
-        if (chance > REAL(0.5)) learnt_settle(n, rule, s, w->head[i]), believed = 1;
+        const real chance = s->p[q * n + (int)w->head[i]];
+        if (!(chance > REAL(0.5)) && !(chance * (1 + REAL(1e-9)) < learnt_new_chance(w, i))) continue;
+        if (chance > REAL(0.5)) learnt_settle(n, w->rule, s, w->head[i]), believed = 1;
         for (int j = 0; j < m; j++) {
             if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
-            if (chance > REAL(0.5)) learnt_jumped(rule, s, j, 1);
+            if (chance > REAL(0.5)) learnt_jumped(w->rule, s, j, 1);
             w->fresh[j] = 1;
         }
     }
-    if (believed) learnt_slow(n, rule, s, w->at, w->spread, work);
-    for (int o = 0; jumps && o < n; o++) {
+    if (believed) learnt_slow(n, w->rule, s, w->at, w->spread, work);
+    for (int o = 0; o < n; o++) {
         int drops = 0;
-        for (int i = 0; i < m; i++) drops |= w->left[i] > 0 && w->head[i] == part[o] && w->fresh[i] > 0;
+        for (int i = 0; i < m; i++) drops |= w->left[i] > 0 && w->head[i] == w->part[o] && w->fresh[i] > 0;
         if (!drops) continue;
         s->p[q * n + o] = 0;
         learnt_normalize(n, o, q, s->p);
         s->x[q * n + o] = w->at[o];
-        for (int k = 0; k < n; k++) s->P[(q * n + o) * n + k] = w->spread[o * n + k];
+        real_copy(n, w->spread + o * n, s->P + (q * n + o) * n);
     }
 }
 
 /* Add what the noise has to do with the state's error to the moments of innovations; M grows as R does. */
-CALLED void learnt_correlate(const int n, const int m, const int models, const real *RESTRICT H, const real *RESTRICT M,
-                             const learnt_work *const w) {
+CALLED void learnt_correlate(const int models, const learnt_work *const w) {
+    const int n = w->n, m = w->m;
     for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
             const real root = real_sqrt(w->r[i]);
             for (int j = 0; j < m; j++) {
                 real cross = 0;
-                for (int k = 0; k < n; k++) cross += H[j * n + k] * (M[k * m + i] * root);
+                for (int k = 0; k < n; k++) cross += w->H[j * n + k] * (w->M[k * m + i] * root);
                 w->S[(c * m + i) * m + j] += cross;
                 w->S[(c * m + j) * m + i] += cross;
             }
-            for (int k = 0; k < n; k++) w->C[(c * m + i) * n + k] += M[k * m + i] * root;
+            for (int k = 0; k < n; k++) w->C[(c * m + i) * n + k] += w->M[k * m + i] * root;
         }
 }
 
-/* Begin a correction: innovations and their moments, fresh candidates where they ask for them. Return whether ordinary. */
-INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                        const real *RESTRICT H, const real *RESTRICT R, const real *M, const real *RESTRICT z,
-                        const learnt_work *const w) {
-    const int models = learnt_models(rule);
+/* Begin a correction: innovations and their moments, fresh candidates where they ask for them. Return whether ordinary.
+   */
+INLINE int learnt_begin(const learnt_work *const w) {
+    const int m = w->m, models = learnt_models(w->rule);
     real check = 0;
-    for (int c = 0; c < models; c++) check += learnt_innovations(n, m, c, s, H, z, w);
+    for (int c = 0; c < models; c++) check += learnt_innovations(c, w);
     if (check != 0) return 0;
-    if (rule->jump > 0) learnt_widen(n, m, rule, s, H, R, z, w);
+    if (w->rule->jump > 0) learnt_widen(w->n, m, w->rule, w->s, w->H, w->R, w);
     for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
             const real *const N = w->N + i * m;
@@ -818,18 +808,16 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
             for (int j = 0; j < m; j++)
                 if (w->left[j] > 0) S[j] += N[j];
         }
-    if (M) learnt_correlate(n, m, models, H, M, w);
-    for (int i = 0; i < m; i++) {
-        w->start[i] = 0;
-        for (int c = 0; c < models; c++) w->start[i] = real_max(w->start[i], w->S[(c * m + i) * m + i]);
-    }
+    if (w->M) learnt_correlate(models, w);
+    for (int c = 0; c < models; c++)
+        for (int i = 0; i < m; i++) w->start[i] = real_max(c ? w->start[i] : 0, w->S[(c * m + i) * m + i]);
     return 1;
 }
 
-/* What the classes of noise make of an innovation y (g) of covariance S (g, g), of which N is ordinary noise: write their
-   probabilities, which were `before`, the log density, and of each class the whitened innovation, u (K, g), and the factor
-   of its covariance, L (K, g, g), one over what it is on the diagonal; peaks (K) is scratch. Return whether all is
-   ordinary. */
+/* What the classes of noise make of an innovation y (g) of covariance S (g, g), of which N is ordinary noise: write
+   their probabilities, which were `before`, the log density, and of each class the whitened innovation, u (K, g), and
+   the factor of its covariance, L (K, g, g), one over what it is on the diagonal; peaks (K) is scratch. Return whether
+   all is ordinary. */
 SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real *RESTRICT y, const real *RESTRICT S,
                           const real *RESTRICT N, const real *RESTRICT before, real *RESTRICT given,
                           real *const log_density, real *RESTRICT u, real *RESTRICT L, real *RESTRICT peaks) {
@@ -841,7 +829,8 @@ SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real 
     if (unit < REAL_PRODUCT) unit = 1;
     per_unit = 1 / unit;
     for (int k = K - 1; k >= 0; k--) {
-        real *RESTRICT const root = L + k * g * g, *RESTRICT const white = u + k * g, peak = before[k], log_peak = 0, length = 0;
+        real *RESTRICT const root = L + k * g * g, *RESTRICT const white = u + k * g;
+        real peak = before[k], log_peak = 0, length = 0;
         for (int t = 0; t < g; t++) {
             white[t] = y[t] * per_unit;
             for (int o = 0; o <= t; o++) {
@@ -877,27 +866,26 @@ SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real 
 }
 
 /* Write what all g members expect of their classes, the mean of what each does, and ordinary noise N (g, g). */
-SIZED void learnt_expected(const int m, const learnt_rule *const rule, const learnt_state *const s, const int g,
-                           const learnt_work *const w, real *RESTRICT N) {
-    const int K = rule->K, rows = rule->joint ? 1 : g;
+SIZED void learnt_expected(const learnt_work *const w, const int g, real *RESTRICT N) {
+    const int K = w->rule->K, rows = w->rule->joint ? 1 : g;
     const real each = 1 / (real)rows;
     for (int k = 0; k < K; k++) w->before[k] = w->typical[k] = 0;
     for (int t = 0; t < rows; t++) {
-        const learnt_memory memory = learnt_of(rule, s, (int)w->members[t]);
+        const learnt_memory memory = learnt_of(w->rule, w->s, (int)w->members[t]);
         learnt_predicted(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->before[k] += w->after[k] * each;
         learnt_typical(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->typical[k] += w->after[k] * each;
     }
     for (int t = 0; t < g; t++)
-        for (int u = 0; u < g; u++) N[t * g + u] = w->N[(int)w->members[t] * m + (int)w->members[u]];
+        for (int u = 0; u < g; u++) N[t * g + u] = w->N[(int)w->members[t] * w->m + (int)w->members[u]];
 }
 
 /* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
    classes, and the probability from the samples before that they are; return whether its density, of which the log is
    written too, is ordinary. */
-CALLED int learnt_together(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                           learnt_work *const w, real *const log_density) {
+CALLED int learnt_together(learnt_work *const w, real *const log_density) {
+    const int n = w->n, m = w->m, q = w->rule->q;
     real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
     real *RESTRICT const u = N + m * m, total = 0;
     int g = 0;
@@ -905,30 +893,31 @@ CALLED int learnt_together(const int n, const int m, const learnt_rule *const ru
         if (w->left[i] > 0) w->members[g++] = (real)i;
     for (int t = 0; t < g; t++) {
         const int i = (int)w->members[t];
-        const real *const p = s->p + (int)w->head[i], reach = LEARNT_TOGETHER * real_sqrt(w->start[i]);
+        const real *const p = w->s->p + (int)w->head[i], reach = LEARNT_TOGETHER * real_sqrt(w->start[i]);
         real slow = 0;
-        total += learnt_of(rule, s, i).habits->together;
-        for (int c = 0; c < rule->q; c++) slow += p[c * n];
+        total += learnt_of(w->rule, w->s, i).habits->together;
+        for (int c = 0; c < q; c++) slow += p[c * n];
         y[t] = 0;
-        for (int c = 0; c < rule->q; c++) y[t] += p[c * n] / slow * real_within(w->y[c * m + i], reach);
+        for (int c = 0; c < q; c++) y[t] += p[c * n] / slow * real_within(w->y[c * m + i], reach);
         for (int o = 0; o <= t; o++) {
             const int j = (int)w->members[o];
             const real other = LEARNT_TOGETHER * real_sqrt(w->start[j]);
             real both = 0;
-            for (int c = 0; w->head[i] == w->head[j] && c < rule->q; c++)
+            for (int c = 0; w->head[i] == w->head[j] && c < q; c++)
                 both += p[c * n] / slow * (w->S[(c * m + i) * m + j] + (real_within(w->y[c * m + i], reach) - y[t])
                                                                      * (real_within(w->y[c * m + j], other) - y[o]));
             S[t * g + o] = S[o * g + t] = both;
         }
     }
     w->together = total / (real)g;
-    learnt_expected(m, rule, s, g, w, N);
-    return learnt_classes(g, rule, y, S, N, w->before, w->shared, log_density, u, u + rule->K * m, w->after);
+    learnt_expected(w, g, N);
+    return learnt_classes(g, w->rule, y, S, N, w->before, w->shared, log_density, u, u + w->rule->K * m, w->after);
 }
 
 /* A sensor's innovation in standard deviations, over all models. */
-INLINE real learnt_far(const int n, const int m, const int models, const real *RESTRICT p, const learnt_work *const w,
-                       const int i) {
+INLINE real learnt_far(const learnt_work *const w, const int i) {
+    const int n = w->n, m = w->m, models = learnt_models(w->rule);
+    const real *const p = w->s->p + (int)w->head[i];
     real mean = 0, variance = 0, unit = 1;
     for (int c = 0; c < models; c++) unit = real_max(unit, real_abs(w->y[c * m + i]));
     for (int c = 0; c < models; c++) mean += p[c * n] * (w->y[c * m + i] / unit);
@@ -939,33 +928,34 @@ INLINE real learnt_far(const int n, const int m, const int models, const real *R
     return real_abs(mean) / real_sqrt(variance);
 }
 
-/* The sensor that is taken next of `count` that are left, the least far; of those that fail together the farthest counts. */
-INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                       const int count, const learnt_work *const w) {
+/* The sensor that is taken next of `count` that are left, the least far; of those that fail together the farthest
+   counts. */
+INLINE int learnt_next(const learnt_work *const w, const int count) {
     int best = -1;
     real least = 0;
-    for (int i = 0; i < m; i++) {
+    for (int i = 0; i < w->m; i++) {
         real far = 0;
         if (!(w->left[i] > 0)) continue;
-        for (int j = 0; j < m && count > 1; j++)
-            if (w->left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i))
-                far = real_max(far, learnt_far(n, m, learnt_models(rule), s->p + (int)w->head[j], w, j));
+        for (int j = 0; j < w->m && count > 1; j++)
+            if (w->left[j] > 0 && learnt_lead(w->rule, j) == learnt_lead(w->rule, i))
+                far = real_max(far, learnt_far(w, j));
         if (best < 0 || far < least) best = i, least = far;
     }
     return best;
 }
 
-/* Score, information and likelihood of g sensors that are taken at once under every model. Return whether all is ordinary.
-   log_density: of all that is likely the most, which w->logs are over. */
-SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const learnt_state *const s, const int g,
-                           const learnt_work *const w, real *const log_density) {
+/* Score, information and likelihood of g sensors that are taken at once under every model. Return whether all is
+   ordinary. log_density: of all that is likely the most, which w->logs are over. */
+SIZED int learnt_scores_of(const learnt_work *const w, const int g, real *const log_density) {
+    const learnt_rule *const rule = w->rule;
+    const int m = w->m, first = (int)w->members[0];
     const int models = learnt_models(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
-    const int first = (int)w->members[0];
     real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
     real *RESTRICT const pulls = N + m * m, *RESTRICT const inverses = pulls + K * m;
-    learnt_expected(m, rule, s, g, w, N);
+    learnt_expected(w, g, N);
     for (int c = 0; c < models; c++) {
-        real *RESTRICT given = w->given + c * K, *RESTRICT a = w->scores + c * m, *RESTRICT b = w->informations + c * m * m;
+        real *RESTRICT const given = w->given + c * K, *RESTRICT const a = w->scores + c * m;
+        real *RESTRICT const b = w->informations + c * m * m;
         if (!(w->S[(c * m + first) * m + first] > REAL_PIVOT * w->start[first])) return 0;
         for (int t = 0; t < g; t++) {
             const int i = (int)w->members[t];
@@ -981,13 +971,12 @@ SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const lea
             real *RESTRICT const pull = pulls + k * g, *RESTRICT const inverse = inverses + k * g * g;
             if (w->together > 0) given[k] += w->together * (w->shared[k] - given[k]);
             /* The inverse of the factor in its place, and with it those of the innovation and of its covariance. */
-            for (int t = 0; t < g; t++) {
+            for (int t = 0; t < g; t++)
                 for (int u = 0; u < t; u++) {
                     real sum = 0;
                     for (int o = u; o < t; o++) sum -= inverse[t * g + o] * inverse[o * g + u];
                     inverse[t * g + u] = sum * inverse[t * g + t];
                 }
-            }
             for (int t = 0; t < g; t++) {
                 real pulled = 0;
                 for (int o = t; o < g; o++) pulled += inverse[o * g + t] * pull[o];
@@ -1030,14 +1019,15 @@ SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const lea
 }
 
 /* With a copy of its own for what is usual, one sensor. */
-CALLED int learnt_scores(const int m, const learnt_rule *const rule, const learnt_state *const s, const int g,
-                         const learnt_work *const w, real *const log_density) {
-    return g == 1 ? learnt_scores_of(m, rule, s, 1, w, log_density) : learnt_scores_of(m, rule, s, g, w, log_density);
+CALLED int learnt_scores(const learnt_work *const w, const int g, real *const log_density) {
+    return g == 1 ? learnt_scores_of(w, 1, log_density) : learnt_scores_of(w, g, log_density);
 }
 
 /* Learn from what sensors that are taken at once have said, and take it off the models; w->shares are these models'. */
-CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule, const learnt_state *const s,
-                         const int g, const learnt_work *const w) {
+CALLED void learnt_taken(const learnt_work *const w, const int g) {
+    const learnt_rule *const rule = w->rule;
+    const learnt_state *const s = w->s;
+    const int n = w->n, m = w->m;
     const int models = learnt_models(rule), K = rule->K;
     real *RESTRICT ours = w->scratch, *RESTRICT theirs = ours + m * n;
     real *RESTRICT bC = theirs + m * m, *RESTRICT bS = bC + m * n;
@@ -1053,7 +1043,8 @@ CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule
         noisy /= ordinary;
         /* Its own chain foresaw the class, not what all of them expect together. */
         learnt_predicted(K, &memory, w->before);
-        learnt_learn(rule, w->after, w->before, w->r[i], noisy > 0 ? (energy / ordinary - 1) / noisy : 0, noisy, &memory);
+        energy = noisy > 0 ? (energy / ordinary - 1) / noisy : 0;
+        learnt_learn(rule, w->after, w->before, w->r[i], energy, noisy, &memory);
     }
     for (int t = 0; t < g; t++) w->left[(int)w->members[t]] = 0;
     for (int c = 0; c < models; c++) {
@@ -1083,151 +1074,167 @@ CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule
     }
 }
 
-/* What `learnt_correct` does with R as it is. logs (m): log density of each reading, NaN where there is none. */
-INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                        const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
-                        const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,
-                        real *const log_density, real *RESTRICT logs, real *RESTRICT work) {
-    const int follows = rule->learns && !rule->joint, grouped = rule->joint || rule->named > 0;
-    const int q = rule->q, models = learnt_models(rule), K = rule->K;
-    const real *const part = learnt_part(n, rule, s);
-    learnt_work w;
-    int count = 0, held = 0;
-    real together = 0, apart = 0;
-    const real_part parts[] = {
-        {&w.y, models * m}, {&w.C, models * m * n}, {&w.S, models * m * m}, {&w.given, models * K}, {&w.logs, models},
-        {&w.shares, models}, {&w.at, n}, {&w.spread, n * n}, {&w.direction, n}, {&w.left, m}, {&w.r, m}, {&w.N, m * m},
-        {&w.start, m}, {&w.goes_on, m}, {&w.head, m}, {&w.fresh, m}, {&w.alike, m}, {&w.before, K}, {&w.typical, K},
-        {&w.after, K}, {&w.shared, K}, {&w.members, m}, {&w.scores, models * m}, {&w.informations, models * m * m},
-        {&w.energies, models * m}, {&w.noises, models * m}, {&w.scratch, m * (1 + 2 * n + K) + m * m * (2 + K)}};
-    work = real_lay_out((int)(sizeof parts / sizeof *parts), parts, work);
-    w.together = 0;
-    learnt_slow(n, rule, s, w.at, w.spread, work);
-    for (int i = 0; i < m; i++) {
-        const learnt_memory memory = learnt_of(rule, s, i);
+/* Say which readings there are, of sensors that see something; how many of these are left out, as their sensors are
+   stuck. */
+INLINE int learnt_seen(learnt_work *const w, real *RESTRICT weights, real *RESTRICT outlying, real *RESTRICT logs) {
+    const int n = w->n;
+    int held = 0;
+    for (int i = 0; i < w->m; i++) {
+        const learnt_memory memory = learnt_of(w->rule, w->s, i);
         int seen = 0;
-        for (int k = 0; k < n; k++) seen |= H[i * n + k] != 0;
-        w.left[i] = seen && z[i] == z[i] ? 1 : 0;
+        for (int k = 0; k < n; k++) seen |= w->H[i * n + k] != 0;
+        w->left[i] = seen && w->z[i] == w->z[i] ? 1 : 0;
+        w->r[i] = w->rule->learns ? *memory.r : 1;
         weights[i] = logs[i] = (real)NAN;
-        outlying[i] = 0;
-        if (w.left[i] > 0 && follows &&
-            learnt_stuck(n, rule, w.at, w.spread, z[i], readings[i], H + i * n, R[i * m + i], &memory)) {
-            w.left[i] = weights[i] = 0;
-            outlying[i] = 1;
-            held++;
-        }
-        count += w.left[i] > 0, w.goes_on[i] = 0;
+        outlying[i] = w->goes_on[i] = 0;
+        if (!(w->left[i] > 0 && w->follows && learnt_stuck(w, i, &memory))) continue;
+        w->left[i] = weights[i] = 0;
+        outlying[i] = 1;
+        held++;
     }
-    if (count == 0) return held;
-    for (int i = 0; i < m; i++) w.r[i] = rule->learns ? *learnt_of(rule, s, i).r : 1;
-    learnt_couple(n, m, rule, s, H, R, M, &w);
-    learnt_slow(n, rule, s, w.at, w.spread, work);
-    for (int i = 0; i < m; i++) {
-        const learnt_memory memory = learnt_of(rule, s, i);
-        if (!(follows && w.left[i] > 0 && R[i * m + i] > 0 && memory.last[0] < REAL(0.5))) continue;
-        const real y = learnt_left(n, w.at, z[i], H + i * n, R[i * m + i]);
-        w.goes_on[i] = 2 * real_abs(y - memory.habits->repeats.left) < real_abs(y);
+    return held;
+}
+
+/* Let what a measurement couples be one part, and what sensors do usually set their r. */
+INLINE void learnt_prepare(learnt_work *const w, real *RESTRICT work) {
+    const int m = w->m;
+    learnt_couple(w);
+    learnt_slow(w->n, w->rule, w->s, w->at, w->spread, work);
+    for (int i = 0; w->follows && i < m; i++) {
+        const learnt_memory memory = learnt_of(w->rule, w->s, i);
+        if (!(w->left[i] > 0 && w->R[i * m + i] > 0 && memory.last[0] < REAL(0.5))) continue;
+        const real y = learnt_left(w, i);
+        w->goes_on[i] = 2 * real_abs(y - memory.habits->repeats.left) < real_abs(y);
     }
-    if (follows) {
-        learnt_changes(n, m, rule, s, w.at, z, readings, H, R, w.left, w.r);
-        learnt_sizes(n, m, rule, s, w.spread, z, H, R, w.left, w.r, work);
+    if (w->follows) {
+        learnt_changes(w);
+        learnt_sizes(w, work);
     }
     for (int i = 0; i < m; i++)
-        for (int j = 0; j < m; j++) w.N[i * m + j] = R[i * m + j] * (i == j ? w.r[i] : real_sqrt(w.r[i] * w.r[j]));
-    learnt_refresh(n, m, rule, s, z, H, R, &w, work);
-    if (!learnt_begin(n, m, rule, s, H, R, M, z, &w)) return -1;
-    if (follows && !grouped && count > 1 && !learnt_together(n, m, rule, s, &w, &together)) return -1;
-    for (int turn = 0, group; turn < count; turn += group) {
-        const int i = learnt_next(n, m, rule, s, count - turn, &w);
-        const real *const p = s->p + (int)w.head[i];
-        real total = 0, full = 0, others = 0, evidence = 0, weight = 0, most = 0;
-        group = 0;
         for (int j = 0; j < m; j++)
-            if (w.left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i)) w.members[group++] = (real)j;
-        if (!learnt_scores(m, rule, s, group, &w, &most)) return -1;
-        if (models > q) {
-            /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
-               all others worth more than a hundred. */
-            for (int c = 0; c < q; c++) {
-                others += real_max(p[c * n], REAL(1e-300));
-                evidence += real_max(p[c * n], REAL(1e-300)) * w.logs[c];
-            }
-            evidence /= others;
-            /* What tells for a jump so much tells nothing of the scale of Q, where a jump is no far-fetched reason. */
-            const int experienced = p[q * n] >= LEARNT_DROPPED && learnt_jumps(rule, s, i) &&
-                                    learnt_of(rule, s, i).habits->repeats.count > LEARNT_FIRST;
-            for (int c = 0; c < q && experienced && w.logs[q] > LEARNT_TELLS * evidence; c++) w.logs[c] = evidence;
-            full = others * evidence + p[q * n] * (w.fresh[i] > 0 ? evidence : w.logs[q]);
-            w.logs[q] = w.fresh[i] > 0 ? evidence : real_min(w.logs[q], LEARNT_EVIDENCE * evidence);
-            if (w.alike[i] > 0 && p[q * n] > 0) 
-                w.logs[q] += (1 - p[q * n]) / p[q * n] * w.alike[i] * real_exp(-most - REAL(0.5) * LEARNT_LOG_2PI);
-        }
-        for (int c = 0; c < models; c++) {
-            w.shares[c] = (c < q ? real_max(p[c * n], REAL(1e-300)) : p[c * n]) * w.logs[c];
-            total += w.shares[c];
-        }
-        if (!(total > 0) || !real_is_finite(total)) return -1;
-        apart += most + real_log(total);
-        logs[i] = most + real_log(models > q ? full : total);
-        for (int k = 0; k < K; k++) w.after[k] = 0;
-        for (int c = 0; c < models; c++) {
-            w.shares[c] /= total;
-            for (int o = 0; o < n; o++)
-                if (part[o] == w.head[i]) s->p[c * n + o] = w.shares[c];
-            for (int k = 0; k < K; k++) w.after[k] += w.shares[c] * w.given[c * K + k];
-        }
-        for (int k = 0; k < K; k++) weight += w.after[k] / rule->scales[k];
-        for (int t = 0; t < group; t++)
-            weights[(int)w.members[t]] = weight, outlying[(int)w.members[t]] = 1 - w.after[0];
-        learnt_taken(n, m, rule, s, group, &w);
+            w->N[i * m + j] = w->R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
+    learnt_refresh(w, work);
+}
+
+/* Let what the sensors that are taken at once have said, w->logs over exp(most), move the probabilities of the models
+   in their part; add to log_density and write its part without what a candidate is made to fit. Return whether
+   ordinary. */
+INLINE int learnt_believe(const learnt_work *const w, const int i, const real most, real *const log_density,
+                          real *const log_shown) {
+    const int n = w->n, q = w->rule->q, models = learnt_models(w->rule), K = w->rule->K;
+    real *const p = w->s->p, *const here = p + (int)w->head[i], *const logs = w->logs;
+    real total = 0, full = 0, others = 0, evidence = 0;
+    for (int c = 0; c < q; c++) {
+        w->shares[c] = real_max(here[c * n], REAL(1e-300));
+        others += w->shares[c], evidence += w->shares[c] * logs[c];
     }
-    *log_density += apart;
-    if (w.together > 0) {
+    if (models > q) {
+        /* A candidate is made to fit what it begins with, which is no evidence for it; nor is a sample that is wild to
+           all others worth more than a hundred. */
+        const real chance = w->shares[q] = here[q * n];
+        evidence /= others;
+        /* What tells for a jump so much tells nothing of the scale of Q, where a jump is no far-fetched reason. */
+        const int experienced = chance >= LEARNT_DROPPED && learnt_jumps(w->rule, w->s, i) &&
+                                learnt_of(w->rule, w->s, i).habits->repeats.count > LEARNT_FIRST;
+        for (int c = 0; c < q && experienced && logs[q] > LEARNT_TELLS * evidence; c++) logs[c] = evidence;
+        full = others * evidence + chance * (w->fresh[i] > 0 ? evidence : logs[q]);
+        logs[q] = w->fresh[i] > 0 ? evidence : real_min(logs[q], LEARNT_EVIDENCE * evidence);
+        if (w->alike[i] > 0 && chance > 0)
+            logs[q] += (1 - chance) / chance * w->alike[i] * real_exp(-most - REAL(0.5) * LEARNT_LOG_2PI);
+    }
+    for (int c = 0; c < models; c++) total += w->shares[c] *= logs[c];
+    if (!(total > 0) || !real_is_finite(total)) return 0;
+    *log_density += most + real_log(total);
+    *log_shown = most + real_log(models > q ? full : total);
+    for (int k = 0; k < K; k++) w->after[k] = 0;
+    for (int c = 0; c < models; c++) {
+        w->shares[c] /= total;
+        for (int o = 0; o < n; o++)
+            if (w->part[o] == w->head[i]) p[c * n + o] = w->shares[c];
+        for (int k = 0; k < K; k++) w->after[k] += w->shares[c] * w->given[c * K + k];
+    }
+    return 1;
+}
+
+/* Let candidates that are believed take over, and sensors learn from them and whether they fail together; together and
+   apart: log densities of the measurement if they do and if not. */
+INLINE void learnt_conclude(const learnt_work *const w, const real together, const real apart,
+                            const real *RESTRICT weights, real *RESTRICT work) {
+    const int n = w->n, m = w->m, q = w->rule->q;
+    const learnt_rule *const rule = w->rule;
+    learnt_state *const s = w->s;
+    if (w->together > 0) {
         /* How sensors fail may change, and a sample is worth no more than a hundred to one. */
-        const real prior = learnt_of_row(K, (real *)rule->begin).habits->together;
-        const real before = w.together + (prior - w.together) / rule->memory;
-        const real most = real_log(LEARNT_EVIDENCE), evidence = real_min(real_max(together - apart, -most), most);
-        const real odds = before / (1 - before) * real_exp(evidence);
+        const real prior = learnt_of_row(rule->K, (real *)rule->begin).habits->together;
+        const real before = w->together + (prior - w->together) / rule->memory;
+        const real odds = before / (1 - before) * real_exp(real_within(together - apart, real_log(LEARNT_EVIDENCE)));
         for (int i = 0; i < m; i++)
             if (weights[i] > 0) learnt_of(rule, s, i).habits->together = odds / (1 + odds);
     }
-    for (int o = 0; models > q && o < n; o++) {
+    for (int o = 0; rule->jump > 0 && o < n; o++) {
         const int believed = s->p[q * n + o] > LEARNT_TAKEN;
         for (int i = 0; i < m; i++) {
-            if (!(weights[i] > 0 && w.head[i] == part[o])) continue;
+            if (!(weights[i] > 0 && w->head[i] == w->part[o])) continue;
             learnt_unseen(n, rule, s)[o] = 0;
-            if (believed || (w.goes_on[i] > 0 && learnt_of(rule, s, i).last[0] > REAL(0.5)))
+            if (believed || (w->goes_on[i] > 0 && learnt_of(rule, s, i).last[0] > REAL(0.5)))
                 learnt_jumped(rule, s, i, believed);
         }
-        if (believed) learnt_settle(n, rule, s, part[o]);
+        if (believed) learnt_settle(n, rule, s, w->part[o]);
     }
-    if (follows) {
-        learnt_slow(n, rule, s, w.at, w.spread, work);
-        for (int i = 0; i < m; i++)
-            if (weights[i] > 0 && R[i * m + i] > 0)
-                learnt_of(rule, s, i).habits->repeats.left = learnt_left(n, w.at, z[i], H + i * n, R[i * m + i]);
-    }
-    return count + held;
+    if (!w->follows) return;
+    learnt_slow(n, rule, s, w->at, w->spread, work);
+    for (int i = 0; i < m; i++)
+        if (weights[i] > 0 && w->R[i * m + i] > 0) learnt_of(rule, s, i).habits->repeats.left = learnt_left(w, i);
 }
 
-/* The first state that sensor i sees. */
-INLINE int learnt_sees(const int n, const real *RESTRICT H, const int i) {
-    for (int k = 0; k < n; k++)
-        if (H[i * n + k] != 0) return k;
-    return 0;
+/* What `learnt_correct` does with R as it is. logs (m): log density of each reading, NaN where there is none. */
+INLINE int learnt_weigh(learnt_work *const w, real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
+                        real *RESTRICT logs, real *RESTRICT work) {
+    const int n = w->n, m = w->m, models = learnt_models(w->rule), K = w->rule->K;
+    int count = 0, held;
+    real together = 0, apart = 0;
+    const real_part parts[] = {
+        {&w->y, models * m}, {&w->C, models * m * n}, {&w->S, models * m * m}, {&w->given, models * K},
+        {&w->logs, models}, {&w->shares, models}, {&w->at, n}, {&w->spread, n * n}, {&w->direction, n}, {&w->left, m},
+        {&w->r, m}, {&w->N, m * m}, {&w->start, m}, {&w->goes_on, m}, {&w->head, m}, {&w->fresh, m}, {&w->alike, m},
+        {&w->before, K}, {&w->typical, K},
+        {&w->after, K}, {&w->shared, K}, {&w->members, m}, {&w->scores, models * m}, {&w->informations, models * m * m},
+        {&w->energies, models * m}, {&w->noises, models * m}, {&w->scratch, m * (1 + 2 * n + K) + m * m * (2 + K)}};
+    work = real_lay_out((int)(sizeof parts / sizeof *parts), parts, work);
+    learnt_slow(n, w->rule, w->s, w->at, w->spread, work);
+    held = learnt_seen(w, weights, outlying, logs);
+    for (int i = 0; i < m; i++) count += w->left[i] > 0;
+    if (count == 0) return held;
+    learnt_prepare(w, work);
+    if (!learnt_begin(w) || (w->follows && !w->grouped && count > 1 && !learnt_together(w, &together))) return -1;
+    for (int turn = 0, group; turn < count; turn += group) {
+        const int i = learnt_next(w, count - turn);
+        real weight = 0, most = 0;
+        group = 0;
+        for (int j = 0; j < m; j++)
+            if (w->left[j] > 0 && learnt_lead(w->rule, j) == learnt_lead(w->rule, i)) w->members[group++] = (real)j;
+        if (!learnt_scores(w, group, &most) || !learnt_believe(w, i, most, &apart, logs + i)) return -1;
+        for (int k = 0; k < K; k++) weight += w->after[k] / w->rule->scales[k];
+        for (int t = 0; t < group; t++)
+            weights[(int)w->members[t]] = weight, outlying[(int)w->members[t]] = 1 - w->after[0];
+        learnt_taken(w, group);
+    }
+    *log_density += apart;
+    learnt_conclude(w, together, apart, weights, work);
+    return count + held;
 }
 
 #define learnt_judge_work(n, m) (update_work(n, m) + (size_t)((3 + 2 * SPREAD_NUMBERS) * (m)))
 
-/* Go on with the recursion as given, and let the models of a part begin again from it where it tells a factor of P, Q and R.
-   logs: of the readings by the models; z is NaN where there is none. Return whether all is ordinary. */
-CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                        const real *RESTRICT z, const real *RESTRICT H, const real *RESTRICT R, const real *M,
-                        const real *RESTRICT logs, real *RESTRICT work) {
+/* Go on with the recursion as given, and let the models of a part begin again from it where it tells a factor of P, Q
+   and R. logs: of the readings by the models; z is NaN where there is none. Return whether all is ordinary. */
+CALLED int learnt_judge(const learnt_work *const w, const real *RESTRICT logs, real *RESTRICT work) {
     static const correction_rule huber = {{PSI_HUBER, REAL(1.345), 0, 0, NULL, NULL}, SCALING_LEARNT,
                                           INFORMATION_REALIZED, 1, 0, NULL, 0};
-    const int models = learnt_models(rule), width = learnt_width(rule->K);
-    const real *const part = learnt_part(n, rule, s);
+    const learnt_rule *const rule = w->rule;
+    learnt_state *const s = w->s;
+    const int n = w->n, m = w->m, models = learnt_models(rule), width = learnt_width(rule->K);
+    const real *const R = w->R;
     real *const for_factor = learnt_given(n, rule, s, LEARNT_FOR_FACTOR), *const x = s->x + models * n;
     real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const P = s->P + models * n * n;
     real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
@@ -1237,22 +1244,22 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
     work = (real *)(after + m);
     for (int i = 0; i < m; i++) {
         before[i] = after[i] = learnt_of(rule, s, i).habits->spread;
-        here[i] = logs[i] == logs[i] ? z[i] : (real)NAN;
+        here[i] = logs[i] == logs[i] ? w->z[i] : (real)NAN;
     }
-    correction_begin(n, m, M != NULL, &c, work);
-    if (!innovate(n, m, here, x, P, H, R, M, &c)) return 0;
+    correction_begin(n, m, w->M != NULL, &c, work);
+    if (!innovate(n, m, here, x, P, w->H, R, w->M, &c)) return 0;
     for (int i = 0; i < m; i++) {
         y[i] = c.y[i], S[i] = c.S[i * m + i];
         if (here[i] == here[i] && R[i * m + i] > 0 && S[i] > LEARNT_WIDEST * R[i * m + i]) return 0;
     }
-    if (!update(n, m, &huber, here, here, H, R, M, after, x, P, &c, NULL, work)) return 0;
+    if (!update(n, m, &huber, here, here, w->H, R, w->M, after, x, P, &c, NULL, work)) return 0;
     for (int i = 0; i < m; i++) learnt_of(rule, s, i).habits->spread = after[i];
     for (int head = 0; head < n; head++) {
         real log_c = 0, evidence = 0, count;
         int any = 0, beyond;
         for (int j = 0; j < m && readings[head] < LEARNT_DECIDED; j++) {
             real size;
-            if (here[j] != here[j] || (int)part[learnt_sees(n, H, j)] != head) continue;
+            if (here[j] != here[j] || learnt_head(w, j) != head) continue;
             /* A factor is common to all sensors of a part: that of the one which shows least of it. */
             size = real_max(before[j].spread, spread_coarse(before + j, real_sqrt(S[j])));
             size = before[j].weight > 0 ? 2 * real_log(real_max(size, REAL(1e-150))) : 0;
@@ -1265,7 +1272,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
         for (int j = 0; j < m && beyond; j++) {
             real log_unit, by_it;
             /* One that repeats the reading before is no sample of noise. */
-            if (here[j] != here[j] || here[j] == before[j].last || (int)part[learnt_sees(n, H, j)] != head) continue;
+            if (here[j] != here[j] || here[j] == before[j].last || learnt_head(w, j) != head) continue;
             log_unit = REAL(0.5) * (real_log(S[j]) + log_c);
             by_it = -psi_rho(&huber.psi, y[j] / real_exp(log_unit)) - log_unit - REAL(0.5) * LEARNT_LOG_2PI;
             evidence += real_within(by_it - logs[j], real_log(LEARNT_EVIDENCE));
@@ -1275,23 +1282,19 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
         if (beyond) count = real_min(count, LEARNT_DECIDED - 1);
         any = count > LEARNT_DECIDES && evidence == 2 * LEARNT_LOG_DECIDES;
         for (int o = 0; o < n; o++) {
-            if ((int)part[o] != head) continue;
+            if ((int)w->part[o] != head) continue;
             for_factor[o] = evidence, readings[o] = any ? LEARNT_DECIDED : count;
-            if (any) factor[o] = real_exp(log_c);
-        }
-        for (int o = 0; o < n && any; o++) {
-            if ((int)part[o] != head) continue;
+            if (!any) continue;
+            factor[o] = real_exp(log_c), learnt_unseen(n, rule, s)[o] = 0;
             for (int l = 0; l < models; l++) {
-                real *const to = s->P + l * n * n;
                 s->x[l * n + o] = x[o];
                 s->p[l * n + o] = l < rule->q ? learnt_begins(rule, l) : 0;
                 for (int k = 0; k < n; k++)
-                    if ((int)part[k] == head) to[o * n + k] = real_sqrt(factor[o]) * real_sqrt(factor[k]) * P[o * n + k];
+                    if ((int)w->part[k] == head) s->P[(l * n + o) * n + k] = factor[o] * P[o * n + k];
             }
-            learnt_unseen(n, rule, s)[o] = 0;
         }
         for (int j = 0; j < m && any; j++)
-            if ((int)part[learnt_sees(n, H, j)] == head) real_copy(width, rule->begin, s->memory + j * width);
+            if (learnt_head(w, j) == head) real_copy(width, rule->begin, s->memory + j * width);
     }
     return 1;
 }
@@ -1299,19 +1302,21 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
 #define learnt_correct_work(n, m, models, K) \
     (learnt_weigh_work(n, m, models, K) + learnt_judge_work(n, m) + (size_t)((m) * (1 + (n) + (m))))
 
-/* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the sensors said, where z is only
-   how far that is from what was expected, else z too. weights and outlying (m) are written, NaN and
-   0 where a component says nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return how many were there,
-   -1 if the step is out of the ordinary; the state is spoiled then. */
+/* Correct by what z tells, NaN where it is missing: R need not be diagonal. M (n, m) or NULL. readings: what the
+   sensors said, where z is only how far that is from what was expected, else z too. weights and outlying (m) are
+   written, NaN and 0 where a component says nothing, 0 and 1 where its sensor is stuck, log_density is added to. Return
+   how many were there, -1 if the step is out of the ordinary; the state is spoiled then. */
 INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rule, learnt_state *const s,
-                          const real *RESTRICT z, const real *RESTRICT readings, const real *RESTRICT H,
-                          const real *RESTRICT R, const real *M, real *RESTRICT weights, real *RESTRICT outlying,
-                          real *const log_density, real *RESTRICT work) {
+                          const real *z, const real *readings, const real *H, const real *R, const real *M,
+                          real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
+                          real *RESTRICT work) {
     const int gives = learnt_gives(rule) && learnt_jumps(rule, s, 0), width = learnt_width(rule->K);
     const real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
-    const real *const before = learnt_given(n, rule, s, LEARNT_READINGS);
     real *const logs = work, *const N = logs + m, *const scaled = N + m * m;
+    learnt_work w = {.n = n, .m = m, .rule = rule, .s = s, .z = z, .readings = readings, .H = H, .R = R, .M = M};
     int count, wrong = 0, looks = 0;
+    w.follows = rule->learns && !rule->joint, w.grouped = rule->joint || rule->named > 0;
+    w.part = learnt_part(n, rule, s);
     work = scaled + m * n;
     for (int k = 0; gives && k < n; k++) wrong |= factor[k] != 1;
     for (int i = 0; wrong && i < m; i++) {
@@ -1321,12 +1326,13 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
             N[i * m + j] = R[i * m + j] * (real_sqrt(own) * real_sqrt(factor[learnt_sees(n, H, j)]));
         for (int k = 0; M && k < n; k++) scaled[k * m + i] = M[k * m + i] * real_sqrt(factor[k]) * real_sqrt(own);
     }
-    count = learnt_weigh(n, m, rule, s, z, readings, H, wrong ? N : R, wrong && M ? scaled : M, weights, outlying,
-                         log_density, logs, work);
+    if (wrong) w.R = N, w.M = M ? scaled : NULL;
+    count = learnt_weigh(&w, weights, outlying, log_density, logs, work);
     if (!gives || count < 0) return count;
+    w.R = R, w.M = M;
     for (int i = 0; i < m; i++)
-        looks |= logs[i] == logs[i] && before[(int)learnt_part(n, rule, s)[learnt_sees(n, H, i)]] < LEARNT_DECIDED;
-    if (looks && !learnt_judge(n, m, rule, s, z, H, R, M, logs, work)) return -1;
+        looks |= logs[i] == logs[i] && learnt_given(n, rule, s, LEARNT_READINGS)[learnt_head(&w, i)] < LEARNT_DECIDED;
+    if (looks && !learnt_judge(&w, logs, work)) return -1;
     for (int i = 0; i < m; i++) s->memory[i * width] *= factor[learnt_sees(n, H, i)];
     return count;
 }

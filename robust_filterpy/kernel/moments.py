@@ -1,4 +1,4 @@
-"""A correction of arrays by the kernel: by linear sensors, or an innovation that is not z - H x; and what it left."""
+"""What a correction by the kernel has left: the record of it, read."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robust_filterpy import kernel
 from robust_filterpy._arrays import regardless
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.options import Choices, length_and_direction
+from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction, group_scaling
-from robust_filterpy.kernel.series import SCALINGS, rule
+from robust_filterpy.kernel.series import SCALINGS
 
-__all__ = ["Taken", "correct", "correct_linear", "correction_of", "judged_of", "weights_of"]
+__all__ = ["Taken", "correction_of", "judged_of", "weights_of"]
 
 # A record: four numbers, rows of m numbers, then S and the transpose of C.
 _N, _M, _SCALING, _LOG_DENSITY, _HEAD = range(5)
@@ -78,7 +77,7 @@ def _information(S: Array, e: Array, d: Array, groups: list[list[int]], scaling:
 
 
 class Taken(NamedTuple):
-    """A correction; what few programs look at is made of its record on request."""
+    """A correction by the kernel; what few programs look at is made of its record on request."""
 
     x: Array
     """Posterior mean, shape (n,)."""
@@ -86,42 +85,12 @@ class Taken(NamedTuple):
     """Posterior covariance, shape (n, n)."""
     record: Array
     """As `robust_filterpy.kernel.moments.correction_of` reads it."""
-    memory: Array | None
-    """Of the sensors afterwards, shape (m, 22), under scaling "learnt"."""
 
     @property
     def log_density(self) -> float:
         """Log-likelihood of the innovation under the density of psi."""
         return float(self.record[_LOG_DENSITY])
 
-    @property
-    def weights(self) -> Array:
-        """Of the sensors, shape (m,), NaN where missing."""
-        return weights_of(self.record)
-
     def as_arrays(self) -> Correction:
         """Return everything that led to it."""
         return correction_of(self.record, self.x, self.P)
-
-
-def correct_linear(
-    choices: Choices, memory: Array, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None
-) -> Taken | None:
-    """Correct a state by linear sensors, to the last bit as a filter's step by the kernel does."""
-    return _by_extension(choices, x, P, z, None, H, None, R, M, memory)
-
-
-def correct(
-    choices: Choices, memory: Array, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array
-) -> Taken | None:
-    """Correct a state at 0: `robust_filterpy.correction.definition.correct` and `correct_by_typical`."""
-    return _by_extension(choices, None, P, z, y, C, S, R, None, memory)
-
-
-def _by_extension(choices: Choices, *arrays: Array | None) -> Taken | None:
-    """Correct by the extension, if there is one and it knows the options."""
-    extension, what = kernel.extension(), rule(choices)
-    if extension is None or what is None:
-        return None
-    result = extension.correct_arrays(what, *(None if a is None else np.ascontiguousarray(a) for a in arrays))
-    return None if result is None else Taken(*result)

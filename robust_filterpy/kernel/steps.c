@@ -162,7 +162,7 @@ static int correct_bounded(const correction_rule *rule, const filter_state *now,
     fine = fine && is_covariance(s->R, m, shown) && update(n, m, rule, z, y, s->H, s->R, s->M, spreads_of(made), x,
                                                            numbers_of(made->P), &c, shown, work);
     if (fine) begin_record(values, n, m, rule, &c);
-    for (int k = 0; given->y && now->x && k < n; k++) x[k] = now->x[k] + x[k];
+    for (int k = 0; given->y && k < n; k++) x[k] = now->x[k] + x[k];
     work_done(stack, work);
     return called_outcome(fine && all_finite(x, n));
 }
@@ -434,43 +434,6 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
 STEP(innovation_step, 7, take_innovation(&h, arguments[0], arguments + 1),
      "correct_innovation: expected a filter, z, its prediction, y, C, S and R")
 
-/* Correct a state by linear sensors: (rule, x, P, z, None, H, None, R, M or None, memory or None), or a state at 0 by an
-   innovation: (rule, None, P, z, y, C, S, R, None, memory or None), or the Jacobian H in the place of C and None in that of S.
-   Return (x, P, record, memory), or None where it is not for the kernel. */
-static PyObject *correct_arrays(PyObject *self, PyObject *const *given, Py_ssize_t count) {
-    held h = {.count = 0};
-    filter_state now = {.x = NULL, .ndim = 1};
-    correction_rule rule;
-    sensors s;
-    moments_given innovation = {NULL, NULL, NULL};
-    corrected made;
-    PyObject *found = NULL;
-    const double *z;
-    (void)self;
-    if (count != 10) {
-        PyErr_SetString(PyExc_TypeError, "correct_arrays: expected rule, x, P, z, y, C, S, R, M and memory");
-        return NULL;
-    }
-    const int linear = given[1] != Py_None;
-    if (!rule_of(given[0], &rule) || !is_array(given[2], 2)) Py_RETURN_NONE;
-    now.n = PyArray_DIM((PyArrayObject *)given[2], 0), now.P = matrix_of(given[2], now.n, now.n);
-    if (now.n < 1 || now.n > 10000 || !now.P || !is_symmetric(now.P, now.n)) Py_RETURN_NONE;
-    if (!take_moments(&s, &innovation, given[5], given[6], now.n) || !take_memory(&rule, &s, given[9])) Py_RETURN_NONE;
-    z = vector_of(given[3], s.m), s.R = matrix_of(given[7], s.m, s.m);
-    if (linear) now.x = vector_of(given[1], now.n);
-    else innovation.y = vector_of(given[4], s.m);
-    if (!z || !s.R || (linear ? !now.x || !s.H : !innovation.y) || !take_cross(&s, now.n, given[8])) Py_RETURN_NONE;
-    if (!linear && s.M) Py_RETURN_NONE;
-    if (begin_corrected(&h, &now, &s, NULL, &made) > 0) {
-        real_copy((int)s.m, z, numbers_of(made.z));
-        if (correct_bounded(&rule, &now, &s, &innovation, &made) > 0)
-            found = PyTuple_Pack(4, made.x, made.P, made.record, made.memory ? made.memory : Py_None);
-    }
-    Py_XDECREF(answer(&h, 0));
-    if (found || PyErr_Occurred()) return found;
-    Py_RETURN_NONE;
-}
-
 /* The writable arrays of a dictionary that nobody else has, and what they hold, one after another: a copy of each as an array
    of its own takes as long as a step. None if one is not of numbers in one piece. See robust_filterpy.filters.snapshot. */
 static PyObject *copied_arrays(PyObject *self, PyObject *attributes) {
@@ -514,7 +477,5 @@ PyMethodDef step_functions[] = {
     {"correct_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,
      "Correct a filter's state by an innovation: (filter, z, its prediction or None, y or None, C, S, R or None); the "
      "Jacobian for C, and then None for S."},
-    {"correct_arrays", (PyCFunction)(void (*)(void))correct_arrays, METH_FASTCALL,
-     "Correct a state by psi; see robust_filterpy.kernel.moments."},
     {"copied_arrays", copied_arrays, METH_O, "Return the writable arrays of a dictionary, and what they hold."},
     {NULL, NULL, 0, NULL}};

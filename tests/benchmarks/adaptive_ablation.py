@@ -51,11 +51,11 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "parts of the state": (("(F[i * n + k] != 0 || Q[i * n + k] != 0)", "1"),),
     "a candidate for a jump": (("rule->jump * (1 - unseen[i])", "0"),),
-    "a sample is worth 100 to 1 for it": (("real_min(w.logs[q], LEARNT_EVIDENCE * evidence)", "w.logs[q]"),),
-    "nor tells of the scale of Q": (("experienced && w.logs[q] > LEARNT_TELLS * evidence", "0"),),
+    "a sample is worth 100 to 1 for it": (("real_min(logs[q], LEARNT_EVIDENCE * evidence)", "logs[q]"),),
+    "nor tells of the scale of Q": (("experienced && logs[q] > LEARNT_TELLS * evidence", "0"),),
     "how often the state jumps": (("real_max(jumps->chance, each) + each", "0"),),
     "it knows no last class": (
-        ("learnt_typical(K, &memory, w->after)", "learnt_predicted(rule->K, &memory, w->after)"),
+        ("learnt_typical(K, &memory, w->after)", "learnt_predicted(w->rule->K, &memory, w->after)"),
     ),
     "it is hidden while three to one is against it": (("!(work[q * n + i] > LEARNT_SHOWN)", "0"),),
     "it is shown alone at nineteen to one": (("work[q * n + i] > LEARNT_ALONE", "0"),),
@@ -64,14 +64,14 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
          "waits[j] > 0 && S[j * m + j] > 0 && unseen[(int)w->head[j]] < REAL(0.5)"),
     ),
     "readings that the state followed were no outliers": (
-        ("believed || (w.goes_on[i] > 0 && learnt_of(rule, s, i).last[0] > REAL(0.5))", "believed"),
+        ("believed || (w->goes_on[i] > 0 && learnt_of(rule, s, i).last[0] > REAL(0.5))", "believed"),
     ),
     "a candidate doubts all of P": (("(most_of - noise) / S[i * m + i]", "1"),),
     "classes come in runs": (
         ("learnt_predicted(K, &memory, w->after)", "learnt_typical(K, &memory, w->after)"),
         ("before[j] > 0 ? total * counts[i * K + j] * p[j] / before[j] : 0", "p[j] / K"),
     ),
-    "sensors may fail together, t": (("follows && !grouped && count > 1", "0"),),
+    "sensors may fail together, t": (("w->follows && !w->grouped && count > 1", "0"),),
     "most plausible sensor first": (("best < 0 || far < least", "best < 0"),),
     "shortened to 8 deviations (here to 30)": (
         ("length > LEARNT_REACH * per_unit * (LEARNT_REACH * per_unit)", "length > 900 * per_unit * per_unit"),
@@ -83,7 +83,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "repeats teach nothing of r": (("real_copysign(1, habits->repeats.seldom) > 0", "1"),),
     "nor of changes": (("memory->seldom < 0", "0"),),
     "stuck sensors are left out": (
-        ("learnt_asks(n, at, spread, z, h, *memory->r * R) || memory->last[0] < REAL(0.5)", "0"),
+        ("learnt_asks(w, w->at, w->spread, i, *memory->r * R) || memory->last[0] < REAL(0.5)", "0"),
     ),
     "only after changes like white noise": (("memory->scale * memory->scale >= r", "1"),),
     "r is capped by changes": (("real_max(1, repeats->scale * repeats->scale * LEARNT_MOST)", "REAL_MAX"),),

@@ -15,11 +15,8 @@ import support
 from hostile import Fleeting, guarded, leaves, mutated, spoilt
 
 from robust_filterpy import Huber, RobustKalmanFilter, filter_series, kernel, smooth
-from robust_filterpy.correction import spread
-from robust_filterpy.correction.options import Choices
 from robust_filterpy.identification import ARMAX, BoxJenkins, OutputError
 from robust_filterpy.identification.recursive import track
-from robust_filterpy.kernel import moments
 
 support.needs_kernel()
 
@@ -61,13 +58,11 @@ def calls():
                 smooth(support.make(RobustKalmanFilter, problem, **options), zs)
             matrices = {name: getattr(problem, name) for name in "FHQR"}
             filter_series(zs[None], **matrices, noise="learnt", process="scales", x0=np.zeros(n), P0=np.eye(n))
-            for z in zs[:3]:
-                moments.correct(Choices(scaling="learnt"), spread.begin(m), np.eye(n), z, z, problem.H, None, problem.R)
         y, u = g.normal(size=60), g.normal(size=60)
         for structure in (OutputError(2, 2), ARMAX(2, 2, 2), BoxJenkins(2, 1, 2, 2)):
             support.paper_tracker(structure).run(y, u)
     assert track.kernel is kernel
-    assert set(watched.calls) == {"filter_series", "smooth", "correct_arrays", "track"}
+    assert set(watched.calls) == {"filter_series", "smooth", "track"}
     return watched.calls
 
 
@@ -85,16 +80,16 @@ def test_a_group_of_arguments_that_could_change_under_the_call_is_refused(calls,
 
 @pytest.mark.parametrize("code", [np.nan, 1e300, -1.0, 9.0])
 @pytest.mark.parametrize("place", [0, 4, 5])
-def test_options_that_are_none_are_declined(calls, place, code):
-    rule, *rest = calls["correct_arrays"][0]
-    assert EXTENSION.correct_arrays(rule, *rest) is not None
+def test_options_that_are_none_are_refused(calls, place, code):
+    rule, *rest = calls["filter_series"][0]
     rule = rule.copy()
     rule[place] = code
-    assert EXTENSION.correct_arrays(rule, *rest) is None
+    with pytest.raises(ValueError, match="expected"):
+        EXTENSION.filter_series(rule, *rest)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["filter_series", "smooth", "correct_arrays", "track"])
+@pytest.mark.parametrize("name", ["filter_series", "smooth", "track"])
 def test_no_arguments_crash(calls, name):
     ends, refused = np.full(32, 77.0), 0
     for seed in range(10 * ROUNDS):

@@ -13,7 +13,7 @@ import robust_filterpy
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.filters import RobustCubatureKalmanFilter
-from robust_filterpy.influence import Linear, TukeyBiweight
+from robust_filterpy.influence import Hampel, Linear, StudentT, TukeyBiweight
 
 GIVEN, ADAPTIVE = {"noise": Contaminated(0.1, 8.0)}, {"noise": "learnt", "process": "scales"}
 OPTIONS = {
@@ -148,6 +148,7 @@ def slopes(x):
 @pytest.mark.parametrize("options", [
     {"noise": "learnt"}, {"noise": "learnt", "grouping": "joint"}, GIVEN, {"patience": 3}, {},
     {"grouping": "joint"}, {"influence": Linear()}, {"influence": TukeyBiweight(), "grouping": "joint"},
+    {"influence": Hampel(), "scaling": "bounded"}, {"influence": StudentT(), "scaling": "innovation"},
 ], ids=str)  # fmt: skip
 @pytest.mark.parametrize("kind", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, RobustCubatureKalmanFilter])
 def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(kind, options, residual, both):
@@ -173,7 +174,7 @@ def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(kind, o
                 kf.update(z, slopes, bearings, R=R, residual=residual)
             else:
                 kf.update(z, R=R)
-            rows.append(shown(kf, "outlier_probability"))
+            rows.append(shown(kf, "outlier_probability", "_memory"))
         return rows
 
     assert_alike(*both(steps), 1e-7)

@@ -7,8 +7,7 @@ from filterpy.kalman import MerweScaledSigmaPoints
 from hostile import spoilt
 
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, kernel
-from robust_filterpy.filters import RobustCubatureKalmanFilter, shell
-from robust_filterpy.kernel import moments
+from robust_filterpy.filters import RobustCubatureKalmanFilter
 
 support.needs_kernel()
 
@@ -47,8 +46,7 @@ def filters(kind, **options):
 def stepped(kf, z, extension, monkeypatch, **passed):
     """Step by an extension, or by the definition alone; what it raises, None if nothing."""
     with monkeypatch.context() as patch, np.errstate(all="ignore"):
-        patch.setattr(shell, "_extension", extension)
-        patch.setattr(moments.kernel, "extension", lambda: extension)
+        support.served_by(patch, extension)
         try:
             kf.predict()
             linearized = isinstance(kf, RobustExtendedKalmanFilter)

@@ -1,5 +1,5 @@
-/* A sensor z = h(x) + v, and the motion x(k+1) = f(x(k)) + w(k): functions that write what they are asked for and change
-   nothing else. context is handed on to them, for what else they need: a landmark, an input, a time step. */
+/* A sensor z = h(x) + v, and the motion x(k+1) = f(x(k)) + w(k): functions that write what they are asked for and
+   change nothing else. context is handed on to them, for what else they need: a landmark, an input, a time step. */
 typedef struct {
     void (*h)(const ${name}_real x[$n], ${name}_real z[$m], const void *context);
     void (*jacobian)(const ${name}_real x[$n], ${name}_real H[$m * $n], const void *context); /* dh/dx, row by row */

@@ -1,11 +1,7 @@
     check = 0;
-    for (int i = 0; i < N; i++) {
-        check += real_abs(next.x[i]);
-        for (int k = 0; k <= i; k++) {
+    for (int i = 0; i < N; i++)
+        for (int k = 0; k <= i; k++)
             next.P[i * N + k] = next.P[k * N + i] = REAL(0.5) * (next.P[i * N + k] + next.P[k * N + i]);
-            check += real_abs(next.P[i * N + k]);
-        }
-    }
-    if (!real_is_finite(check)) {
-        return ${NAME}_NOT_FINITE;
-    }
+    for (int i = 0; i < N; i++) check += real_abs(next.x[i]);
+    for (int i = 0; i < N * N; i++) check += real_abs(next.P[i]);
+    if (!real_is_finite(check)) return ${NAME}_NOT_FINITE;

@@ -20,14 +20,10 @@ ${name}_status ${name}_update(const ${name}_model *model, ${name}_state *state, 
     tracker_sample found = {0};
     real work[tracker_work(N)];
     tracker_scale scale;
-    if ((model == NULL) || (state == NULL) || ($inputs > 0 && u == NULL) || (real_abs(y) > REAL_MAX)) {
+    if (model == NULL || state == NULL || ($inputs > 0 && u == NULL) || real_abs(y) > REAL_MAX)
         return ${NAME}_BAD_ARGUMENT;
-    }
-    for (int i = 0; i < $inputs; i++) {
-        if (!(real_abs(u[i]) <= TRACKER_LARGEST)) {
-            return ${NAME}_BAD_ARGUMENT;
-        }
-    }
+    for (int i = 0; i < $inputs; i++)
+        if (!(real_abs(u[i]) <= TRACKER_LARGEST)) return ${NAME}_BAD_ARGUMENT;
 $include rule.c
     how.correction = rule;
     how.learns = state->enabled;
@@ -41,9 +37,7 @@ $!follows     scale = (tracker_scale){model->R, 0, 1, 0, 0};
 $?follows     scale = (tracker_scale){state->R, state->R_samples, model->R_mean, model->R_memory, model->R_rounding};
     next.scale = &scale;
     y = ((y == y) ? tracker_bounded(y) : y)$minus_centre;
-    if (!tracker_step(&layout, N, &how, &next, y, u, (real)NAN, &found, work)) {
-        return refusals[found.refused];
-    }
+    if (!tracker_step(&layout, N, &how, &next, y, u, (real)NAN, &found, work)) return refusals[found.refused];
 $?follows     state->R = scale.R;
 $?follows     state->R_samples = scale.samples;
     if (sample != NULL) {
