@@ -211,7 +211,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         """Predict by the definition."""
         x, P = state_of(self)
         F, noise, Bu = self._transition(x.shape, u, B, F, Q)
-        x, P, carried = regardless(self._policy.predicted, self._kept, x, P, F, noise, Bu, self._alpha_sq)
+        x, P, carried = regardless(self._policy.predicted, self._kept, x, P, F, noise, Bu, float(self._alpha_sq))
         regardless(require_finite_prediction, x, P)
         self.x, self.P, self._kept = x, P, carried
         self.x_prior, self.P_prior = x.copy(), P.copy()

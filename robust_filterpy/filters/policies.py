@@ -189,8 +189,8 @@ class Bounded:
 
 
 def alone(x: Array, P: Array) -> Carried:
-    """Return the model of a filter that trusts its process."""
-    n = len(x)
+    """Return the model of a filter that trusts its process; of a P that is not symmetric the part that is."""
+    n, P = len(x), 0.5 * (P + P.T)
     return Carried(x[None], P[None], np.array([np.ones(n), np.zeros(n), np.zeros(n)]), x, P)
 
 
@@ -266,7 +266,7 @@ class Mixture:
         # Where the program puts the state there is no candidate.
         belief[scales:count] = 0.0
         belief[:scales] = side_by_side.slow(now, self.scales)
-        x, P = x.copy(), P.copy()
+        x, P = x.copy(), 0.5 * (P + P.T)
         given = now.given and now.given._replace(x=x, P=P)
         tiled = Models(np.tile(x, (count, 1)), np.tile(P, (count, 1, 1)), belief, given)
         return Carried(*side_by_side.coupled(tiled, P, self.scales).packed, x, P)

@@ -223,11 +223,11 @@ INLINE void learnt_slow(const int n, const learnt_rule *const rule, const learnt
     learnt_collapse(n, rule->q, work, s->x, s->P, learnt_part(n, rule, s), x, P);
 }
 
-/* Mean and covariance of the state; an unlikely jump is hidden, or all but a likely one. Return whether finite. */
+/* Mean and covariance of the state; an unlikely jump is hidden, or all but a likely one. Return whether
+   these are numbers and no variance is below 0. */
 INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt_state *const s, real *RESTRICT x,
                         real *RESTRICT P, real *RESTRICT work) {
     const int q = rule->q, models = learnt_models(rule);
-    real check = 0;
     real_copy(models * n, s->p, work);
     for (int i = 0; i < n; i++) {
         if (models > q && !(work[q * n + i] > LEARNT_SHOWN)) work[q * n + i] = 0;
@@ -246,8 +246,7 @@ INLINE int learnt_merge(const int n, const learnt_rule *const rule, const learnt
             P[i * n + j] = P[j * n + i] = too ? given[i * n + j] : 0;
         }
     }
-    for (int i = 0; i < n; i++) check += real_abs(x[i]) + real_abs(P[i * n + i]);
-    return real_is_finite(check);
+    return correction_is_settled(n, x, P);
 }
 
 #define learnt_predict_work(n, models) ((size_t)(((models) + 1) * ((n) * (3 + (n))) + (n) * (n)) + predict_work(n))

@@ -177,7 +177,9 @@ def _taken(
 
 def plain(array: Array) -> Array:
     """Return an array as the kernel takes it."""
-    return np.ascontiguousarray(array, dtype=np.float64)
+    contiguous = np.ascontiguousarray(array, dtype=np.float64)
+    # A field of a packed record may begin anywhere.
+    return contiguous if contiguous.flags.aligned else contiguous.copy()
 
 
 # Learned noise: its rule, and half a step of a filter's models, by the definition where the kernel declines.
