@@ -8,7 +8,7 @@ The headers (``real.h`` says how they are written) know nothing of Python and ar
 writes for microcontrollers: C99, sizes as arguments, workspaces from the caller, no allocation, no state of their own.
 
 * `series`: series and recordings, from Python, by psi and under a mixture (``learnt.h``), half a step of it.
-* ``steps.c``: a step of one filter as one call; ``online.c``: what such a step reads and sets.
+* ``steps.c``: a step of one filter as one call; ``online.h``: what such a step reads and sets.
 * `moments`: a correction of arrays, also by an innovation of which only moments are known; what one correction left.
 * ``real.h``: the number type. ``psi.h``: psi, psi', rho.
 * ``prediction.h``, ``correction.h`` (``joint.h`` where all sensors fail together): one step. ``series.h``: many of

@@ -103,7 +103,7 @@ int take_arrays(PyObject *tuple, const char *words, npy_intp lengths[AXES], void
         int written = 0, optional = 0, strided = 0, type = NPY_DOUBLE;
         for (; *words < 'a'; words++) {
             written |= *words == '!', optional |= *words == '?', strided |= *words == '.';
-            if (*words == '#') type = NPY_INTP;
+            if (*words == '#' || *words == '%') type = *words == '#' ? NPY_INTP : NPY_INT;
         }
         const char *const axes = words;
         while (*words >= 'a') words++;
@@ -180,6 +180,37 @@ int rule_of(PyObject *object, correction_rule *rule) {
     /* What joint.h can do. */
     return !joint || (rule->scaling <= SCALING_INNOVATION && rule->information != INFORMATION_EXPECTED);
 }
+
+int take_rule(learnt_rule *rule, PyObject *object) {
+    /* `Head` there. */
+    typedef struct {
+        double models, classes, stay, jump, memory, r_memory, learns, draws, grouped;
+    } rule_head;
+    const npy_intp length = is_array(object, 1) ? PyArray_DIM((PyArrayObject *)object, 0) : 0, least = sizeof(rule_head) / sizeof(double);
+    const double *const numbers = length < least ? NULL : vector_of(object, length);
+    const rule_head *const head = (const rule_head *)numbers;
+    if (!numbers || !(head->models >= 1 && head->models < 1000 && head->classes >= 1 && head->classes < 1000)) return 0;
+    rule->q = (int)head->models, rule->K = (int)head->classes;
+    rule->stay = head->stay, rule->jump = head->jump, rule->memory = head->memory, rule->r_memory = head->r_memory;
+    rule->learns = head->learns != 0;
+    rule->process = numbers + least;
+    rule->scales = rule->process + rule->q;
+    rule->begin = rule->scales + rule->K;
+    rule->drawn = head->draws != 0 ? rule->begin + learnt_width(rule->K) : NULL;
+    rule->joint = head->grouped < 0;
+    rule->named = rule->joint || !(head->grouped < 1000) ? 0 : (int)head->grouped;
+    rule->leads = rule->begin + learnt_width(rule->K) + (rule->drawn ? rule->q : 0);
+    if (rule->leads + rule->named != numbers + length) return 0;
+    for (int i = 0; i < rule->named; i++)
+        if (!(rule->leads[i] >= 0 && rule->leads[i] <= i)) return 0;
+    return 1;
+}
+
+size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m) {
+    return learnt_correct_work(n, m, learnt_models(rule), rule->K);
+}
+
+npy_intp memory_rows(const learnt_rule *rule, npy_intp m) { return rule->joint ? 1 : m; }
 
 double call_choices(void *context, double e, double *slope) {
     PyObject *const found = PyErr_Occurred() ? NULL : PyObject_CallMethod(context, slope ? "psi_of" : "rho_of", "d", e);

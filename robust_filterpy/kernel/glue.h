@@ -59,9 +59,10 @@ int is_array(PyObject *object, int ndim);                            /* an exact
 const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns);
 const double *vector_of(PyObject *object, npy_intp length);          /* also (length, 1) */
 /* Arrays of a tuple by their axes, a word for each, as "!snn ?.skm": letters, whose lengths stand in `lengths`, 'a' first,
-   where one that is not yet known, below 0, becomes that of the array. '!': it is written into; '?': it may be None, and its
-   place then stays as it is; '#': it has integers. A place is a pointer to the numbers or, of '.', a series_matrices, whose
-   first two axes may have the length 1 and any strides. Whether all is so; objects behind the last word are left aside. */
+   where one that is not yet known, below 0, becomes that of the array. '!': it is written into; '?': it may be None,
+   and its place then stays as it is; '#': it has integers as long as a pointer, '%': ints. A place is a pointer to
+   the numbers or, of '.', a series_matrices, whose first two axes may have the length 1 and any strides. Whether all
+   is so; objects behind the last word are left aside. */
 #define AXES 26
 int take_arrays(PyObject *tuple, const char *words, npy_intp lengths[AXES], void *const *places);
 #define AXIS(letter) lengths[(letter) - 'a']
@@ -85,6 +86,11 @@ typedef struct {
 } rule_numbers;
 #define RULE_NUMBERS ((npy_intp)(sizeof(rule_numbers) / sizeof(double)))
 int rule_of_numbers(const double *numbers, correction_rule *rule);
+/* That of a mixture, as robust_filterpy.kernel.series.mixture_rule makes it; workspace of learnt_correct under it, and rows
+   of the memory of m sensors. */
+int take_rule(learnt_rule *rule, PyObject *object);
+size_t correct_work(const learnt_rule *rule, npy_intp n, npy_intp m);
+npy_intp memory_rows(const learnt_rule *rule, npy_intp m);
 /* psi(e) and its slope, or rho(e), by the methods of a `Choices`; NaN once one has raised. */
 double call_choices(void *choices, double e, double *slope);
 /* The outcome of a step whose psi may have been Python's: -1 where that has raised, 0 where the definition is to ask it. */

@@ -153,6 +153,9 @@ INLINE jumps_memory *learnt_jumps(const learnt_rule *const rule, const learnt_st
     return rule->learns && !rule->joint && rule->named == 0 ? &learnt_of(rule, s, i).habits->jumps : NULL;
 }
 
+/* Whether what each sensor does usually is followed. */
+INLINE int learnt_follows(const learnt_rule *const rule) { return rule->learns && !rule->joint; }
+
 /* Whether each part is named by its first state. */
 INLINE int learnt_has_parts(const int n, const learnt_rule *const rule, const learnt_state *const s) {
     const real *const part = learnt_part(n, rule, s);
@@ -395,8 +398,6 @@ INLINE real learnt_note_parity(real e, const real memory, learnt_habits *const h
 
 /* A measurement that corrects the models, and what these are while sensor after sensor is taken. */
 typedef struct {
-    int n, m, follows, grouped; /* whether a sensor's habits are followed, whether some fail together */
-    const learnt_rule *rule;
     learnt_state *s;
     const real *z, *readings, *H, *R, *M; /* as learnt_correct has them */
     const real *part;
@@ -433,14 +434,14 @@ INLINE int learnt_sees(const int n, const real *RESTRICT H, const int i) {
 }
 
 /* The first state of the part that it sees. */
-INLINE int learnt_head(const learnt_work *const w, const int i) {
-    return (int)w->part[learnt_sees(w->n, w->H, i)];
+INLINE int learnt_head(const int n, const learnt_work *const w, const int i) {
+    return (int)w->part[learnt_sees(n, w->H, i)];
 }
 
 /* Write what a reading of all sensors that are left leaves of the variance that each sees of the state, as a part of
    it. left_over (m, m), row (m): scratch. */
-INLINE void learnt_kept(const learnt_work *const w, real *RESTRICT kept, real *RESTRICT left_over, real *RESTRICT row) {
-    const int n = w->n, m = w->m;
+INLINE void learnt_kept(const int n, const int m, const learnt_work *const w, real *RESTRICT kept, real *RESTRICT
+                        left_over, real *RESTRICT row) {
     real_multiply(m, n, n, w->H, w->spread, w->C);
     real_multiply_symmetric(m, n, w->C, w->H, left_over);
     for (int i = 0; i < m; i++) kept[i] = left_over[i * m + i];
@@ -456,9 +457,8 @@ INLINE void learnt_kept(const learnt_work *const w, real *RESTRICT kept, real *R
 
 /* Let r of each sensor that is left be nowhere less than its parity allows, and that of white noise which would leave
    the state as uncertain as noise with its color; note this sample's parity. */
-INLINE void learnt_sizes(const learnt_work *const w, real *RESTRICT work) {
-    const int n = w->n, m = w->m;
-    const learnt_rule *const rule = w->rule;
+INLINE void learnt_sizes(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, real
+                         *RESTRICT work) {
     real *RESTRICT rest = work, *RESTRICT unit = rest + m * m, *RESTRICT column = unit + m, *RESTRICT out = column + m;
     real *RESTRICT colour = out + m, *RESTRICT correlation = colour + m, *RESTRICT r = w->r;
     const real *RESTRICT left = w->left;
@@ -504,7 +504,7 @@ INLINE void learnt_sizes(const learnt_work *const w, real *RESTRICT work) {
         }
     }
     if (!coloured) return;
-    learnt_kept(w, column, rest, out);
+    learnt_kept(n, m, w, column, rest, out);
     for (int i = 0; i < m; i++) {
         const real part = correlation[i] * column[i];
         if (colour[i] > 0) r[i] *= real_exp(colour[i] * real_log((1 + part) / (1 - part)));
@@ -512,40 +512,41 @@ INLINE void learnt_sizes(const learnt_work *const w, real *RESTRICT work) {
 }
 
 /* What the models that have not jumped leave of a reading, in standard deviations of R, at most a million. */
-INLINE real learnt_left(const learnt_work *const w, const int i) {
-    const real y = w->z[i] - real_dot(w->n, w->H + i * w->n, w->at);
-    return real_within(y / real_sqrt(w->R[i * w->m + i]), LEARNT_WILDEST);
+INLINE real learnt_left(const int n, const int m, const learnt_work *const w, const int i) {
+    const real y = w->z[i] - real_dot(n, w->H + i * n, w->at);
+    return real_within(y / real_sqrt(w->R[i * m + i]), LEARNT_WILDEST);
 }
 
 /* A reading in the standard deviations that R gives, finite however small R is. */
-INLINE real learnt_reading(const learnt_work *const w, const int i) {
-    return real_within(w->readings[i] / real_sqrt(w->R[i * w->m + i]), REAL_MAX);
+INLINE real learnt_reading(const int m, const learnt_work *const w, const int i) {
+    return real_within(w->readings[i] / real_sqrt(w->R[i * m + i]), REAL_MAX);
 }
 
 /* Whether an innovation is so far from a mean that it asks for a jump. */
-INLINE int learnt_asks(const learnt_work *const w, const real *RESTRICT x, const real *RESTRICT P, const int i,
-                       const real noise) {
-    const real *const h = w->H + i * w->n, rest = w->z[i] - real_dot(w->n, h, x), seen = real_square(w->n, h, P);
+INLINE int learnt_asks(const int n, const learnt_work *const w, const real *RESTRICT x, const real *RESTRICT P, const
+                       int i, const real noise) {
+    const real *const h = w->H + i * n, rest = w->z[i] - real_dot(n, h, x), seen = real_square(n, h, P);
     return seen > 0 && rest * rest / (seen + noise) > LEARNT_ASKS;
 }
 
 /* Whether a sensor is stuck: it repeats its last reading to the last bit, though it seldom does and its noise is white,
    and that was an outlier, or it asks for a jump of the models that have not jumped. */
-INLINE int learnt_stuck(const learnt_work *const w, const int i, const learnt_memory *const memory) {
-    const real R = w->R[i * w->m + i];
-    if (!(R > 0) || !repeats_again(learnt_reading(w, i), *memory->r, &memory->habits->repeats)) return 0;
-    return learnt_asks(w, w->at, w->spread, i, *memory->r * R) || memory->last[0] < REAL(0.5);
+INLINE int learnt_stuck(const int n, const int m, const learnt_work *const w, const int i, const learnt_memory *const
+                        memory) {
+    const real R = w->R[i * m + i];
+    if (!(R > 0) || !repeats_again(learnt_reading(m, w, i), *memory->r, &memory->habits->repeats)) return 0;
+    return learnt_asks(n, w, w->at, w->spread, i, *memory->r * R) || memory->last[0] < REAL(0.5);
 }
 
 /* Let r of each sensor be no more than eight times what the differences of unforeseen changes from reading to reading
    show, of which white noise makes 6 r, unless other sensors show more; note this change. */
-INLINE void learnt_changes(const learnt_work *const w) {
-    for (int i = 0; i < w->m; i++) {
-        const learnt_memory memory = learnt_of(w->rule, w->s, i);
+INLINE void learnt_changes(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w) {
+    for (int i = 0; i < m; i++) {
+        const learnt_memory memory = learnt_of(rule, w->s, i);
         repeats_memory *const repeats = &memory.habits->repeats;
-        if (!(w->left[i] > 0 && w->R[i * w->m + i] > 0)) continue;
-        repeats_note_reading(learnt_reading(w, i), repeats);
-        repeats_note_change(learnt_left(w, i), repeats);
+        if (!(w->left[i] > 0 && w->R[i * m + i] > 0)) continue;
+        repeats_note_reading(learnt_reading(m, w, i), repeats);
+        repeats_note_change(learnt_left(n, m, w, i), repeats);
         if (!(repeats->count > LEARNT_FIRST + 1)) continue;
         /* What others contradict by more than its noise is no motion of the state, however even its changes. */
         const real apart = memory.habits->parity.variance;
@@ -557,8 +558,7 @@ INLINE void learnt_changes(const learnt_work *const w) {
 
 /* Innovations under one model, and their covariances with the state and each other without noise; return how large they
    are. */
-INLINE real learnt_innovations(const int model, const learnt_work *const w) {
-    const int n = w->n, m = w->m;
+INLINE real learnt_innovations(const int n, const int m, const int model, const learnt_work *const w) {
     const real *RESTRICT x = w->s->x + model * n, *RESTRICT P = w->s->P + model * n * n;
     real *RESTRICT C = w->C + model * m * n, *RESTRICT S = w->S + model * m * m, *RESTRICT y = w->y + model * m;
     real check = 0;
@@ -648,15 +648,13 @@ INLINE void learnt_widen(const int n, const int m, const learnt_rule *const rule
         for (int o = 0; o < n; o++)
             for (int k = 0; part[o] == w->head[i] && k < n; k++)
                 if (part[k] == part[o]) P[o * n + k] += whole * (d[o] * d[k]) - (d[o] * C[k] + d[k] * C[o]);
-        learnt_innovations(q, w);
+        learnt_innovations(n, m, q, w);
     }
 }
 
 /* Let what a measurement couples be one part: the states that a sensor sees or whose error is its noise's too, those of
    correlated sensors and of those that fail together. Say of each sensor which part it sees. */
-INLINE void learnt_couple(const learnt_work *const w) {
-    const learnt_rule *const rule = w->rule;
-    const int n = w->n, m = w->m;
+INLINE void learnt_couple(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w) {
     for (int i = 0; i < m; i++) {
         if (!(w->left[i] > 0)) continue;
         const int first = learnt_sees(n, w->H, i);
@@ -725,12 +723,12 @@ INLINE void learnt_settle(const int n, const learnt_rule *const rule, learnt_sta
 }
 
 /* How likely a reading begins a jump, one like the sensor's last one rather than an outlier. */
-INLINE real learnt_new_chance(const learnt_work *const w, const int i) {
-    const learnt_rule *const rule = w->rule;
+INLINE real learnt_new_chance(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, const
+                              int i) {
     const jumps_memory *const jumps = learnt_jumps(rule, w->s, i);
     const learnt_memory memory = learnt_of(rule, w->s, i);
-    const real *const h = w->H + i * w->n, noise = w->N[i * w->m + i], R = w->R[i * w->m + i];
-    const real y = w->z[i] - real_dot(w->n, h, w->at), seen = real_square(w->n, h, w->spread);
+    const real *const h = w->H + i * n, noise = w->N[i * m + i], R = w->R[i * m + i];
+    const real y = w->z[i] - real_dot(n, h, w->at), seen = real_square(n, h, w->spread);
     real outlier = 0, like;
     if (!jumps) return 0;
     like = learnt_like_before(jumps, y, seen + noise, R);
@@ -741,28 +739,29 @@ INLINE real learnt_new_chance(const learnt_work *const w, const int i) {
 
 /* Drop candidates that have lost: in their place a new one may begin, where all others are. A reading that is far from
    them and from all others decides: who is more likely than not is believed, who has gained nothing is dropped. */
-INLINE void learnt_refresh(const learnt_work *const w, real *RESTRICT work) {
-    const int n = w->n, m = w->m, q = w->rule->q;
+INLINE void learnt_refresh(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, real
+                           *RESTRICT work) {
+    const int q = rule->q;
     learnt_state *const s = w->s;
     int believed = 0;
-    if (!(w->rule->jump > 0)) return;
+    if (!(rule->jump > 0)) return;
     for (int i = 0; i < m; i++)
-        if (w->left[i] > 0) w->fresh[i] = s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * w->rule->jump;
+        if (w->left[i] > 0) w->fresh[i] = s->p[q * n + (int)w->head[i]] < LEARNT_DROPPED * rule->jump;
     for (int i = 0; i < m; i++) {
         const real noise = w->N[i * m + i];
-        if (!(w->left[i] > 0) || w->fresh[i] > 0 || !learnt_asks(w, w->at, w->spread, i, noise) ||
-            !learnt_asks(w, s->x + q * n, s->P + q * n * n, i, noise))
+        if (!(w->left[i] > 0) || w->fresh[i] > 0 || !learnt_asks(n, w, w->at, w->spread, i, noise) ||
+            !learnt_asks(n, w, s->x + q * n, s->P + q * n * n, i, noise))
             continue;
         const real chance = s->p[q * n + (int)w->head[i]];
-        if (!(chance > REAL(0.5)) && !(chance * (1 + REAL(1e-9)) < learnt_new_chance(w, i))) continue;
-        if (chance > REAL(0.5)) learnt_settle(n, w->rule, s, w->head[i]), believed = 1;
+        if (!(chance > REAL(0.5)) && !(chance * (1 + REAL(1e-9)) < learnt_new_chance(n, m, rule, w, i))) continue;
+        if (chance > REAL(0.5)) learnt_settle(n, rule, s, w->head[i]), believed = 1;
         for (int j = 0; j < m; j++) {
             if (!(w->left[j] > 0 && w->head[j] == w->head[i])) continue;
-            if (chance > REAL(0.5)) learnt_jumped(w->rule, s, j, 1);
+            if (chance > REAL(0.5)) learnt_jumped(rule, s, j, 1);
             w->fresh[j] = 1;
         }
     }
-    if (believed) learnt_slow(n, w->rule, s, w->at, w->spread, work);
+    if (believed) learnt_slow(n, rule, s, w->at, w->spread, work);
     for (int o = 0; o < n; o++) {
         int drops = 0;
         for (int i = 0; i < m; i++) drops |= w->left[i] > 0 && w->head[i] == w->part[o] && w->fresh[i] > 0;
@@ -775,8 +774,7 @@ INLINE void learnt_refresh(const learnt_work *const w, real *RESTRICT work) {
 }
 
 /* Add what the noise has to do with the state's error to the moments of innovations; M grows as R does. */
-CALLED void learnt_correlate(const int models, const learnt_work *const w) {
-    const int n = w->n, m = w->m;
+CALLED void learnt_correlate(const int n, const int m, const int models, const learnt_work *const w) {
     for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
             const real root = real_sqrt(w->r[i]);
@@ -792,12 +790,12 @@ CALLED void learnt_correlate(const int models, const learnt_work *const w) {
 
 /* Begin a correction: innovations and their moments, fresh candidates where they ask for them. Return whether ordinary.
    */
-INLINE int learnt_begin(const learnt_work *const w) {
-    const int m = w->m, models = learnt_models(w->rule);
+INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w) {
+    const int models = learnt_models(rule);
     real check = 0;
-    for (int c = 0; c < models; c++) check += learnt_innovations(c, w);
+    for (int c = 0; c < models; c++) check += learnt_innovations(n, m, c, w);
     if (check != 0) return 0;
-    if (w->rule->jump > 0) learnt_widen(w->n, m, w->rule, w->s, w->H, w->R, w);
+    if (rule->jump > 0) learnt_widen(n, m, rule, w->s, w->H, w->R, w);
     for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) {
             const real *const N = w->N + i * m;
@@ -807,7 +805,7 @@ INLINE int learnt_begin(const learnt_work *const w) {
             for (int j = 0; j < m; j++)
                 if (w->left[j] > 0) S[j] += N[j];
         }
-    if (w->M) learnt_correlate(models, w);
+    if (w->M) learnt_correlate(n, m, models, w);
     for (int c = 0; c < models; c++)
         for (int i = 0; i < m; i++) w->start[i] = real_max(c ? w->start[i] : 0, w->S[(c * m + i) * m + i]);
     return 1;
@@ -865,26 +863,28 @@ SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real 
 }
 
 /* Write what all g members expect of their classes, the mean of what each does, and ordinary noise N (g, g). */
-SIZED void learnt_expected(const learnt_work *const w, const int g, real *RESTRICT N) {
-    const int K = w->rule->K, rows = w->rule->joint ? 1 : g;
+SIZED void learnt_expected(const int m, const learnt_rule *const rule, const learnt_work *const w, const int g, real
+                           *RESTRICT N) {
+    const int K = rule->K, rows = rule->joint ? 1 : g;
     const real each = 1 / (real)rows;
     for (int k = 0; k < K; k++) w->before[k] = w->typical[k] = 0;
     for (int t = 0; t < rows; t++) {
-        const learnt_memory memory = learnt_of(w->rule, w->s, (int)w->members[t]);
+        const learnt_memory memory = learnt_of(rule, w->s, (int)w->members[t]);
         learnt_predicted(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->before[k] += w->after[k] * each;
         learnt_typical(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->typical[k] += w->after[k] * each;
     }
     for (int t = 0; t < g; t++)
-        for (int u = 0; u < g; u++) N[t * g + u] = w->N[(int)w->members[t] * w->m + (int)w->members[u]];
+        for (int u = 0; u < g; u++) N[t * g + u] = w->N[(int)w->members[t] * m + (int)w->members[u]];
 }
 
 /* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
    classes, and the probability from the samples before that they are; return whether its density, of which the log is
    written too, is ordinary. */
-CALLED int learnt_together(learnt_work *const w, real *const log_density) {
-    const int n = w->n, m = w->m, q = w->rule->q;
+CALLED int learnt_together(const int n, const int m, const learnt_rule *const rule, learnt_work *const w, real *const
+                           log_density) {
+    const int q = rule->q;
     real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
     real *RESTRICT const u = N + m * m, total = 0;
     int g = 0;
@@ -894,7 +894,7 @@ CALLED int learnt_together(learnt_work *const w, real *const log_density) {
         const int i = (int)w->members[t];
         const real *const p = w->s->p + (int)w->head[i], reach = LEARNT_TOGETHER * real_sqrt(w->start[i]);
         real slow = 0;
-        total += learnt_of(w->rule, w->s, i).habits->together;
+        total += learnt_of(rule, w->s, i).habits->together;
         for (int c = 0; c < q; c++) slow += p[c * n];
         y[t] = 0;
         for (int c = 0; c < q; c++) y[t] += p[c * n] / slow * real_within(w->y[c * m + i], reach);
@@ -909,13 +909,14 @@ CALLED int learnt_together(learnt_work *const w, real *const log_density) {
         }
     }
     w->together = total / (real)g;
-    learnt_expected(w, g, N);
-    return learnt_classes(g, w->rule, y, S, N, w->before, w->shared, log_density, u, u + w->rule->K * m, w->after);
+    learnt_expected(m, rule, w, g, N);
+    return learnt_classes(g, rule, y, S, N, w->before, w->shared, log_density, u, u + rule->K * m, w->after);
 }
 
 /* A sensor's innovation in standard deviations, over all models. */
-INLINE real learnt_far(const learnt_work *const w, const int i) {
-    const int n = w->n, m = w->m, models = learnt_models(w->rule);
+INLINE real learnt_far(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, const int i)
+                       {
+    const int models = learnt_models(rule);
     const real *const p = w->s->p + (int)w->head[i];
     real mean = 0, variance = 0, unit = 1;
     for (int c = 0; c < models; c++) unit = real_max(unit, real_abs(w->y[c * m + i]));
@@ -929,15 +930,16 @@ INLINE real learnt_far(const learnt_work *const w, const int i) {
 
 /* The sensor that is taken next of `count` that are left, the least far; of those that fail together the farthest
    counts. */
-INLINE int learnt_next(const learnt_work *const w, const int count) {
+INLINE int learnt_next(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, const int
+                       count) {
     int best = -1;
     real least = 0;
-    for (int i = 0; i < w->m; i++) {
+    for (int i = 0; i < m; i++) {
         real far = 0;
         if (!(w->left[i] > 0)) continue;
-        for (int j = 0; j < w->m && count > 1; j++)
-            if (w->left[j] > 0 && learnt_lead(w->rule, j) == learnt_lead(w->rule, i))
-                far = real_max(far, learnt_far(w, j));
+        for (int j = 0; j < m && count > 1; j++)
+            if (w->left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i))
+                far = real_max(far, learnt_far(n, m, rule, w, j));
         if (best < 0 || far < least) best = i, least = far;
     }
     return best;
@@ -945,13 +947,13 @@ INLINE int learnt_next(const learnt_work *const w, const int count) {
 
 /* Score, information and likelihood of g sensors that are taken at once under every model. Return whether all is
    ordinary. log_density: of all that is likely the most, which w->logs are over. */
-SIZED int learnt_scores_of(const learnt_work *const w, const int g, real *const log_density) {
-    const learnt_rule *const rule = w->rule;
-    const int m = w->m, first = (int)w->members[0];
+SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const learnt_work *const w, const int g, real
+                           *const log_density) {
+    const int first = (int)w->members[0];
     const int models = learnt_models(rule), K = rule->K, rows = rule->joint ? 1 : g, size = rule->joint ? g : 1;
     real *RESTRICT const y = w->scratch, *RESTRICT const S = y + m, *RESTRICT const N = S + m * m;
     real *RESTRICT const pulls = N + m * m, *RESTRICT const inverses = pulls + K * m;
-    learnt_expected(w, g, N);
+    learnt_expected(m, rule, w, g, N);
     for (int c = 0; c < models; c++) {
         real *RESTRICT const given = w->given + c * K, *RESTRICT const a = w->scores + c * m;
         real *RESTRICT const b = w->informations + c * m * m;
@@ -1018,15 +1020,15 @@ SIZED int learnt_scores_of(const learnt_work *const w, const int g, real *const 
 }
 
 /* With a copy of its own for what is usual, one sensor. */
-CALLED int learnt_scores(const learnt_work *const w, const int g, real *const log_density) {
-    return g == 1 ? learnt_scores_of(w, 1, log_density) : learnt_scores_of(w, g, log_density);
+CALLED int learnt_scores(const int m, const learnt_rule *const rule, const learnt_work *const w, const int g, real
+                         *const log_density) {
+    return g == 1 ? learnt_scores_of(m, rule, w, 1, log_density) : learnt_scores_of(m, rule, w, g, log_density);
 }
 
 /* Learn from what sensors that are taken at once have said, and take it off the models; w->shares are these models'. */
-CALLED void learnt_taken(const learnt_work *const w, const int g) {
-    const learnt_rule *const rule = w->rule;
+CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, const int
+                         g) {
     const learnt_state *const s = w->s;
-    const int n = w->n, m = w->m;
     const int models = learnt_models(rule), K = rule->K;
     real *RESTRICT ours = w->scratch, *RESTRICT theirs = ours + m * n;
     real *RESTRICT bC = theirs + m * m, *RESTRICT bS = bC + m * n;
@@ -1075,18 +1077,18 @@ CALLED void learnt_taken(const learnt_work *const w, const int g) {
 
 /* Say which readings there are, of sensors that see something; how many of these are left out, as their sensors are
    stuck. */
-INLINE int learnt_seen(learnt_work *const w, real *RESTRICT weights, real *RESTRICT outlying, real *RESTRICT logs) {
-    const int n = w->n;
+INLINE int learnt_seen(const int n, const int m, const learnt_rule *const rule, learnt_work *const w, real *RESTRICT
+                       weights, real *RESTRICT outlying, real *RESTRICT logs) {
     int held = 0;
-    for (int i = 0; i < w->m; i++) {
-        const learnt_memory memory = learnt_of(w->rule, w->s, i);
+    for (int i = 0; i < m; i++) {
+        const learnt_memory memory = learnt_of(rule, w->s, i);
         int seen = 0;
         for (int k = 0; k < n; k++) seen |= w->H[i * n + k] != 0;
         w->left[i] = seen && w->z[i] == w->z[i] ? 1 : 0;
-        w->r[i] = w->rule->learns ? *memory.r : 1;
+        w->r[i] = rule->learns ? *memory.r : 1;
         weights[i] = logs[i] = (real)NAN;
         outlying[i] = w->goes_on[i] = 0;
-        if (!(w->left[i] > 0 && w->follows && learnt_stuck(w, i, &memory))) continue;
+        if (!(w->left[i] > 0 && learnt_follows(rule) && learnt_stuck(n, m, w, i, &memory))) continue;
         w->left[i] = weights[i] = 0;
         outlying[i] = 1;
         held++;
@@ -1095,32 +1097,32 @@ INLINE int learnt_seen(learnt_work *const w, real *RESTRICT weights, real *RESTR
 }
 
 /* Let what a measurement couples be one part, and what sensors do usually set their r. */
-INLINE void learnt_prepare(learnt_work *const w, real *RESTRICT work) {
-    const int m = w->m;
-    learnt_couple(w);
-    learnt_slow(w->n, w->rule, w->s, w->at, w->spread, work);
-    for (int i = 0; w->follows && i < m; i++) {
-        const learnt_memory memory = learnt_of(w->rule, w->s, i);
+INLINE void learnt_prepare(const int n, const int m, const learnt_rule *const rule, learnt_work *const w, real *RESTRICT
+                           work) {
+    learnt_couple(n, m, rule, w);
+    learnt_slow(n, rule, w->s, w->at, w->spread, work);
+    for (int i = 0; learnt_follows(rule) && i < m; i++) {
+        const learnt_memory memory = learnt_of(rule, w->s, i);
         if (!(w->left[i] > 0 && w->R[i * m + i] > 0 && memory.last[0] < REAL(0.5))) continue;
-        const real y = learnt_left(w, i);
+        const real y = learnt_left(n, m, w, i);
         w->goes_on[i] = 2 * real_abs(y - memory.habits->repeats.left) < real_abs(y);
     }
-    if (w->follows) {
-        learnt_changes(w);
-        learnt_sizes(w, work);
+    if (learnt_follows(rule)) {
+        learnt_changes(n, m, rule, w);
+        learnt_sizes(n, m, rule, w, work);
     }
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++)
             w->N[i * m + j] = w->R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
-    learnt_refresh(w, work);
+    learnt_refresh(n, m, rule, w, work);
 }
 
 /* Let what the sensors that are taken at once have said, w->logs over exp(most), move the probabilities of the models
    in their part; add to log_density and write its part without what a candidate is made to fit. Return whether
    ordinary. */
-INLINE int learnt_believe(const learnt_work *const w, const int i, const real most, real *const log_density,
-                          real *const log_shown) {
-    const int n = w->n, q = w->rule->q, models = learnt_models(w->rule), K = w->rule->K;
+INLINE int learnt_believe(const int n, const learnt_rule *const rule, const learnt_work *const w, const int i, const
+                          real most, real *const log_density, real *const log_shown) {
+    const int q = rule->q, models = learnt_models(rule), K = rule->K;
     real *const p = w->s->p, *const here = p + (int)w->head[i], *const logs = w->logs;
     real total = 0, full = 0, others = 0, evidence = 0;
     for (int c = 0; c < q; c++) {
@@ -1133,8 +1135,8 @@ INLINE int learnt_believe(const learnt_work *const w, const int i, const real mo
         const real chance = w->shares[q] = here[q * n];
         evidence /= others;
         /* What tells for a jump so much tells nothing of the scale of Q, where a jump is no far-fetched reason. */
-        const int experienced = chance >= LEARNT_DROPPED && learnt_jumps(w->rule, w->s, i) &&
-                                learnt_of(w->rule, w->s, i).habits->repeats.count > LEARNT_FIRST;
+        const int experienced = chance >= LEARNT_DROPPED && learnt_jumps(rule, w->s, i) &&
+                                learnt_of(rule, w->s, i).habits->repeats.count > LEARNT_FIRST;
         for (int c = 0; c < q && experienced && logs[q] > LEARNT_TELLS * evidence; c++) logs[c] = evidence;
         full = others * evidence + chance * (w->fresh[i] > 0 ? evidence : logs[q]);
         logs[q] = w->fresh[i] > 0 ? evidence : real_min(logs[q], LEARNT_EVIDENCE * evidence);
@@ -1157,10 +1159,9 @@ INLINE int learnt_believe(const learnt_work *const w, const int i, const real mo
 
 /* Let candidates that are believed take over, and sensors learn from them and whether they fail together; together and
    apart: log densities of the measurement if they do and if not. */
-INLINE void learnt_conclude(const learnt_work *const w, const real together, const real apart,
-                            const real *RESTRICT weights, real *RESTRICT work) {
-    const int n = w->n, m = w->m, q = w->rule->q;
-    const learnt_rule *const rule = w->rule;
+INLINE void learnt_conclude(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, const
+                            real together, const real apart, const real *RESTRICT weights, real *RESTRICT work) {
+    const int q = rule->q;
     learnt_state *const s = w->s;
     if (w->together > 0) {
         /* How sensors fail may change, and a sample is worth no more than a hundred to one. */
@@ -1180,16 +1181,17 @@ INLINE void learnt_conclude(const learnt_work *const w, const real together, con
         }
         if (believed) learnt_settle(n, rule, s, w->part[o]);
     }
-    if (!w->follows) return;
+    if (!learnt_follows(rule)) return;
     learnt_slow(n, rule, s, w->at, w->spread, work);
     for (int i = 0; i < m; i++)
-        if (weights[i] > 0 && w->R[i * m + i] > 0) learnt_of(rule, s, i).habits->repeats.left = learnt_left(w, i);
+        if (weights[i] > 0 && w->R[i * m + i] > 0) learnt_of(rule, s, i).habits->repeats.left = learnt_left(n, m, w, i);
 }
 
 /* What `learnt_correct` does with R as it is. logs (m): log density of each reading, NaN where there is none. */
-INLINE int learnt_weigh(learnt_work *const w, real *RESTRICT weights, real *RESTRICT outlying, real *const log_density,
-                        real *RESTRICT logs, real *RESTRICT work) {
-    const int n = w->n, m = w->m, models = learnt_models(w->rule), K = w->rule->K;
+INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule, learnt_work *const w, real *RESTRICT
+                        weights, real *RESTRICT outlying, real *const log_density, real *RESTRICT logs, real *RESTRICT
+                        work) {
+    const int models = learnt_models(rule), K = rule->K;
     int count = 0, held;
     real together = 0, apart = 0;
     const real_part parts[] = {
@@ -1200,26 +1202,28 @@ INLINE int learnt_weigh(learnt_work *const w, real *RESTRICT weights, real *REST
         {&w->after, K}, {&w->shared, K}, {&w->members, m}, {&w->scores, models * m}, {&w->informations, models * m * m},
         {&w->energies, models * m}, {&w->noises, models * m}, {&w->scratch, m * (1 + 2 * n + K) + m * m * (2 + K)}};
     work = real_lay_out((int)(sizeof parts / sizeof *parts), parts, work);
-    learnt_slow(n, w->rule, w->s, w->at, w->spread, work);
-    held = learnt_seen(w, weights, outlying, logs);
+    learnt_slow(n, rule, w->s, w->at, w->spread, work);
+    held = learnt_seen(n, m, rule, w, weights, outlying, logs);
     for (int i = 0; i < m; i++) count += w->left[i] > 0;
     if (count == 0) return held;
-    learnt_prepare(w, work);
-    if (!learnt_begin(w) || (w->follows && !w->grouped && count > 1 && !learnt_together(w, &together))) return -1;
+    learnt_prepare(n, m, rule, w, work);
+    if (!learnt_begin(n, m, rule, w)) return -1;
+    if (learnt_follows(rule) && rule->named == 0 && count > 1 && !learnt_together(n, m, rule, w, &together)) return -1;
     for (int turn = 0, group; turn < count; turn += group) {
-        const int i = learnt_next(w, count - turn);
+        const int i = learnt_next(n, m, rule, w, count - turn);
         real weight = 0, most = 0;
         group = 0;
         for (int j = 0; j < m; j++)
-            if (w->left[j] > 0 && learnt_lead(w->rule, j) == learnt_lead(w->rule, i)) w->members[group++] = (real)j;
-        if (!learnt_scores(w, group, &most) || !learnt_believe(w, i, most, &apart, logs + i)) return -1;
-        for (int k = 0; k < K; k++) weight += w->after[k] / w->rule->scales[k];
+            if (w->left[j] > 0 && learnt_lead(rule, j) == learnt_lead(rule, i)) w->members[group++] = (real)j;
+        if (!learnt_scores(m, rule, w, group, &most)) return -1;
+        if (!learnt_believe(n, rule, w, i, most, &apart, logs + i)) return -1;
+        for (int k = 0; k < K; k++) weight += w->after[k] / rule->scales[k];
         for (int t = 0; t < group; t++)
             weights[(int)w->members[t]] = weight, outlying[(int)w->members[t]] = 1 - w->after[0];
-        learnt_taken(w, group);
+        learnt_taken(n, m, rule, w, group);
     }
     *log_density += apart;
-    learnt_conclude(w, together, apart, weights, work);
+    learnt_conclude(n, m, rule, w, together, apart, weights, work);
     return count + held;
 }
 
@@ -1227,12 +1231,12 @@ INLINE int learnt_weigh(learnt_work *const w, real *RESTRICT weights, real *REST
 
 /* Go on with the recursion as given, and let the models of a part begin again from it where it tells a factor of P, Q
    and R. logs: of the readings by the models; z is NaN where there is none. Return whether all is ordinary. */
-CALLED int learnt_judge(const learnt_work *const w, const real *RESTRICT logs, real *RESTRICT work) {
+CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, const real
+                        *RESTRICT logs, real *RESTRICT work) {
     static const correction_rule huber = {{PSI_HUBER, REAL(1.345), 0, 0, NULL, NULL}, SCALING_LEARNT,
                                           INFORMATION_REALIZED, 1, 0, NULL, 0};
-    const learnt_rule *const rule = w->rule;
     learnt_state *const s = w->s;
-    const int n = w->n, m = w->m, models = learnt_models(rule), width = learnt_width(rule->K);
+    const int models = learnt_models(rule), width = learnt_width(rule->K);
     const real *const R = w->R;
     real *const for_factor = learnt_given(n, rule, s, LEARNT_FOR_FACTOR), *const x = s->x + models * n;
     real *const readings = learnt_given(n, rule, s, LEARNT_READINGS), *const P = s->P + models * n * n;
@@ -1258,7 +1262,7 @@ CALLED int learnt_judge(const learnt_work *const w, const real *RESTRICT logs, r
         int any = 0, beyond;
         for (int j = 0; j < m && readings[head] < LEARNT_DECIDED; j++) {
             real size;
-            if (here[j] != here[j] || learnt_head(w, j) != head) continue;
+            if (here[j] != here[j] || learnt_head(n, w, j) != head) continue;
             /* A factor is common to all sensors of a part: that of the one which shows least of it. */
             size = real_max(before[j].spread, spread_coarse(before + j, real_sqrt(S[j])));
             size = before[j].weight > 0 ? 2 * real_log(real_max(size, REAL(1e-150))) : 0;
@@ -1271,7 +1275,7 @@ CALLED int learnt_judge(const learnt_work *const w, const real *RESTRICT logs, r
         for (int j = 0; j < m && beyond; j++) {
             real log_unit, by_it;
             /* One that repeats the reading before is no sample of noise. */
-            if (here[j] != here[j] || here[j] == before[j].last || learnt_head(w, j) != head) continue;
+            if (here[j] != here[j] || here[j] == before[j].last || learnt_head(n, w, j) != head) continue;
             log_unit = REAL(0.5) * (real_log(S[j]) + log_c);
             by_it = -psi_rho(&huber.psi, y[j] / real_exp(log_unit)) - log_unit - REAL(0.5) * LEARNT_LOG_2PI;
             evidence += real_within(by_it - logs[j], real_log(LEARNT_EVIDENCE));
@@ -1293,7 +1297,7 @@ CALLED int learnt_judge(const learnt_work *const w, const real *RESTRICT logs, r
             }
         }
         for (int j = 0; j < m && any; j++)
-            if (learnt_head(w, j) == head) real_copy(width, rule->begin, s->memory + j * width);
+            if (learnt_head(n, w, j) == head) real_copy(width, rule->begin, s->memory + j * width);
     }
     return 1;
 }
@@ -1311,11 +1315,10 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
                           real *RESTRICT work) {
     const int gives = learnt_gives(rule) && learnt_jumps(rule, s, 0), width = learnt_width(rule->K);
     const real *const factor = learnt_given(n, rule, s, LEARNT_FACTOR);
+    const real *const before = learnt_given(n, rule, s, LEARNT_READINGS);
     real *const logs = work, *const N = logs + m, *const scaled = N + m * m;
-    learnt_work w = {.n = n, .m = m, .rule = rule, .s = s, .z = z, .readings = readings, .H = H, .R = R, .M = M};
+    learnt_work w = {.s = s, .z = z, .readings = readings, .H = H, .R = R, .M = M, .part = learnt_part(n, rule, s)};
     int count, wrong = 0, looks = 0;
-    w.follows = rule->learns && !rule->joint, w.grouped = rule->joint || rule->named > 0;
-    w.part = learnt_part(n, rule, s);
     work = scaled + m * n;
     for (int k = 0; gives && k < n; k++) wrong |= factor[k] != 1;
     for (int i = 0; wrong && i < m; i++) {
@@ -1326,12 +1329,11 @@ INLINE int learnt_correct(const int n, const int m, const learnt_rule *const rul
         for (int k = 0; M && k < n; k++) scaled[k * m + i] = M[k * m + i] * real_sqrt(factor[k]) * real_sqrt(own);
     }
     if (wrong) w.R = N, w.M = M ? scaled : NULL;
-    count = learnt_weigh(&w, weights, outlying, log_density, logs, work);
+    count = learnt_weigh(n, m, rule, &w, weights, outlying, log_density, logs, work);
     if (!gives || count < 0) return count;
     w.R = R, w.M = M;
-    for (int i = 0; i < m; i++)
-        looks |= logs[i] == logs[i] && learnt_given(n, rule, s, LEARNT_READINGS)[learnt_head(&w, i)] < LEARNT_DECIDED;
-    if (looks && !learnt_judge(&w, logs, work)) return -1;
+    for (int i = 0; i < m; i++) looks |= logs[i] == logs[i] && before[learnt_head(n, &w, i)] < LEARNT_DECIDED;
+    if (looks && !learnt_judge(n, m, rule, &w, logs, work)) return -1;
     for (int i = 0; i < m; i++) s->memory[i * width] *= factor[learnt_sees(n, H, i)];
     return count;
 }

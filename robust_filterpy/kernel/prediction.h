@@ -4,21 +4,17 @@
 
 #include "real.h"
 
-/* Up to so many states plain loops are fastest, and up to so many sums of columns that stay in registers. */
-#define PREDICTION_PLAIN 4
+/* Up to so many states sums of columns that stay in registers are fastest. */
 #define PREDICTION_COLUMNS 8
 
 #define predict_work(n) ((size_t)(n) * (size_t)(2 * (n)))
 
-/* out = A B, of each row the columns up to the diagonal at least; four columns at a time, whose sums stay in
-   registers. */
-SIZED void predict_columns(const int n, const real *RESTRICT A, const real *RESTRICT B, real *RESTRICT out,
-                            const int lower) {
+/* out = A B, four columns at a time, whose sums stay in registers. */
+SIZED void predict_columns(const int n, const real *RESTRICT A, const real *RESTRICT B, real *RESTRICT out) {
     for (int i = 0; i < n; i++) {
         const real *RESTRICT row = A + i * n;
-        const int top = lower ? i + 1 : n;
         int j = 0;
-        for (; j < top && j + 4 <= n; j += 4) {
+        for (; j + 4 <= n; j += 4) {
             real s0 = 0, s1 = 0, s2 = 0, s3 = 0;
             for (int k = 0; k < n; k++) {
                 const real a = row[k];
@@ -33,7 +29,7 @@ SIZED void predict_columns(const int n, const real *RESTRICT A, const real *REST
             out[i * n + j + 2] = s2;
             out[i * n + j + 3] = s3;
         }
-        for (; j < top; j++) {
+        for (; j < n; j++) {
             real s = 0;
             for (int k = 0; k < n; k++) s += row[k] * B[k * n + j];
             out[i * n + j] = s;
@@ -41,7 +37,7 @@ SIZED void predict_columns(const int n, const real *RESTRICT A, const real *REST
     }
 }
 
-/* The same for more states than that: four rows of B at a time. */
+/* The same for more states than that, four rows of B at a time; lower: of each row the columns up to the diagonal. */
 SIZED void predict_blocks(const int n, const real *RESTRICT A, const real *RESTRICT B, real *RESTRICT out,
                             const int lower) {
     for (int i = 0; i < n; i++) {
@@ -72,19 +68,14 @@ SIZED int predict(const int n, const real *RESTRICT x, const real *RESTRICT P, c
         const real total = real_dot(n, F + i * n, x);
         x_next[i] = control ? total + control[i] : total;
     }
-    if (n > PREDICTION_PLAIN) {
+    if (n <= PREDICTION_COLUMNS) {
+        predict_columns(n, F, P, W);
+        real_multiply_symmetric(n, n, W, F, P_next);
+    } else {
         for (int i = 0; i < n; i++)
             for (int k = 0; k < n; k++) transposed[k * n + i] = F[i * n + k];
-        if (n <= PREDICTION_COLUMNS) {
-            predict_columns(n, F, P, W, 0);
-            predict_columns(n, W, transposed, P_next, 1);
-        } else {
-            predict_blocks(n, F, P, W, 0);
-            predict_blocks(n, W, transposed, P_next, 1);
-        }
-    } else {
-        real_multiply(n, n, n, F, P, W);
-        real_multiply_symmetric(n, n, W, F, P_next);
+        predict_blocks(n, F, P, W, 0);
+        predict_blocks(n, W, transposed, P_next, 1);
     }
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++)

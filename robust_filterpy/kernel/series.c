@@ -1,5 +1,5 @@
 /* Series and recordings: the loop of series.h, without the interpreter's lock. */
-#include "online.h"
+#include "glue.h"
 
 /* Sizes of the state that the compiler knows; to know one sensor too gains nothing that can be measured. */
 #define SPAN(name, n) \

@@ -186,7 +186,7 @@ def plain(array: Array) -> Array:
 
 
 class Head(NamedTuple):
-    """How the numbers of a rule begin, in the order of `rule_head` in online.c."""
+    """How the numbers of a rule begin, in the order of `rule_head` in glue.c."""
 
     models: float
     """Scales of Q; they follow, and the scales of R."""

@@ -25,16 +25,7 @@ static int is_identity(const int n, const double *F) {
 }
 
 /* Whether a is finite and, but for rounding, symmetric. */
-static int is_settled(const int n, const double *a) {
-    double size = 0, apart = 0, total = 0;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            total += fabs(a[i * n + j]);
-            size = fmax(size, fabs(a[i * n + j]));
-            apart = fmax(apart, fabs(a[i * n + j] - a[j * n + i]));
-        }
-    return total <= DBL_MAX && apart <= 1e-13 * size;
-}
+static int is_settled(const int n, const double *a) { return all_finite(a, (npy_intp)n * n) && is_symmetric(a, n); }
 
 /* Take an actuator through its samples; n is a constant where this is inlined. */
 INLINE void one_actuator(const job *const j, const int n, const npy_intp i, double *const work) {
@@ -84,19 +75,15 @@ static void every_actuator(const job *const j, const int n, double *const work) 
 
 #define PLACES 12 /* na nc nd nf, a c d f, inputs, lags, length, starts; then start, used, source */
 
-/* The layout from its integers: ints are written into room (as long). */
-static int take_layout(const npy_intp *const given, const npy_intp count, const int n, const npy_intp width,
-                       tracker_layout *const l, int *const room) {
+/* The layout from its integers. */
+static int take_layout(const int *const given, const npy_intp count, const int n, const npy_intp width,
+                       tracker_layout *const l) {
     if (count < PLACES) return 0;
-    for (npy_intp i = 0; i < count; i++) {
-        if (given[i] < -n - 1 || given[i] > 1000000) return 0;
-        room[i] = (int)given[i];
-    }
-    const tracker_layout found = {room[0], room[1], room[2], room[3], room[4], room[5], room[6], room[7],
-                                  room[8], room[9], room[10], room[11], room + PLACES, room + PLACES + room[11],
-                                  room + PLACES + 2 * room[11]};
-    for (int i = 0; i < PLACES; i++)
-        if (room[i] < 0) return 0;
+    for (npy_intp i = 0; i < count; i++)
+        if (given[i] < (i < PLACES ? 0 : -n - 1) || given[i] > 1000000) return 0;
+    const int *const start = given + PLACES, *const used = start + given[11];
+    const tracker_layout found = {given[0], given[1], given[2], given[3], given[4], given[5], given[6], given[7],
+                                  given[8], given[9], given[10], given[11], start, used, used + given[11]};
     if (count != PLACES + 2 * (npy_intp)found.starts + found.lags) return 0;
     if (found.a + found.na > n || found.c + found.nc > n || found.d + found.nd > n || found.f + found.nf > n ||
         found.inputs + found.lags > n)
@@ -122,33 +109,26 @@ static int take_sizes(job *const j, const npy_intp n) {
 }
 
 static PyObject *track(PyObject *self, PyObject *arguments) {
-    npy_intp lengths[AXES] = UNKNOWN_AXES, *layout;
+    npy_intp lengths[AXES] = UNKNOWN_AXES;
+    const int *layout;
     job j = {0};
-    double *work = NULL;
-    int *room = NULL, fine;
     (void)self;
     AXIS('o') = 1, AXIS('r') = RULE_NUMBERS, AXIS('f') = 5;
-    fine = take_arrays(arguments, ".ak .aku ?.ak #l .aor .aonn .aonn a #af !aw !akc #!a", lengths,
-                       (void *[]){&j.y, &j.u, &j.R, &layout, &j.options, &j.F, &j.Q, &j.alpha_sq, &j.flags, &j.moved, &j.out,
-                                  &j.done});
+    int fine = take_arrays(arguments, ".ak .aku ?.ak %l .aor .aonn .aonn a #af !aw !akc #!a", lengths,
+                           (void *[]){&j.y, &j.u, &j.R, &layout, &j.options, &j.F, &j.Q, &j.alpha_sq, &j.flags, &j.moved,
+                                      &j.out, &j.done});
     const npy_intp n = AXIS('n');
-    if (!fine || n < 1 || n > 10000 || AXIS('c') != 2 * n + 4) return refuse_arrays("track", "identification.recursive.track");
     j.actuators = AXIS('a'), j.samples = AXIS('k'), j.width = AXIS('w');
-    room = PyMem_Malloc((size_t)(AXIS('l') + 1) * sizeof(int));
-    work = PyMem_Malloc(tracker_work((int)n) * sizeof(double));
-    fine = room && work;
-    if (!fine) {
-        PyErr_NoMemory();
-    } else if ((fine = take_layout(layout, AXIS('l'), (int)n, AXIS('u'), &j.layout, room) && take_sizes(&j, n))) {
-        Py_BEGIN_ALLOW_THREADS;
-        every_actuator(&j, (int)n, work);
-        Py_END_ALLOW_THREADS;
-    } else {
-        refuse_arrays("track", "identification.recursive.track");
-    }
+    fine = fine && n >= 1 && n <= 10000 && AXIS('c') == 2 * n + 4 &&
+           take_layout(layout, AXIS('l'), (int)n, AXIS('u'), &j.layout) && take_sizes(&j, n);
+    if (!fine) return refuse_arrays("track", "identification.recursive.track");
+    double *const work = PyMem_Malloc(tracker_work((int)n) * sizeof(double));
+    if (!work) return PyErr_NoMemory();
+    Py_BEGIN_ALLOW_THREADS;
+    every_actuator(&j, (int)n, work);
+    Py_END_ALLOW_THREADS;
     PyMem_Free(work);
-    PyMem_Free(room);
-    return fine ? Py_NewRef(Py_None) : NULL;
+    Py_RETURN_NONE;
 }
 
 PyMethodDef tracker_functions[] = {

@@ -55,7 +55,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "nor tells of the scale of Q": (("experienced && logs[q] > LEARNT_TELLS * evidence", "0"),),
     "how often the state jumps": (("real_max(jumps->chance, each) + each", "0"),),
     "it knows no last class": (
-        ("learnt_typical(K, &memory, w->after)", "learnt_predicted(w->rule->K, &memory, w->after)"),
+        ("learnt_typical(K, &memory, w->after)", "learnt_predicted(rule->K, &memory, w->after)"),
     ),
     "it is hidden while three to one is against it": (("!(work[q * n + i] > LEARNT_SHOWN)", "0"),),
     "it is shown alone at nineteen to one": (("work[q * n + i] > LEARNT_ALONE", "0"),),
@@ -71,7 +71,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
         ("learnt_predicted(K, &memory, w->after)", "learnt_typical(K, &memory, w->after)"),
         ("before[j] > 0 ? total * counts[i * K + j] * p[j] / before[j] : 0", "p[j] / K"),
     ),
-    "sensors may fail together, t": (("w->follows && !w->grouped && count > 1", "0"),),
+    "sensors may fail together, t": (("learnt_follows(rule) && rule->named == 0 && count > 1", "0"),),
     "most plausible sensor first": (("best < 0 || far < least", "best < 0"),),
     "shortened to 8 deviations (here to 30)": (
         ("length > LEARNT_REACH * per_unit * (LEARNT_REACH * per_unit)", "length > 900 * per_unit * per_unit"),
@@ -83,7 +83,7 @@ RULES: dict[str, tuple[tuple[str, str], ...]] = {
     "repeats teach nothing of r": (("real_copysign(1, habits->repeats.seldom) > 0", "1"),),
     "nor of changes": (("memory->seldom < 0", "0"),),
     "stuck sensors are left out": (
-        ("learnt_asks(w, w->at, w->spread, i, *memory->r * R) || memory->last[0] < REAL(0.5)", "0"),
+        ("learnt_asks(n, w, w->at, w->spread, i, *memory->r * R) || memory->last[0] < REAL(0.5)", "0"),
     ),
     "only after changes like white noise": (("memory->scale * memory->scale >= r", "1"),),
     "r is capped by changes": (("real_max(1, repeats->scale * repeats->scale * LEARNT_MOST)", "REAL_MAX"),),

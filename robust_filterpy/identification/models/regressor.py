@@ -242,7 +242,7 @@ class Layout:
         first = int(self.inputs_in_phi[0]) if len(sources) else 0
         orders = (self.na, self.nc, self.nd, self.nf, self.a.start, self.c.start, self.d.start, self.f.start)
         sizes = (first, len(sources), self.length, len(used))
-        return np.array([*orders, *sizes, *self.starts, *used, *sources], dtype=np.intp)
+        return np.array([*orders, *sizes, *self.starts, *used, *sources], dtype=np.intc)
 
     def remembered(self, past: Array, y: float, before: float) -> Array:
         """Return -y and -d with those of one more sample; before: what stands before the noise in it."""
