@@ -190,9 +190,9 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
         C, S = apart.T @ seen / (self.N - 1), seen.T @ seen / (self.N - 1) + R
         if not self._correct_by_moments("hx", z, mean, C, S, R, np.subtract):
             return
-        gain = self._shrinking(self._arrays(), C)
+        last: Any = self._arrays()
         noise = self.rng.multivariate_normal(np.zeros(m), R, self.N)
-        self.sigmas = self.sigmas + (self.x - before) + (noise - seen) @ gain.T
+        self.sigmas = self.sigmas + (self.x - before) + (noise - seen) @ self._shrinking(last, C).T
         self.x = np.mean(self.sigmas, axis=0)
         self.x_post = self.x.copy()
 
