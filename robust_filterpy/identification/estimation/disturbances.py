@@ -64,8 +64,8 @@ class Break(NamedTuple):
 
     kind: str
     time: int
-    size: float
-    evidence: float
+    size: float = 0.0
+    evidence: float = 0.0
 
     def column(self, samples: int) -> Array:
         """Return what a step of 1, or a ramp of 1 a sample, adds to the level, 0 in the last sample, shape (N,)."""
@@ -115,7 +115,7 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
     """Find the steps and ramps of a signal that is noise otherwise."""
     N = r.size
     if line:
-        fit = _Fit.of(r, ~np.isnan(r), u, [Break("ramp", 0, 0.0, 0.0)])
+        fit = _Fit.of(r, ~np.isnan(r), u, [Break("ramp", 0)])
         return fit.trend([np.inf])
     skipped = min(int(_BEGINNING * N) + _LEAST_EDGE, N // 4)
     rows = ~np.isnan(r) & (np.arange(N) >= skipped)
@@ -130,7 +130,7 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
         if max(score.max() for score in scores) < 0.5 * PRICE * np.log(N):
             break
         candidates = [
-            Break(kind, int(at[score.argmax()]), 0.0, 0.0) for (kind, at), score in zip(places, scores, strict=True)
+            Break(kind, int(at[score.argmax()])) for (kind, at), score in zip(places, scores, strict=True)
         ]
         tried = [_Fit.of(r, rows, u, [*fit.breaks, one]) for one in candidates]
         least = min(one.scale for one in tried)
@@ -282,28 +282,22 @@ class Settled(NamedTuple):
     ----------
     trend : Trend
         Steps and ramps of its level; one without values: they are looked for.
-    input : Finding or None
-        Says that outliers of its inputs are held back.
+    findings : tuple of Finding
+        These in words, and that outliers of its inputs are held back.
     begin : ndarray or None
         Free parameters of a model near by, from which alone the search begins.
     """
 
     trend: Trend = Trend(np.zeros(0), ())
-    input: Finding | None = None
+    findings: tuple[Finding, ...] = ()
     begin: Array | None = None
 
     @classmethod
     def of(cls, model: Any, samples: int) -> Settled:
         """Return what the recording of a model has besides."""
-        values = model.trend if model.trend.size else np.zeros(samples)
-        input = next((one for one in model.findings if one.kind == "input outliers"), None)
-        breaks = [
-            Break(one.kind, one.place[0], 0.0, one.evidence) for one in model.findings if one.kind in ("step", "ramp")
-        ]
-        if breaks:
-            sizes = np.linalg.lstsq(np.column_stack([one.column(samples) for one in breaks]), values, rcond=None)[0]
-            breaks = [one._replace(size=float(size)) for one, size in zip(breaks, sizes, strict=True)]
-        return cls(Trend(values, tuple(breaks)), input)
+        findings = tuple(one for one in model.findings if one.kind in ("step", "ramp", "input outliers"))
+        breaks = tuple(Break(one.kind, one.place[0]) for one in findings if one.kind != "input outliers")
+        return cls(Trend(model.trend if model.trend.size else np.zeros(samples), breaks), findings)
 
     def after(self, first: int) -> Settled:
         """Return the same for the recording from a sample on."""
@@ -354,10 +348,9 @@ class Search(NamedTuple):
         # Both ways from the beginning: what an outlier of u leaves looks like steps of the level, or like slow motion.
         other, places = _held_back(self.u)
         if isinstance(trend, Settled):
-            if trend.input is None:
-                return self._with_levels(trend)
-            held = self._replace(u=other)._with_levels(trend)
-            return held._replace(findings=(*held.findings, trend.input))
+            acts = self.u if all(one.kind != "input outliers" for one in trend.findings) else other
+            settled = self._replace(u=acts)._with_levels(trend)
+            return settled._replace(findings=(*trend.findings, *settled.findings))
         nominal = self._with_levels(trend)
         if not places.size:
             return nominal
@@ -402,8 +395,7 @@ class Search(NamedTuple):
     def _with_levels(self, trend: str | Settled) -> Explanation:
         """Find the model with levels that break."""
         if isinstance(trend, Settled) and trend.trend.breaks:
-            breaks = {(0, 0): trend.trend}
-            return self._with_breaks(self.settled(self._fitted(breaks)), breaks, np.inf)
+            return self.settled(self._fitted({(0, 0): trend.trend}))
         plain = self.settled(self.find(self.u, np.zeros(self.y.shape), [], None))
         line = trend == "line"
         rounding = all(one.is_rounding for one in plain.noises)
@@ -459,7 +451,7 @@ class Search(NamedTuple):
                 if np.count_nonzero(~np.isnan(own)) >= _LEAST_SAMPLES:
                     levels[i, j] = piecewise_level(own, self.u[part], line)
                 elif line and self.fits_sizes:
-                    levels[i, j] = Trend(np.zeros(own.size), (Break("ramp", 0, 0.0, 0.0),))
+                    levels[i, j] = Trend(np.zeros(own.size), (Break("ramp", 0),))
         return levels
 
     def _with_breaks(self, best: Explanation, breaks: dict[tuple[int, int], Trend], gain: float) -> Explanation:

@@ -70,8 +70,6 @@ class _Effort(NamedTuple):
 
 _ROUGH: Final = _Effort(4, 2, 1, _NEAR)
 _FULL: Final = _Effort(10, 10, 10)
-# So near to where it leads an end can be held against others; that of the best alone is found to the last digit.
-_CLOSELY: Final = _FULL._replace(near=0.1 * _NEAR)
 # From where the search in a part of the recording ended.
 _AGAIN: Final = _Effort(1, 10, 10)
 _ONCE: Final = _Effort(1, 2, 1)
@@ -125,17 +123,7 @@ def ends(
     loss = START if influence is None else influence
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
 
-    def followed(end: End, effort: _Effort) -> End:
-        return _searched(model, end.p, replace(end.noise, influence=loss), missing, end.starts, effort, limits)
-
-    if begin is not None:
-        shown = model.residuals(begin)[_counting(model, True, missing)]
-        noise = noise if noise.given else replace(noise, R=max(mad_scale(shown) ** 2, least))
-        noise = replace(noise, influence=loss)
-        return _best_first(
-            model, missing, [_searched(model, begin, noise, missing, ("one start",), _FULL, limits)], limits
-        )
-    inner, part = _middle(model, missing)
+    inner, part = _middle(model, missing) if begin is None else (None, slice(None))
     if inner is not None:
         # From every start in the middle of a long recording, and from what is found there in all of it.
         chosen: list[End] = []
@@ -146,15 +134,16 @@ def ends(
         rows = np.ones(model.y.size - model.first, dtype=bool)
         again = [end._replace(outliers=Outliers(missing, rows, end.outliers.threshold)) for end in chosen]
         return _best_first(model, missing, [searched_again(model, end, missing, limits) for end in again], limits)
-    results = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing, noise)]
-    if model.na or model.structure.nc or model.structure.nd:
-        rough = [end for end, _ in _best_first(model, missing, results, limits)]
-        return _best_first(model, missing, [followed(end, _FULL) for end in rough], limits)
-    # No outlier is in a regressor: all that is left to find is within the precision of the search.
-    same = max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5)
-    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if excess < _HOPELESS]
-    best, *others = _best_first(model, missing, [followed(end, _CLOSELY) for end in rough], limits)
-    return [best._replace(end=followed(best.end, _FULL)), *others]
+    starts = _starts(model, missing, noise) if begin is None else [Start("one start", begin)]
+    results = [_searched(model, start.p, noise, missing, (start.name,), _ROUGH, limits) for start in starts]
+    same, hopeless = _SAME, np.inf
+    if not (model.na or model.structure.nc or model.structure.nd):
+        # No outlier is in a regressor: all that is left to find is within the precision of the search.
+        same, hopeless = max(same, _NEAR * (model.n / model.y.size) ** 0.5), _HOPELESS
+    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if excess < hopeless]
+    learnt = [end._replace(noise=replace(end.noise, influence=loss)) for end in rough]
+    followed = [_searched(model, end.p, end.noise, missing, end.starts, _FULL, limits) for end in learnt]
+    return _best_first(model, missing, followed, limits)
 
 
 def _middle(model: PolynomialModel, missing: Any) -> tuple[PolynomialModel | None, slice]:

@@ -206,7 +206,7 @@ def _identified(form: Form, now: State, i: int, start: ColdStart, begin: Array |
     u, R = start.u if form.structure.n_inputs else None, None if now.scale[i, 3] else float(now.scale[i, 0])
     # What the level does besides is looked for once.
     flat = Trend(np.zeros(0 if start.is_last_look else start.y.size), ())
-    trend: Any = None if begin is None else Settled(flat, None, begin)
+    trend: Any = None if begin is None else Settled(flat, begin=begin)
     with warnings.catch_warnings():
         # A short recording leaves several models open, and those to come decide.
         warnings.simplefilter("ignore", UserWarning)
