@@ -99,16 +99,7 @@ def impulse_output(y: Array, u: Array) -> Array:
     lags = max(min(LAGS_OF_IMPULSES, y.size // (8 * u.shape[1])), 2)
     columns = [np.concatenate((np.full(j, c[0]), c[: c.size - j])) - c.mean() for c in u.T for j in range(lags)]
     X, measured = np.column_stack((*columns, np.ones(y.size))), ~np.isnan(y)
-    level, before = Trend(np.zeros(y.size), ()), None
-    output = np.zeros(y.size)
-    for _ in range(_MOST_BREAKS):
-        theta = robust_regression(X[measured], (y - level.values)[measured])
-        output = X[:, :-1] @ theta[:-1]
-        level = piecewise_level(y - output, u)
-        if not level.breaks or level.times == before:
-            break
-        before = level.times
-    return output
+    return np.asarray(X[:, :-1] @ robust_regression(X[measured], y[measured])[:-1])
 
 
 def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
@@ -135,15 +126,11 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
         tried = [_Fit.of(r, rows, u, [*fit.breaks, one]) for one in candidates]
         least = min(one.scale for one in tried)
         fit = min(tried, key=lambda one: float(Huber(_K).rho(one.residual[rows] / least).sum()))
-        if fit.breaks[-1].kind == "step":
-            moved = fit.breaks[-1]._replace(time=int(times[fit.change()[times].argmin()]))
-            fit = _Fit.of(r, rows, u, [*fit.breaks[:-1], moved])
     steps = resolution(r[rows])
     while fit.breaks:
         count = len(fit.breaks)
         small = np.ptp(fit.X[:, -count:], axis=0) * np.abs(fit.theta[-count:]) <= steps
         without = [fit.without(i, r, u) for i in range(count)]
-        without = [one if few else one.moved(r, u, times) for one, few in zip(without, small, strict=True)]
         gains = [2.0 * (fit.evidence - one.evidence) for one in without]
         least = int(np.where(small, -np.inf, gains).argmin())
         if not small[least] and gains[least] >= PRICE * np.log(N):
@@ -190,24 +177,6 @@ class _Fit(NamedTuple):
     def without(self, i: int, r: Array, u: Array) -> _Fit:
         """Return the regression without a break."""
         return _Fit.of(r, self.rows, u, [*self.breaks[:i], *self.breaks[i + 1 :]])
-
-    def moved(self, r: Array, u: Array, times: Any) -> _Fit:
-        """Return the regression with each ramp where it leaves least, given the others."""
-        best, places = self, np.concatenate(([0], times))
-        for i, one in enumerate(self.breaks):
-            if one.kind == "ramp":
-                # Far from the least loss a score tells the place of a ramp roughly: most begin with the recording.
-                for at in (0, int(places[best.without(i, r, u).scores("ramp", places).argmax()])):
-                    moved = [*best.breaks[:i], one._replace(time=at), *best.breaks[i + 1 :]]
-                    best = min(best, _Fit.of(r, self.rows, u, moved), key=lambda fit: fit.scale)
-        return best
-
-    def change(self) -> Array:
-        """Return what the loss would change by, were the last step at each sample."""
-        after = (self.residual + self.X[:, -1] * self.theta[-1]) / self.scale
-        before = after + self.theta[-1] / self.scale
-        gain = np.where(self.rows, Huber(_K).rho(before) - Huber(_K).rho(after), 0.0)
-        return np.concatenate(([0.0], np.cumsum(gain)))
 
     def scores(self, kind: str, places: Any) -> Array:
         """Return the score statistic of one break more at each place: (c'psi)^2/(c'Wc - c'WX (X'WX)^-1 X'Wc)."""

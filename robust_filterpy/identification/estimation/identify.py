@@ -41,7 +41,6 @@ from robust_filterpy.identification.models.signals import fingerprint, operating
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import OutputError, Structure
 from robust_filterpy.influence.functions import Influence
-from robust_filterpy.influence.regression import mad_scale
 
 # A share of its response that the impulse response of `impulse_output` leaves out calls for a model of the differences.
 _SLOW: Final = 0.7
@@ -69,7 +68,7 @@ def identified_polynomials(
         return Explanation(estimate.model, moved, u, estimate.model.evidence, end=estimate.p)
 
     def alone(model: Model, y: Array, u: Array) -> Array:
-        return np.concatenate([_output_of(model, y[part, 0], u[part]) for part in spans])[:, None]
+        return np.concatenate([model.simulate(u[part]) for part in spans])[:, None]
 
     def starts(u: Array, plain: Model) -> Iterator[Array]:
         yield of_impulses(y, u, spans)
@@ -205,15 +204,6 @@ def _is_slow(model: Model, samples: int) -> bool:
     with np.errstate(all="ignore"):
         sizes = [np.abs(lfilter(b, np.convolve(parts.a, parts.f), impulse)) for b in parts.b]
         return any(size[LAGS_OF_IMPULSES:].sum() > _SLOW * size.sum() for size in sizes)
-
-
-def _output_of(model: Model, y: Array, u: Array) -> Array:
-    """Return a model's output, with the motion in which it began if that dies."""
-    rest, run = model.simulate(u), model.free_run(y, u)
-    motion, defined = run - rest, ~np.isnan(run)
-    late = motion[y.size // 2 :]
-    dies = np.sqrt(np.mean(np.square(late))) < _SMALL * mad_scale(y[~np.isnan(y)] - np.nanmedian(y))
-    return np.where(defined & dies, np.nan_to_num(run), rest)
 
 
 def _without_leverage(problem: Problem, y: Array) -> Explanation:
