@@ -2,14 +2,12 @@
 
 All structures are compared on the same samples: the recording is cut for each of them such that its first residual
 belongs to the same sample. Steps and ramps of the level and outliers of the inputs are those that the largest structure
-has besides it: what each looked for itself would be parameters that the criterion does not count. Their residuals have
-the noise that `learnt_noise` learns from them, by the same rule:
+has besides it: what each looked for itself would be parameters that the criterion does not count:
 
     criterion = -2 log-likelihood + price n,   price = log(samples) for "bic", 2 for "aic"
 
 An outlier costs a bounded number of units of log-likelihood, whichever model it is held against (Ronchetti 1985,
-Machado 1993): a residual beyond all that y varies counts as one of that size, and an outlier that an ARX or ARMAX holds
-in its regressor costs what `cleaning` asks of one.
+Machado 1993), and one that an ARX or ARMAX holds in its regressor what `missing` asks of an outlier.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ from robust_filterpy.identification.estimation.disturbances import PRICE, Settle
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.estimation.missing import THRESHOLDS
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.noise import likelihood_of_mixture, ordinary_fit, ordinary_samples
+from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.results import Report, said
 from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording
@@ -49,7 +47,6 @@ from robust_filterpy.identification.models.structures import (
     OutputError,
     Structure,
 )
-from robust_filterpy.influence.regression import mad_scale
 
 Kind = Callable[..., Structure]
 _KINDS: Final[tuple[Kind, ...]] = (OutputError, ARX, ARMAX, FIR, BoxJenkins, ARMA, AR)
@@ -302,8 +299,6 @@ _FALSE_DELAY: Final = 0.05
 _HELD: Final = 0.25
 _LEAST_HELD: Final = 400
 _BEHIND: Final = 1.0
-# A larger residual, in standard deviations of y, is as wild as this one.
-_WILD: Final = 10.0
 
 
 def select_structure(
@@ -464,9 +459,6 @@ class _Comparison:
         self.tried: dict[Orders, _Tried] = {}
         self.near = False
         self.samples = int(np.isfinite(y[grid.first :]).sum())
-        measured = y[~np.isnan(y)]
-        # Without a limit where more than half of the samples are equal.
-        self.wild = (_WILD * mad_scale(measured - np.median(measured)) if measured.size else 0.0) or np.inf
 
     @property
     def best(self) -> Orders:
@@ -501,11 +493,8 @@ class _Comparison:
             trend: Any = self.settled.after(first - before)._replace(begin=self.beginning(structure))
             model = identify(y, u, structure, trend=trend, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
-        if structure.na + structure.nd:
-            # Of residuals of the cleaned output, less what the outliers cost.
-            likelihood = model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
-        else:
-            likelihood = likelihood_of_mixture(residual[~np.isnan(residual)], self.wild)
+        # Outliers that stand in a regressor are in no residual.
+        likelihood = model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
         price = _CRITERIA[self.criterion](self.samples)
         breaks = PRICE * math.log(self.samples) * len(self.settled.trend.breaks)
         value = -2.0 * likelihood + price * (structure.n_theta + 1) + breaks
