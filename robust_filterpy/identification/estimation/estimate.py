@@ -4,8 +4,7 @@ Its covariance holds two standard deviations away, where the loss is not quadrat
 nearly cancels a pole, theta +- 2 std by linearization holds the truth in four recordings of five instead of nineteen of
 twenty. So the loss is looked at along each principal axis of the covariance of C, D and F, with all that is linear in
 the residuals (B, A, the constant, the start) at its best there: the profile of the likelihood. Where it rises more
-slowly than a quadratic, the axis becomes as long as the farther of the two places at which it has risen by 2. Other
-ends that are nearly as likely count by their odds.
+slowly than a quadratic, the axis becomes as long as the farther of the two places at which it has risen by 2.
 """
 
 from __future__ import annotations
@@ -36,15 +35,12 @@ _BENT: Final = 0.2
 # So many standard deviations are the most that an axis has, and it is found to two or three digits.
 _FARTHEST: Final = 16.0
 _HALVINGS: Final = 6
-# Ends so much less likely than the best count.
-_COUNTED: Final = 4.0
 # Weights of the residuals and what is linear take turns.
 _TURNS: Final = 2
 
 
 def profiled(
-    model: PolynomialModel, p: Array, noise: Noise, rows: Any, P: Array, held: Any, others: list[tuple[float, Array]],
-    colour: float = 1.0,
+    model: PolynomialModel, p: Array, noise: Noise, rows: Any, P: Array, held: Any, colour: float = 1.0
 ) -> tuple[Array, bool]:  # fmt: skip
     """Return the covariance of the free parameters, wider where the loss bends, and whether it does."""
     loss = _Loss.of(model, p, noise, rows, held, colour)
@@ -54,15 +50,10 @@ def profiled(
     own = P[np.ix_(places, places)]
     axes, least = principal_axes(own), loss.at(p[places])
     reach = np.array([max(_reach(loss, p[places], sign * axis, least) for sign in (-1.0, 1.0)) for axis in axes])
-    close = [(excess, end) for excess, end in others if excess < _COUNTED]
-    if (reach <= 1.0).all() and not close:
+    if (reach <= 1.0).all():
         return P, False
     longer = axes * np.maximum(reach, 1.0)[:, None]
     wider = longer.T @ longer
-    total = 1.0 + sum(np.exp(-excess) for excess, _ in close)
-    for excess, end in close:
-        apart = end[places] - p[places]
-        wider += np.exp(-excess) / total * np.outer(apart, apart)
     # What is linear follows as the linearization says.
     follows = P[:, places] @ np.linalg.pinv(own)
     return P + follows @ (wider - own) @ follows.T, True
@@ -246,8 +237,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         p = given.inside(p)
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
-    others = [(excess, units.back(model, end.p)) for end, excess in ranked[1:]]
-    estimate = _as_model(problem, recorded, best._replace(p=p), unit, missing, replaced, held, others)
+    estimate = _as_model(problem, recorded, best._replace(p=p), unit, missing, replaced, held)
     estimate = replace(estimate, dt=problem.dt, endings=endings, warning=doubt)
     estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), problem.rest)
     split = p.size - recorded.columns.shape[1]
@@ -326,8 +316,7 @@ class Units(NamedTuple):
 
 
 def _as_model(
-    problem: Problem, model: PolynomialModel, end: End, unit: float, missing: Any, replaced: Array, held: Any,
-    others: list[tuple[float, Array]],
+    problem: Problem, model: PolynomialModel, end: End, unit: float, missing: Any, replaced: Array, held: Any
 ) -> Model:  # fmt: skip
     """Return what was found, for the recording as it was measured, its outliers and gaps interpolated."""
     # The end's parameters are those of this recording, its noise is that of an output in the unit.
@@ -343,7 +332,7 @@ def _as_model(
     P, colour = sandwich(jacobian, shown, noise, n)
     P, bent = np.where(held | held[:, None], 0.0, P), False
     if not (end.outliers.wrong.any() and response(model, p).size > 1):
-        P, bent = profiled(model, p, noise, rows, P, held, others, colour)
+        P, bent = profiled(model, p, noise, rows, P, held, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
     weights[end.outliers.wrong] = 0.0
