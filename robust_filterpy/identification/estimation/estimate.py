@@ -19,7 +19,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.missing import THRESHOLDS, response
 from robust_filterpy.identification.estimation.prediction_error import Limits, evidence, one_thread, sandwich
 from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
-from robust_filterpy.identification.estimation.starts import require_informative
+from robust_filterpy.identification.estimation.starts import in_directions, require_informative
 from robust_filterpy.identification.models.model import Ending, Model, filled_memory, resting_level
 from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel, spans_of
@@ -331,7 +331,9 @@ def _as_model(
     jacobian[:, held] = 0.0
     P, colour = sandwich(jacobian, shown, noise, n)
     P, bent = np.where(held | held[:, None], 0.0, P), False
-    if not (end.outliers.wrong.any() and response(model, p).size > 1):
+    if end.outliers.wrong.any() and response(model, p).size > 1:
+        P = P * end.outliers.unsure if replaced.any() else P
+    else:
         P, bent = profiled(model, p, noise, rows, P, held, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
@@ -440,10 +442,9 @@ def _without_noise(model: PolynomialModel, best: End) -> str:
     if not best.noise.is_rounding:
         return ""
     jacobian = model.jacobian(best.p)[best.rows]
-    size = np.linalg.norm(jacobian, axis=0)
-    _, values, directions = np.linalg.svd(jacobian / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    _, values, directions, _ = in_directions(jacobian)
     free = np.abs(directions[values < _FLAT * values[0]]).max(axis=0, initial=0.0) > _PART
-    places = np.flatnonzero(free[: structure.n_theta] & (size[: structure.n_theta] > 0.0))
+    places = np.flatnonzero((free & jacobian.any(axis=0))[: structure.n_theta])
     said = []
     if places.size:
         names = ", ".join(structure.names[i] for i in places)

@@ -352,11 +352,14 @@ class Outliers(NamedTuple):
         Residuals that are no outliers of v.
     threshold : float
         Standard deviations that make an outlier, by the share and the size of the outliers found.
+    unsure : float
+        How many times the covariance of parameters is larger than if it were known which samples are outliers.
     """
 
     wrong: Any
     counts: Any
-    threshold: float
+    threshold: float = THRESHOLDS[1]
+    unsure: float = 1.0
 
 
 def found_outliers(
@@ -366,9 +369,9 @@ def found_outliers(
     h, first, residual = response(model, p), model.first, model.residuals(p)
     wrong, counts = missing | (False if before is None else before.wrong), np.ones(residual.size, dtype=bool)
     R = noise.R if noise.given else None
-    threshold = THRESHOLDS[1] if before is None else before.threshold
+    latest = Outliers(wrong, counts) if before is None else before._replace(wrong=wrong, counts=counts)
     if h.size == 1 or not noise.has_outliers:
-        return Outliers(wrong, counts, threshold)
+        return latest
     # A recording that mostly rests does not tell how far off the parameters of a start are.
     least = max(noise.least**0.5, _OF_A_START if before is None else 0.0)
     deviations = []
@@ -377,7 +380,7 @@ def found_outliers(
             # The samples before the first residual of a recording belong to its first block.
             offset, stop = (first if start == part.start else 0), min(start + _BLOCK, part.stop)
             samples, rows = slice(start + first - offset, stop + first), slice(start, stop)
-            block = _Block(residual[rows], h, missing[samples], offset, threshold, R, least)
+            block = _Block(residual[rows], h, missing[samples], offset, latest.threshold, R, least)
             best = block.judged(wrong[samples], counts[rows])
             if best.scale >= _ROUNDING and (best.wrong & ~block.missing).any():
                 if before is None:
@@ -394,7 +397,7 @@ def found_outliers(
             # What is unknown at the end of a block reaches into the next.
             tail = residual[stop : part.stop][: h.size - 1]
             tail += best.unknowns.beyond()[: tail.size]
-    return Outliers(wrong, counts, _even(np.concatenate(deviations)))
+    return Outliers(wrong, counts, *_even(np.concatenate(deviations)))
 
 
 class Cleaned(NamedTuple):
@@ -433,15 +436,19 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
     return Cleaned(prepared.with_output(full.output(p)), residual, np.concatenate((before > 0.0, clear)))
 
 
-def _even(deviations: Array) -> float:
-    """Return the threshold at which outliers that are missed add what ordinary samples taken for outliers take away."""
+def _even(deviations: Array) -> tuple[float, float]:
+    """Return the threshold at which outliers missed add what ordinary samples taken for some take away; `unsure`."""
     # With a share s of outliers of N(0, V), V >> t^2, among standardized deviations d, the mean of d^2 - 1 over the
     # samples that stay is 0 if
     #     (1 - s) 2 t phi(t) = s (2 t^3/3 - 2 t)/sqrt(2 pi V),   exp(t^2/2) (t^2/3 - 1) = (1 - s)/s sqrt(V)
     # Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
-    mixture: Any = Noise(START, 1.0, given=True).settled(deviations).influence
+    noise = Noise(START, 1.0, given=True).settled(deviations)
+    mixture: Any = noise.influence
     odds = (1.0 - mixture.contamination) / mixture.contamination * mixture.scale_ratio
-    return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
+    # Ordinary samples that were known would tell of a mean as many times more as Fisher's information, the mean of
+    # psi', of samples of which each may be an outlier is smaller (Louis, JRSS B 44, 1982).
+    unsure = (1.0 - mixture.contamination) / noise.slope(deviations)
+    return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS)), max(unsure, 1.0)
 
 
 class _Found(NamedTuple):

@@ -23,6 +23,7 @@ from scipy.signal import fftconvolve, lfilter
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.missing import CompletedModel
+from robust_filterpy.identification.estimation.starts import in_directions
 from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.regressor import stabilised
@@ -227,10 +228,8 @@ def sandwich(jacobian: Array, residual: Array, noise: _Noise, shared: int) -> tu
     # directions that nothing depends on have no variance.
     psi, slope = noise.psi(residual), noise.slope(residual)
     weighted = jacobian * np.broadcast_to(np.sqrt(slope / noise.variance), residual.shape)[:, None]
-    size = np.linalg.norm(weighted, axis=0)
-    size[size == 0.0] = 1.0
     # Derivatives of theta by psi, (J'J)^-1 J', without forming J'J.
-    left, values, right = np.linalg.svd(weighted / size, full_matrices=False)
+    left, values, right, size = in_directions(weighted)
     determined = values > 1e-10 * values[0]
     effect = (right[determined].T / values[determined]) @ left[:, determined].T / size[:, None] / np.sqrt(slope)
     parts = (noise,) if isinstance(noise, Noise) else noise.parts

@@ -132,7 +132,7 @@ def ends(
             if excess < _HOPELESS and all(apart):
                 chosen.append(end)
         rows = np.ones(model.y.size - model.first, dtype=bool)
-        again = [end._replace(outliers=Outliers(missing, rows, end.outliers.threshold)) for end in chosen]
+        again = [end._replace(outliers=end.outliers._replace(wrong=missing, counts=rows)) for end in chosen]
         return _best_first(model, missing, [searched_again(model, end, missing, limits) for end in again], limits)
     starts = _starts(model, missing, noise) if begin is None else [Start("one start", begin)]
     results = [_searched(model, start.p, noise, missing, (start.name,), _ROUGH, limits) for start in starts]

@@ -96,12 +96,17 @@ def _rank(model: PolynomialModel, delays: list[int]) -> int:
     return rank_of(np.column_stack(columns))
 
 
-def rank_of(X: Array) -> int:
-    """Return the rank of columns, each taken of unit size."""
+def in_directions(X: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the singular value decomposition of columns, each taken of unit size, and these sizes; 1 for 0."""
     size = np.linalg.norm(X, axis=0)
-    X = X / np.where(size > 0.0, size, 1.0)
-    values = np.linalg.svd(np.linalg.qr(X, mode="r"), compute_uv=False)
-    return int((values > _RANK * values[0]).sum())
+    size[size == 0.0] = 1.0
+    return *np.linalg.svd(X / size, full_matrices=False), size
+
+
+def rank_of(X: Array, nothing: float = _RANK) -> int:
+    """Return the rank of columns, each taken of unit size."""
+    values = in_directions(X)[1]
+    return int((values > nothing * values[0]).sum())
 
 
 class Start(NamedTuple):

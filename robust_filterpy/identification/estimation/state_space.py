@@ -273,10 +273,7 @@ def _doubt(fit: _Found) -> str:
     """Say what makes the estimate doubtful, or nothing."""
     root = np.sqrt(fit.noise.weights(fit.residual) / fit.noise.variance)
     J = fit.model.jacobian(fit.q)[fit.model.rows] * root[:, None]
-    size = np.linalg.norm(J, axis=0)
-    values = np.linalg.svd(J / np.where(size > 0.0, size, 1.0), compute_uv=False)
-    rank = int((values > 1e-6 * values[0]).sum())
-    expected = fit.model.n - fit.model.order**2
+    rank, expected = rank_of(J, 1e-6), fit.model.n - fit.model.order**2
     if rank < expected:
         return (
             f"the recording tells {rank} of {expected} parameters: the order {fit.model.order} may be more than it "
