@@ -88,19 +88,6 @@ class Trend(NamedTuple):
     values: Array
     breaks: tuple[Break, ...]
 
-    @property
-    def times(self) -> list[tuple[str, int]]:
-        """Kind and time of each break."""
-        return [(one.kind, one.time) for one in self.breaks]
-
-
-def impulse_output(y: Array, u: Array) -> Array:
-    """Return the part of the output that a robust long impulse response explains, without the constant, shape (N,)."""
-    lags = max(min(LAGS_OF_IMPULSES, y.size // (8 * u.shape[1])), 2)
-    columns = [np.concatenate((np.full(j, c[0]), c[: c.size - j])) - c.mean() for c in u.T for j in range(lags)]
-    X, measured = np.column_stack((*columns, np.ones(y.size))), ~np.isnan(y)
-    return np.asarray(X[:, :-1] @ robust_regression(X[measured], y[measured])[:-1])
-
 
 def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
     """Find the steps and ramps of a signal that is noise otherwise."""
@@ -130,7 +117,7 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
     while fit.breaks:
         count = len(fit.breaks)
         small = np.ptp(fit.X[:, -count:], axis=0) * np.abs(fit.theta[-count:]) <= steps
-        without = [fit.without(i, r, u) for i in range(count)]
+        without = [_Fit.of(r, rows, u, [*fit.breaks[:i], *fit.breaks[i + 1 :]]) for i in range(count)]
         gains = [2.0 * (fit.evidence - one.evidence) for one in without]
         least = int(np.where(small, -np.inf, gains).argmin())
         if not small[least] and gains[least] >= PRICE * np.log(N):
@@ -173,10 +160,6 @@ class _Fit(NamedTuple):
         breaks = [b._replace(size=float(s), evidence=g) for b, s, g in zip(self.breaks, sizes, gains, strict=True)]
         values = self.X[:, -len(self.breaks) :] @ sizes
         return Trend(values, tuple(sorted(breaks, key=lambda one: one.time)))
-
-    def without(self, i: int, r: Array, u: Array) -> _Fit:
-        """Return the regression without a break."""
-        return _Fit.of(r, self.rows, u, [*self.breaks[:i], *self.breaks[i + 1 :]])
 
     def scores(self, kind: str, places: Any) -> Array:
         """Return the score statistic of one break more at each place: (c'psi)^2/(c'Wc - c'WX (X'WX)^-1 X'Wc)."""
@@ -249,15 +232,15 @@ class Settled(NamedTuple):
 
     Attributes
     ----------
-    trend : Trend
-        Steps and ramps of its level; one without values: they are looked for.
+    values : ndarray, shape (N,)
+        Steps and ramps of its level; empty: they are looked for.
     findings : tuple of Finding
         These in words, and that outliers of its inputs are held back.
     begin : ndarray or None
         Free parameters of a model near by, from which alone the search begins.
     """
 
-    trend: Trend = Trend(np.zeros(0), ())
+    values: Array
     findings: tuple[Finding, ...] = ()
     begin: Array | None = None
 
@@ -265,14 +248,19 @@ class Settled(NamedTuple):
     def of(cls, model: Any, samples: int) -> Settled:
         """Return what the recording of a model has besides."""
         findings = tuple(one for one in model.findings if one.kind in ("step", "ramp", "input outliers"))
-        breaks = tuple(Break(one.kind, one.place[0]) for one in findings if one.kind != "input outliers")
-        return cls(Trend(model.trend if model.trend.size else np.zeros(samples), breaks), findings)
+        return cls(model.trend if model.trend.size else np.zeros(samples), findings)
+
+    @property
+    def trend(self) -> Trend:
+        """Its level."""
+        breaks = [Break(one.kind, one.place[0]) for one in self.findings if one.kind != "input outliers"]
+        return Trend(self.values, tuple(breaks))
 
     def after(self, first: int) -> Settled:
         """Return the same for the recording from a sample on."""
-        breaks = [one._replace(time=max(one.time - first, 0)) for one in self.trend.breaks]
-        remaining = tuple(one for one in breaks if one.kind == "ramp" or one.time)
-        return self._replace(trend=Trend(self.trend.values[first:], remaining))
+        later = [one._replace(place=tuple(max(at - first, 0) for at in one.place)) for one in self.findings]
+        remaining = tuple(one for one in later if one.kind != "step" or one.place[0])
+        return self._replace(values=self.values[first:], findings=remaining)
 
 
 class Search(NamedTuple):
@@ -390,7 +378,7 @@ class Search(NamedTuple):
         fitted, levels = None, {}
         for _ in range(1 if line and self.fits_sizes else _ROUNDS):
             breaks = self._levels(self.y - output, line)
-            times = {place: one.times for place, one in breaks.items() if one.breaks}
+            times = [(*place, each.kind, each.time) for place, one in breaks.items() for each in one.breaks]
             if not times:
                 return None, {}
             if times == before and not line:
@@ -439,12 +427,17 @@ class Search(NamedTuple):
 
 
 def of_impulses(y: Array, u: Array, spans: Any) -> Array:
-    """Return what long impulse responses make of the inputs, NaN where a recording is too short to tell."""
+    """Return what robust long impulse responses make of the inputs, NaN where a recording is too short to tell."""
     output = np.full(y.shape, np.nan)
-    for part in spans:
+    for part in spans if u.shape[1] else ():
+        size, deviations = part.stop - part.start, u[part] - u[part].mean(axis=0)
+        lags = max(min(LAGS_OF_IMPULSES, size // (8 * u.shape[1])), 2)
+        earlier = np.maximum(np.arange(size)[:, None] - np.arange(lags), 0)
+        X = np.hstack((*deviations.T[:, earlier], np.ones((size, 1))))
         for j, own in enumerate(y[part].T):
-            if u.shape[1] and np.count_nonzero(~np.isnan(own)) >= _LEAST_SAMPLES:
-                output[part, j] = impulse_output(own, u[part])
+            measured = ~np.isnan(own)
+            if measured.sum() >= _LEAST_SAMPLES:
+                output[part, j] = X[:, :-1] @ robust_regression(X[measured], own[measured])[:-1]
     return output
 
 

@@ -42,7 +42,7 @@ from robust_filterpy.identification.models.state_space import StateSpace, StateS
 from robust_filterpy.identification.models.structures import OutputError, Structure
 from robust_filterpy.influence.functions import Influence
 
-# A share of its response that the impulse response of `impulse_output` leaves out calls for a model of the differences.
+# A share of its response that the impulse response of `of_impulses` leaves out calls for a model of the differences.
 _SLOW: Final = 0.7
 # Motion counts if its size in the second half is this share of y's; it never dies if (1 - |pole|) N is below the other.
 _SMALL: Final = 0.05
@@ -199,7 +199,7 @@ def _without_endless_motion(problem: Problem, y: Array, best: Explanation) -> Ex
 
 
 def _is_slow(model: Model, samples: int) -> bool:
-    """Tell whether much of a model's response comes later than the lags of `impulse_output`."""
+    """Tell whether much of a model's response comes later than the lags of `of_impulses`."""
     parts, impulse = model.parts, np.eye(1, samples).ravel()
     with np.errstate(all="ignore"):
         sizes = [np.abs(lfilter(b, np.convolve(parts.a, parts.f), impulse)) for b in parts.b]
@@ -391,7 +391,7 @@ def _of_polynomials(
         begins=tuple(part.start for part in recording.spans),
     )  # fmt: skip
     begin = trend.begin if isinstance(trend, Settled) else None
-    if isinstance(trend, Settled) and not trend.trend.values.size:
+    if isinstance(trend, Settled) and not trend.values.size:
         trend = None
     # Noise that is summed up has steps of its own.
     chosen = trend or ("breaks" if moves and not structure.integrated else "constant")

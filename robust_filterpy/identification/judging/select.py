@@ -28,7 +28,7 @@ from robust_filterpy._brief import Pictured, tabulated
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import progress_bar
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.estimation.disturbances import PRICE, Settled, Trend
+from robust_filterpy.identification.estimation.disturbances import PRICE, Settled
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.estimation.missing import THRESHOLDS
 from robust_filterpy.identification.models.model import Model
@@ -515,8 +515,7 @@ class _Comparison:
             return {}
         if model.trend.size:
             y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
-        flat = self.settled._replace(trend=Trend(np.zeros(fitted), ()))
-        part = _Comparison(self.grid, y[:fitted], self.u[:fitted], self.criterion, self.bar, flat)
+        part = _Comparison(self.grid, y[:fitted], self.u[:fitted], self.criterion, self.bar, Settled(np.zeros(fitted)))
         ranked = sorted(self.tried, key=lambda orders: self.tried[orders].row.rank, reverse=True)
         best_of_size = {self.tried[orders].row.structure.n_theta: orders for orders in ranked}
         self.bar.total = len(self.tried) + len(best_of_size)

@@ -19,7 +19,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.notices import StuckSensorWarning
-from robust_filterpy.identification.estimation.disturbances import Settled, Trend
+from robust_filterpy.identification.estimation.disturbances import Settled
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
@@ -205,7 +205,7 @@ def _identified(form: Form, now: State, i: int, start: ColdStart, begin: Array |
     """Return a model of the samples of a start, searched for from every start or from one alone, or raise."""
     u, R = start.u if form.structure.n_inputs else None, None if now.scale[i, 3] else float(now.scale[i, 0])
     # What the level does besides is looked for once.
-    flat = Trend(np.zeros(0 if start.is_last_look else start.y.size), ())
+    flat = np.zeros(0 if start.is_last_look else start.y.size)
     trend: Any = None if begin is None else Settled(flat, begin=begin)
     with warnings.catch_warnings():
         # A short recording leaves several models open, and those to come decide.
