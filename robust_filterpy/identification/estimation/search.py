@@ -69,7 +69,6 @@ _ROUGH: Final = _Effort(4, 2, 1, _NEAR)
 _FULL: Final = _Effort(10, 10, 10)
 # From where the search in a part of the recording ended.
 _AGAIN: Final = _Effort(1, 10, 10)
-_ONCE: Final = _Effort(1, 2, 1)
 
 
 class End(NamedTuple):
@@ -131,7 +130,7 @@ def ends(
         rows = np.ones(model.y.size - model.first, dtype=bool)
         again = [end._replace(outliers=end.outliers._replace(wrong=missing, counts=rows)) for end in chosen]
         return _best_first(model, missing, [searched_again(model, end, missing, limits) for end in again], limits)
-    starts = _starts(model, missing, noise) if begin is None else [Start("one start", begin)]
+    starts = _starts(model, missing) if begin is None else [Start("one start", begin)]
     results = [_searched(model, start.p, noise, missing, (start.name,), _ROUGH, limits) for start in starts]
     same, hopeless = _SAME, np.inf
     if not (model.na or model.structure.nc or model.structure.nd):
@@ -284,11 +283,11 @@ def _showing(model: PolynomialModel, end: End) -> int:
     return int((model.conditioned & ~touched(end.outliers.wrong, h, model.first)).sum())
 
 
-def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Start]:
+def _starts(model: PolynomialModel, missing: Any) -> Iterator[Start]:
     """Yield the starts that suit the structure."""
     if len(model.spans) > 1:
         joined, gaps = model.joined(missing)
-        for start in _starts(joined, gaps, noise):
+        for start in _starts(joined, gaps):
             yield Start(start.name, model.shared(start.p))
         return
     order = max(model.na, model.nf)
@@ -311,26 +310,21 @@ def _starts(model: PolynomialModel, missing: Any, noise: Noise) -> Iterator[Star
     if model.structure.polynomials == simple.structure.polynomials:
         yield from starts
         return
-    best = _best_of(simple, missing, noise, starts, searched=bool(model.structure.nc + model.structure.nd + model.nf))
+    best = _best_of(simple, missing, starts)
     yield Start("output-error model", model.from_output_error(simple.parts(best)))
     if model.nf + model.nd:
         # A disturbance that wanders bends the model of the signals, not that of their differences.
         y, u = (np.diff(signal, axis=0) for signal in (simple.y, simple.u))
         gaps, n = missing[1:] | missing[:-1], simple.structure.n_theta
         differences = PolynomialModel(simple.structure, y, u, simple.offset, simple.moving)
-        p = _best_of(differences, gaps, noise, output_error_starts(differences, ~gaps[differences.first :]))
+        p = _best_of(differences, gaps, output_error_starts(differences, ~gaps[differences.first :]))
         p[n:] = 0.0
         if model.offset:
             p[n] = np.median(simple.equation_error(p)[~missing[simple.first :]])
         yield Start("output-error model of differences", model.from_output_error(simple.parts(p)))
 
 
-def _best_of(
-    model: PolynomialModel, missing: Any, noise: Noise, starts: Iterator[Start], searched: bool = True
-) -> Array:
-    """Return the free parameters of the best end from some starts; unsearched of the best start as it is."""
-    if not searched:
-        rows = ~missing[model.first :]
-        return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[rows]))
-    ends = [_searched(model, start.p, noise, missing, (start.name,), _ONCE) for start in starts]
-    return _best_first(model, missing, ends)[0].end.p
+def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:
+    """Return the free parameters of the best start as it is."""
+    rows = ~missing[model.first :]
+    return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[rows]))
