@@ -8,6 +8,7 @@ from itertools import compress
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
@@ -25,9 +26,11 @@ from robust_filterpy.identification.estimation.starts import (
     Start,
     autocorrelation_start,
     bounded_mean,
+    disturbance_start,
     output_error_starts,
     regression_start,
     require_informative,
+    whitened,
 )
 from robust_filterpy.identification.models.noise import ROUNDING, Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -313,15 +316,28 @@ def _starts(model: PolynomialModel, missing: Any) -> Iterator[Start]:
     best = _best_of(simple, missing, starts)
     yield Start("output-error model", model.from_output_error(simple.parts(best)))
     if model.nf + model.nd:
-        # A disturbance that wanders bends the model of the signals, not that of their differences.
-        y, u = (np.diff(signal, axis=0) for signal in (simple.y, simple.u))
-        gaps, n = missing[1:] | missing[:-1], simple.structure.n_theta
-        differences = PolynomialModel(simple.structure, y, u, simple.offset, simple.moving)
-        p = _best_of(differences, gaps, output_error_starts(differences, ~gaps[differences.first :]))
-        p[n:] = 0.0
+        yield from _whitened_starts(model, simple, best, missing)
+
+
+def _whitened_starts(model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any) -> Iterator[Start]:
+    """Yield starts of a model with a disturbance, from output-error models of whitened signals."""
+    rows = ~missing[simple.first :]
+    q = model.from_output_error(simple.parts(p))
+    yield disturbance_start("output-error model and its disturbance", model, q, rows)
+    order = model.structure.nd + 2 * model.structure.nc
+    for name, polynomial in (
+        ("whitened by the disturbance", whitened(simple, p, rows, order)),
+        ("differences", np.array([1.0, -1.0])),
+    ):
+        first = polynomial.size - 1
+        y, u = (lfilter(polynomial, [1.0], signal, axis=0)[first:] for signal in (simple.y, simple.u))
+        gaps = np.convolve(missing, np.ones(first + 1))[first : missing.size] > 0.5
+        filtered = PolynomialModel(simple.structure, y, u, simple.offset, simple.moving)
+        q = _best_of(filtered, gaps, output_error_starts(filtered, ~gaps[filtered.first :]))
+        q[simple.structure.n_theta :] = 0.0
         if model.offset:
-            p[n] = np.median(simple.equation_error(p)[~missing[simple.first :]])
-        yield Start("output-error model of differences", model.from_output_error(simple.parts(p)))
+            q[simple.structure.n_theta] = np.median(simple.equation_error(q)[rows])
+        yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), rows)
 
 
 def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:
