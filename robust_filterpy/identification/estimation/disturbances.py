@@ -258,7 +258,8 @@ class Settled(NamedTuple):
 
     def after(self, first: int) -> Settled:
         """Return the same for the recording from a sample on."""
-        later = [one._replace(place=tuple(max(at - first, 0) for at in one.place)) for one in self.findings]
+        places = [(max(one.place[0] - first, 0), one.place[1] - first) for one in self.findings]
+        later = [one._replace(place=place) for one, place in zip(self.findings, places, strict=True)]
         remaining = tuple(one for one in later if one.kind != "step" or one.place[0])
         return self._replace(values=self.values[first:], findings=remaining)
 

@@ -447,7 +447,7 @@ def _even(deviations: Array) -> tuple[float, float]:
     odds = (1.0 - mixture.contamination) / mixture.contamination * mixture.scale_ratio
     # Ordinary samples that were known would tell of a mean as many times more as Fisher's information, the mean of
     # psi', of samples of which each may be an outlier is smaller (Louis, JRSS B 44, 1982).
-    unsure = (1.0 - mixture.contamination) / noise.slope(deviations)
+    unsure = (1.0 - mixture.contamination) / noise.slope(deviations) if deviations.size else 1.0
     return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS)), max(unsure, 1.0)
 
 
