@@ -382,7 +382,7 @@ class Search(NamedTuple):
             times = [(*place, each.kind, each.time) for place, one in breaks.items() for each in one.breaks]
             if not times:
                 return None, {}
-            if times == before and not line:
+            if times == before and self.fits_sizes:
                 break
             before, levels = times, breaks
             fitted = self._fitted(breaks, None if fitted is None else fitted.end)
