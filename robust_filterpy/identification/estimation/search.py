@@ -139,7 +139,7 @@ def ends(
     if not (model.na or model.structure.nc or model.structure.nd):
         # No outlier is in a regressor: all that is left to find is within the precision of the search.
         same, hopeless = max(same, _NEAR * (model.n / model.y.size) ** 0.5), _HOPELESS
-    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if excess < hopeless]
+    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if not excess > hopeless]
     learnt = [end._replace(noise=replace(end.noise, influence=loss)) for end in rough]
     followed = [_searched(model, end.p, end.noise, missing, end.starts, _FULL, limits) for end in learnt]
     return _best_first(model, missing, followed, limits)
