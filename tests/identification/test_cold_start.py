@@ -185,10 +185,8 @@ def tracker(**options):
 
 @pytest.mark.parametrize("contamination", [0.0, 0.2])
 def test_the_drift_is_found(contamination):
-    chosen = [
-        tracker().tuned(*drifting_gain(contamination, seed=seed), over={"Q": GRID}).best.values["Q"]
-        for seed in range(5)
-    ]
+    recordings = [drifting_gain(contamination, seed=seed) for seed in range(5)]
+    chosen = [tracker().tuned(*one, over={"Q": GRID}).best.values["Q"] for one in recordings]
     assert Q_TRUE / 4.0 <= np.median(chosen) <= 4.0 * Q_TRUE
 
 
@@ -219,25 +217,19 @@ def test_the_start_is_the_same_for_every_value_and_does_not_count():
         assert row.log_likelihood == pytest.approx(noise.log_likelihood(residual), abs=1e-3)
 
 
-def test_every_pair_of_values_is_tried_and_shown():
-    y, u = drifting_gain()
-    found = tracker().tuned(y, u, over={"Q": [0.0, 1e-3, 1.0], "forgetting": [0.5, 0.9, 1.0]})
-    assert len(found.rows) == 9
-    assert len(str(found).splitlines()) == 11 and "chosen" in str(found)
+def test_every_pair_of_values_is_tried_and_shown_and_covariances_are_values_too():
+    rng = np.random.default_rng(2)
+    u = rng.choice([-1.0, 1.0], (1200, 2))
+    y = np.cumsum(0.05 * rng.normal(size=1200)) * u[:, 0] + 1.0 * u[:, 1] + 0.3 * rng.normal(size=1200)
+    right, wrong = np.diag([0.0025, 0.0]), np.diag([0.0, 0.0025])
+    over = {"Q": [wrong, right], "forgetting": [0.5, 0.9, 1.0]}
+    found = ParameterTracker(FIR((1, 1), nk=0), start=0).tuned(y, u, over=over)
+    assert_array_equal(found.best.values["Q"], right)
+    assert len(found.rows) == 6 and len(str(found).splitlines()) == 8
+    assert "chosen" in str(found) and "trace 0.0025" in str(found)
     frame = found.to_frame()
     assert list(frame) == ["Q", "forgetting", "log_likelihood"]
     assert frame.log_likelihood.max() == found.best.log_likelihood
-
-
-def test_covariances_are_values_too():
-    rng = np.random.default_rng(2)
-    u = rng.choice([-1.0, 1.0], (1200, 2))
-    first = np.cumsum(0.05 * rng.normal(size=1200))
-    y = first * u[:, 0] + 1.0 * u[:, 1] + 0.3 * rng.normal(size=1200)
-    right, wrong = np.diag([0.0025, 0.0]), np.diag([0.0, 0.0025])
-    found = ParameterTracker(FIR((1, 1), nk=0), start=0).tuned(y, u, over={"Q": [wrong, right]})
-    assert_array_equal(found.best.values["Q"], right)
-    assert "trace 0.0025" in str(found)
 
 
 @pytest.mark.parametrize("q, over, ones", [(Q_TRUE, [1e-9, 1e-8], "larger"), (1e-6, [0.0, 1e-5, 1e-2], "smaller")])

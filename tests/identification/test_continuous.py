@@ -157,22 +157,6 @@ def test_a_pole_that_no_continuous_time_has_is_refused():
         identify(y, u, OutputError(1, 1)).poles(dt=1.0)
 
 
-@pytest.mark.nightly
-def test_equations_have_no_constant_of_their_own_where_the_level_of_one_recording_steps():
-    rng, recordings = np.random.default_rng(521), []
-    a = np.exp(-0.25)
-    for samples, after in ((64, 0.0), (200, 4.0)):
-        u = np.repeat(rng.choice([-1.0, 1.0], samples // 8), 8)
-        y, level = lfilter([0.0, 3.0 * (1.0 - a)], [1.0, -a], u), after * (np.arange(samples) >= samples // 2)
-        recordings.append((y + level + 0.1 * rng.normal(size=samples), u, 0.5 * np.arange(samples)))
-    box = GreyBox(lambda x, u, p: [(p[0] * u[0] - x[0]) / p[1]], {"gain": 2.0, "time": 1.0}, x0=[0.0])
-    y, u, t = (list(each) for each in zip(*recordings, strict=True))
-    with pytest.warns(UserWarning, match="recording 1: the level of y steps by"):
-        model = identify(y, u, box, t=t)
-    assert np.abs(model.theta - [3.0, 2.0]).max() < 0.05
-    assert [one.kind for one in model.findings] == ["step"]
-
-
 def test_a_prediction_of_what_is_missing_has_the_level_too():
     rng, a = np.random.default_rng(522), np.exp(-0.25)
     u = np.repeat(rng.choice([-1.0, 1.0], 30), 8)
@@ -182,4 +166,5 @@ def test_a_prediction_of_what_is_missing_has_the_level_too():
     box = GreyBox(lambda x, u, p: [(p[0] * u[0] - x[0]) / p[1]], {"gain": 2.0, "time": 1.0}, x0=[0.0])
     with pytest.warns(UserWarning, match="the level of y steps by"):
         model = identify(y, u, box, t=0.5 * np.arange(240))
+    assert [one.kind for one in model.findings] == ["step"] and np.abs(model.theta - [3.0, 2.0]).max() < 0.05
     assert np.abs(model.predict(y, u, 0.5 * np.arange(240))[:, 0] - truth).max() < 0.3

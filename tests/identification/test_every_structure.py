@@ -229,10 +229,8 @@ def test_what_cannot_be_identified_is_refused_in_words(structure, change, words)
 
 
 def test_rows_of_lists_are_one_recording():
-    y, u = recorded("states of two outputs")
-    np.testing.assert_array_equal(
-        identify(y.tolist(), u.tolist(), StateSpace(2)).theta, identify(y, u, StateSpace(2)).theta
-    )
+    model, y, u = found("states of two outputs")
+    np.testing.assert_array_equal(identify(y.tolist(), u.tolist(), StateSpace(2)).theta, model.theta)
 
 
 def test_a_fit_of_a_constant_is_refused_and_pandas_integers_are_compared():

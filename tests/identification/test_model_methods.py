@@ -128,23 +128,21 @@ def test_pictures_of_states(driven, square):
 Y, U = recordings.recording(5, 200, share=0.0, sigma=0.05, a=[1.0, -0.5], b=[0.0, 2.0])
 
 
-def test_a_tracker_has_poles_in_continuous_time():
-    tracker = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0], P=1e-6)
+def test_a_tracker_has_poles_in_continuous_time_and_a_summary():
+    tracker = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0], P=0.01, R=0.1)
     assert tracker.poles(dt=0.1).values == pytest.approx(np.log(0.5) / 0.1)
+    rows = tracker.summary().rows
+    assert [(row.name, row.estimate, row.std) for row in rows] == [("a1", -0.5, 0.1), ("b1", 2.0, 0.1)]
+    assert "has not found a model" in str(ParameterTracker(FIR(1)).summary())
 
 
 @pytest.mark.parametrize("structure", [OutputError(1, 1), StateSpace(1)], ids=["polynomials", "states"])
-def test_equal_steps_of_time_change_nothing_and_others_are_refused(structure):
+def test_equal_steps_of_time_change_nothing_and_others_are_refused_as_are_outputs_that_are_not_there(structure):
     model, t = identify(Y, U, structure), 0.1 * np.arange(200)
     np.testing.assert_array_equal(model.predict(Y, U, t=t), model.predict(Y, U))
     np.testing.assert_array_equal(model.fit(Y, U, t), model.fit(Y, U))
     with pytest.raises(ValueError, match="t: expected equal steps"):
         model.free_run(Y, U, t**2)
-
-
-@pytest.mark.parametrize("structure", [OutputError(1, 1), StateSpace(1)], ids=["polynomials", "states"])
-def test_a_level_in_the_place_of_an_output_is_refused_and_an_output_that_is_not_there(structure):
-    model = identify(Y, U, structure)
     with pytest.raises(TypeError, match=r"output: .* level= goes by its name"):
         model.frequency_response([0.1], 0.9)
     for call in (model.step_response, model.noise_spectrum):
@@ -173,9 +171,7 @@ def test_rows_are_the_parameters_and_the_offset(model):
 
 def test_the_text_fits_a_screen_and_says_everything(model):
     text = str(model.summary())
-    assert repr(model.summary()) == text
-    lines = text.splitlines()
-    assert max(map(len, lines)) <= 78
+    assert repr(model.summary()) == text and max(map(len, text.splitlines())) <= 78
     known = int((~np.isnan(model.weights)).sum())
     for part in ("OutputError(na=1, nb=1, nk=1)", f"{known} of 500", f"{model.R:.4g}", " 2.5 %", "97.5 %", "Fit, 1"):
         assert part in text
@@ -200,10 +196,3 @@ def test_a_parameter_that_is_held_has_no_z_and_the_table_says_held(structure):
     assert all(len(said[row.name]) == 5 for row in free if row.name != "offset")
     assert "inf" not in str(summary)
 
-
-def test_a_tracker_has_one_too():
-    tracker = ParameterTracker(ARX(1, 1), theta=[-0.5, 2.0], P=0.01, R=0.1)
-    rows = tracker.summary().rows
-    assert [(row.name, row.estimate) for row in rows] == [("a1", -0.5), ("b1", 2.0)]
-    assert rows[0].std == pytest.approx(0.1)
-    assert "has not found a model" in str(ParameterTracker(FIR(1)).summary())

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import support
-from recordings import unheard
+from recordings import binary, unheard
 from scipy.integrate import quad
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
@@ -12,7 +12,7 @@ from statsmodels.tsa.arima.model import ARIMA
 
 from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.correction.contaminated import START, Contaminated
-from robust_filterpy.identification import AR, ARMA, ARMAX, BoxJenkins, validate
+from robust_filterpy.identification import AR, ARMA, BoxJenkins, validate
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.influence import Linear
 from robust_filterpy.influence.regression import mad_scale
@@ -29,8 +29,7 @@ def series(a, c, length=1500, seed=0, level=5.0):
 
 def recorded(length=1000, seed=0, share=0.1, c=C, d=D, sigma=0.3, level=0.0):
     """A recording with coloured noise inside it and outliers of the sensor."""
-    rng = np.random.default_rng(seed)
-    u = rng.choice([-1.0, 1.0], length)
+    rng, u = binary(seed, length)
     noise = lfilter([1.0, *c], [1.0, *d], sigma * rng.normal(size=length + 300))[300:]
     wild = 20.0 * sigma * rng.normal(size=length) * (rng.random(length) < share)
     return level + lfilter([0.0, *B], [1.0, *F], u) + noise + wild, u
@@ -70,12 +69,6 @@ def test_additive_outliers_and_gaps_cost_an_arma_model_little():
     assert np.abs((model.theta - clean.theta) / clean.std).max() < 2.0
     assert pytest.approx(clean.R, rel=0.15) == model.R
     assert np.abs((identify(spoilt, None, ARMA(2, 1), influence=Linear()).theta - clean.theta) / clean.std).max() > 5.0
-
-
-def test_ar_is_arx_and_arma_is_armax_without_input():
-    y = series([1.0, -0.8], [1.0, 0.4], length=400)
-    for one, other in ((AR(2), ARX(2, 0)), (ARMA(1, 1), ARMAX(1, 0, 1))):
-        np.testing.assert_array_equal(identify(y, None, one).theta, identify(y, None, other).theta)
 
 
 def test_without_robustness_box_and_jenkins_is_least_squares():

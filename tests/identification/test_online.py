@@ -10,7 +10,6 @@ import recordings
 import support
 from filterpy.kalman import KalmanFilter
 from recordings import same, silence
-from scipy.signal import lfilter
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.identification import ARX, FIR, OutputError, ParameterTracker, TrackerBank
@@ -48,14 +47,13 @@ def test_update_gives_the_numbers_of_run_to_the_last_bit(make):
     y[350:358] = y[350] + 3.0
     y[400:] = -y[400:]
     one, other, samples = make(), make(), []
-    with warnings.catch_warnings(record=True) as online:
+    with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         for k in range(len(y)):
             samples.append((*other.update(y[k], u[k]), other.theta, other.std))
-    with warnings.catch_warnings(record=True) as sentences:
-        warnings.simplefilter("always")
+        online = len(said)
         result = one.run(y, u)
-    assert [str(each.message) for each in online] == [str(each.message) for each in sentences]
+    assert [str(each.message) for each in said[:online]] == [str(each.message) for each in said[online:]]
     # A model that is made of the samples so far is in the next row: at a look, and after the change.
     k = np.arange(1, len(y) + 1)
     others = (k <= 400) & ~np.isin(k, [25, 50, 100, 200])
@@ -100,17 +98,13 @@ def test_what_is_set_between_two_samples_counts():
     y, u = recording(80)
     one, other = (support.paper_tracker(ARX(2, 2), R=0.01) for _ in range(2))
     other.filter.predict = other.filter.predict
+    moves = {30: lambda kf: np.multiply(kf.P, 4.0, out=kf.P), 40: lambda kf: np.add(kf.x, 0.5, out=kf.x)}
+    sets = {20: {"Q": 1e-4}, 50: {"forgetting": 0.97, "R": 0.04}, 60: {"enabled": False}, 65: {"enabled": True}}
     for k in range(80):
         for tracker in (one, other):
-            if k == 20:
-                tracker.Q = 1e-4
-            if k == 30:
-                tracker.filter.P[:] *= 4.0
-            if k == 40:
-                tracker.filter.x[1] += 0.5
-            if k == 50:
-                tracker.forgetting, tracker.R = 0.97, 0.04
-            tracker.enabled = not 60 <= k < 65
+            moves.get(k, id)(tracker.filter)
+            for name, value in sets.get(k, {}).items():
+                setattr(tracker, name, value)
             tracker.update(y[k], u[k])
         np.testing.assert_allclose(one.theta, other.theta, rtol=1e-8, atol=1e-10)
         np.testing.assert_allclose(one.P, other.P, rtol=1e-8, atol=1e-14)
@@ -158,14 +152,13 @@ def test_matrices_in_any_order_of_memory_serve():
 @pytest.mark.parametrize("size", support.by_night([1e9, 1e100, 1e300], 1e300))
 @pytest.mark.parametrize("at", [100, 400])
 def test_one_reading_of_any_size_is_as_one_that_is_missing(size, at):
-    rng, u = recordings.binary(30, 500)
-    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + lfilter([0.2], [1.0, -1.5, 0.7], rng.normal(size=500))
+    y, u = recordings.recording(30, 500, 0.0, 0.2, inside=True)
     far, missing = y.copy(), y.copy()
     far[at], missing[at] = size, np.nan
     one, other = (ParameterTracker(ARX(2, 2), start=200) for _ in range(2))
     one.run(far, u), other.run(missing, u)
     for tracker in (one, other):
-        np.testing.assert_allclose(tracker.theta, [-1.5, 0.7, 1.0, 0.5], atol=4.0 * tracker.std.max())
+        np.testing.assert_allclose(tracker.theta, recordings.THETA, atol=4.0 * tracker.std.max())
     np.testing.assert_allclose(one.std, other.std, rtol=0.02)
 
 

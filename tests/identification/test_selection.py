@@ -190,8 +190,7 @@ def test_what_is_taken_is_not_below_the_best_on_samples_held_out(draws):
             found = select_structure(y, u, na=range(1, 4), nk=[1])
         said += any("the criterion would take" in str(each.message) for each in caught)
         late = [row.held_out_fit for row in found.rows if not np.isnan(row.held_out_fit)]
-        assert len(late) > 1
-        assert found.rows[0].held_out_fit >= max(late) - 1.0
+        assert len(late) > 1 and found.rows[0].held_out_fit >= max(late) - 1.0
         assert found.best.structure == found.rows[0].structure
     assert said
 
@@ -235,14 +234,13 @@ def test_structures_next_to_the_best_begin_at_it_and_are_as_likely_as_from_every
     found = select_structure(Y, U[:, 0], na=[1, 2], nb=[1, 2], nk=[1, 2])
     # How many are to come is said with the first.
     done, totals = ([int(words[i]) for words in said if words[0].isdigit()] for i in (0, 2))
-    assert totals[0] > done[-1] - 3
+    assert totals[0] > done[-1] - 3 and done[-1] == totals[-1]
     assert all(total > count for count, total in zip(done[:-1], totals[:-1], strict=True))
-    assert done[-1] == totals[-1]
     near = [row for row in found.rows if row.structure not in searched]
     assert near
     for row in near:
-        first = 3 - max(row.structure.nf, sum(row.structure.inputs[0]) - 1)
-        anywhere = identify(Y[max(first, 0) :], U[max(first, 0) :, 0], row.structure, trend="constant", progress=False)
+        seen = slice(max(3 - max(row.structure.nf, sum(row.structure.inputs[0]) - 1), 0), None)
+        anywhere = identify(Y[seen], U[seen, 0], row.structure, trend="constant", progress=False)
         assert row.log_likelihood > anywhere.log_likelihood - 3.0
 
 
@@ -274,9 +272,7 @@ def test_every_structure_has_the_same_steps(monkeypatch):
 
     monkeypatch.setattr(select, "identify", recorded)
     chosen = select.select_structure(y, u, na=range(1, 3), nk=range(3), held_out=0, progress=False)
-    assert chosen.best.structure == OutputError(2, 2)
-    assert [one.kind for one in chosen.best.findings] == ["step"]
-    assert len(models) > 3
-    assert all(one == models[0] for one in models)
+    assert chosen.best.structure == OutputError(2, 2) and [one.kind for one in chosen.best.findings] == ["step"]
+    assert len(models) > 3 and all(one == models[0] for one in models)
     # It is looked for in the largest structure alone.
     assert sum(one is None for one in levels) == 1

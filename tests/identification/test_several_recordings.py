@@ -54,8 +54,7 @@ def test_a_step_in_one_recording_is_taken_off_there():
     ys[1][250:] += 4.0
     with pytest.warns(UserWarning, match="recording 1: the level of y steps"):
         model = identify(ys, us, OutputError(2, 2))
-    assert np.abs(model.theta - THETA).max() < 0.05
-    assert model.fit(ys[1], us[1]) > 85.0
+    assert np.abs(model.theta - THETA).max() < 0.05 and model.fit(ys[1], us[1]) > 85.0
 
 
 def test_without_input_and_with_a_disturbance():
@@ -68,27 +67,23 @@ def test_without_input_and_with_a_disturbance():
     assert np.abs(boxed.theta[:2] - THETA[2:]).max() < 0.25
 
 
-def test_a_long_gap_in_u_makes_two_recordings_and_a_short_one_is_held():
+def test_a_long_gap_in_u_or_of_the_time_axis_makes_two_recordings_and_a_short_one_is_held():
     (y,), (u,) = plant([600], 8, outliers=0.0)
-    u, gap = u.copy(), u.copy()
+    gap = u.copy()
     gap[300:350] = np.nan
     with pytest.warns(UserWarning, match="2 recordings"):
         model = identify(y, gap, OutputError(2, 2))
-    assert model.levels.size == 2
-    assert np.abs(model.theta - THETA).max() < 0.05
-    u[100] = np.nan
+    assert model.levels.size == 2 and np.abs(model.theta - THETA).max() < 0.05
+    short = u.copy()
+    short[100] = np.nan
     with pytest.warns(UserWarning, match="u is missing in 1 samples"):
-        assert identify(y, u, OutputError(2, 2)).levels.size == 0
-
-
-def test_a_long_jump_of_the_time_axis_makes_two_recordings():
-    (y,), (u,) = plant([600], 9, outliers=0.0)
+        assert identify(y, short, OutputError(2, 2)).levels.size == 0
+    # As does a long jump of the time axis.
     index = pd.date_range("2024-01-01", periods=600, freq="2s")
     kept = np.r_[0:280, 330:600]
     with pytest.warns(UserWarning, match="1 jumps of the time axis: 2 recordings"):
         model = identify(pd.Series(y, index).iloc[kept], pd.Series(u, index).iloc[kept], OutputError(2, 2))
-    assert (model.levels.size, model.dt) == (2, 2.0)
-    assert np.abs(model.theta - THETA).max() < 0.05
+    assert (model.levels.size, model.dt) == (2, 2.0) and np.abs(model.theta - THETA).max() < 0.05
 
 
 @pytest.mark.parametrize(("change", "says"), [

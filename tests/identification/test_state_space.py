@@ -1,10 +1,10 @@
 """State-space models of several outputs: what they promise of a recording."""
 
+import control
 import numpy as np
 import pandas as pd
 import pytest
-from recordings import INPUTS, OUTPUTS, STATES, of_states
-from scipy.signal import lfilter
+from recordings import INPUTS, OUTPUTS, STATES, of_states, recording
 
 from robust_filterpy import OutputError, identify
 from robust_filterpy.identification import StateSpace
@@ -42,9 +42,7 @@ def test_outputs_tell_the_plant_through_outliers_and_say_how_sure_they_are():
 def test_noise_is_learned_for_each_output():
     y, u = of_states(2, outliers=0.0)
     y[:, 1] += 2.0 * np.random.default_rng(0).normal(size=len(y))
-    R = identify(y, u, StateSpace(3)).R
-    assert R[0] == pytest.approx(0.04, rel=0.3)
-    assert R[1] == pytest.approx(4.04, rel=0.3)
+    assert identify(y, u, StateSpace(3)).R == pytest.approx([0.04, 4.04], rel=0.3)
 
 
 def test_units_and_levels_change_nothing():
@@ -55,23 +53,15 @@ def test_units_and_levels_change_nothing():
 
 def test_the_evidence_finds_the_order():
     model = identify(*of_states(4), StateSpace())
-    assert len(model.A) == 3
-    assert min(model.orders, key=lambda tried: tried[1])[0] == 3
+    assert len(model.A) == 3 == min(model.orders, key=lambda tried: tried[1])[0]
 
 
-def test_python_control_and_the_model_simulate_the_same():
-    import control
-
-    y, u = of_states(5)
-    model = identify(y, u, StateSpace(3))
-    run = control.forced_response(model.to_control(), inputs=u.T).outputs.T + model.level
-    assert np.allclose(model.simulate(u), run)
-
-
-def test_several_recordings_and_tables():
+def test_several_recordings_and_tables_and_a_simulation_is_python_controls():
     y, u = of_states(8)
     model = identify([y[:200], y[200:] + 50.0], [u[:200], u[200:]], StateSpace(3))
     assert np.allclose(model.levels[1] - model.levels[0], 50.0, atol=0.5)
+    run = control.forced_response(model.to_control(), inputs=u.T).outputs.T + model.level
+    assert np.allclose(model.simulate(u), run)
     index = pd.date_range("2024-01-01", periods=len(y), freq="500ms")
     tables = pd.DataFrame(y, index, ["a", "b"]), pd.DataFrame(u, index, ["v", "w"])
     timed = identify(*tables, StateSpace(3))
@@ -81,9 +71,7 @@ def test_several_recordings_and_tables():
 
 
 def test_bands_are_those_of_the_same_plant_as_a_polynomial():
-    rng = np.random.default_rng(1)
-    u = rng.choice([-1.0, 1.0], 600)
-    y = lfilter([0.0, 1.0], [1.0, -0.7], u) + 0.3 * rng.normal(size=600)
+    y, u = recording(1, 600, share=0.0, a=[1.0, -0.7], b=[0.0, 1.0])
     one, other = (identify(y, u, s).frequency_response([0.1, 0.5, 2.0]) for s in (StateSpace(1), OutputError(1, 1)))
     for name in ("magnitude", "phase"):
         middle, width = getattr(other, name), getattr(other, f"{name}_upper") - getattr(other, f"{name}_lower")

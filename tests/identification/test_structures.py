@@ -38,12 +38,6 @@ def test_rows_of_phi_are_shifted_data(na, nc, nb, nk, length):
     np.testing.assert_array_equal(phi, np.transpose(expected))
 
 
-def test_equation_13_phi_of_the_plant_and_phi_of_a_regression_as_it_is():
-    phi = ARX(2, 3).regressors(u=[1.0, 2.0, 3.0, 4.0], y=[5.0, 6.0, 7.0, 8.0])
-    np.testing.assert_array_equal(phi[3], [-7.0, -6.0, 3.0, 2.0, 1.0])
-    np.testing.assert_array_equal(LinearRegression(5).regressors(phi), phi)
-
-
 def test_which_parts_must_be_stable():
     assert OutputError(2, 3).stable_parts == (slice(0, 2),)
     assert ARMAX(2, 3, 1).stable_parts == (slice(5, 6),)

@@ -51,14 +51,9 @@ def test_the_baseline_is_filterpys_kalman_filter():
     y, u = recording()
     structure, kf = FIR(3), KalmanFilter(3, 1)
     kf.P, kf.Q, kf.R = 3.0 * np.eye(3), 1e-4 * np.eye(3), np.array([[0.5]])
-    before = copy.deepcopy(vars(kf))
-    options = {"P": 3.0, "Q": 1e-4, "R": 0.5}
-    trackers = [
-        support.paper_tracker(structure, influence=Linear(), **options),
-        support.paper_tracker(structure, filter=KalmanFilter, **options),
-        support.paper_tracker(structure, filter=kf),
-    ]
-    found = [tracker.run(y, u) for tracker in trackers]
+    before, options = copy.deepcopy(vars(kf)), {"P": 3.0, "Q": 1e-4, "R": 0.5}
+    made = ({"influence": Linear(), **options}, {"filter": KalmanFilter, **options}, {"filter": kf})
+    found = [support.paper_tracker(structure, **how).run(y, u) for how in made]
     # The object is copied.
     same(before.values(), vars(kf).values())
     for k, phi in enumerate(structure.regressors(u)):
@@ -218,24 +213,6 @@ def test_what_a_filter_is_made_of_is_undone_too(call):
     np.testing.assert_array_equal(tracker.run(y[20:], u[20:]).theta, twin.run(y[20:], u[20:]).theta)
 
 
-# A variance for each sample
-
-
-def test_a_variance_for_each_sample_is_that_of_the_filter_set_by_hand():
-    y, u = recording(70)
-    R = np.where(np.arange(len(y)) % 3 == 0, 25.0, 0.25)
-    given, stepped, by_hand = (support.paper_tracker(OutputError(2, 2), P=1.0, R=0.25) for _ in range(3))
-    result = given.run(y, u, R)
-    for k in range(len(y)):
-        stepped.update(y[k], u[k], R[k])
-        by_hand.filter.R = np.array([[R[k]]])
-        by_hand.update(y[k], u[k])
-        np.testing.assert_array_equal(result.theta[k], stepped.theta)
-        np.testing.assert_allclose(by_hand.theta, stepped.theta, rtol=1e-12, atol=1e-14)
-    assert given.filter.R.item() == 0.25
-    same(given.state(), stepped.state())
-
-
 # What a filter holds before, while and after
 
 
@@ -264,11 +241,10 @@ def test_matrices_are_the_filters():
     other = support.paper_tracker(ARX(2, 2), R=4.0, Q=1e-3, forgetting=0.9)
     one.R, one.Q, one.forgetting = 4.0, 1e-3, 0.9
     assert one.R == one.filter.R.item() == 4.0 and one.forgetting == pytest.approx(0.9)
-    np.testing.assert_array_equal(one.Q, 1e-3 * np.eye(4))
-    np.testing.assert_array_equal(one.F, np.eye(4))
+    same([one.Q, one.F], [1e-3 * np.eye(4), np.eye(4)])
     same(one.run(y, u), other.run(y, u))
     one.F = 0.5 * np.eye(4)
-    np.testing.assert_array_equal(one.filter.F, 0.5 * np.eye(4))
+    same([one.filter.F], [0.5 * np.eye(4)])
     for name, value in {"R": -1.0, "Q": -1.0, "F": np.eye(3), "forgetting": 1.5}.items():
         with unchanged(one), pytest.raises(ValueError, match=f"{name}: expected"):
             setattr(one, name, value)
@@ -278,10 +254,9 @@ def test_matrices_are_the_filters():
 def test_a_bad_variance_in_the_filter_is_named(R):
     tracker = support.paper_tracker(OutputError(2, 2))
     tracker.filter.R = R
-    with pytest.raises(ValueError, match=r"sample 0: R: expected a variance > 0"):
-        tracker.run(np.zeros(20), np.zeros(20))
-    with pytest.raises(ValueError, match="R: expected a variance > 0"):
-        tracker.update(1.0, 1.0)
+    for call, samples, sample in ((tracker.run, np.zeros(20), "sample 0: "), (tracker.update, 1.0, "")):
+        with pytest.raises(ValueError, match=f"{sample}R: expected a variance > 0"):
+            call(samples, samples)
 
 
 class Called(RobustKalmanFilter):

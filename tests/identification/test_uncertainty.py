@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from recordings import assert_refused, recording
+from recordings import assert_refused, binary, recording
 from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
@@ -64,10 +64,8 @@ def test_responses_are_those_of_python_control(model):
     time, rise = control.step_response(plant, 0.1 * np.arange(40))
     np.testing.assert_allclose(step.response, rise, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(step.time, time)
-    by_real = np.lexsort
     for ours, theirs in ((model.poles().values, plant.poles()), (model.zeros().values, plant.zeros())):
-        order = [by_real((v.imag, v.real)) for v in (ours, theirs)]
-        np.testing.assert_allclose(ours[order[0]], theirs[order[1]], atol=1e-8)
+        np.testing.assert_allclose(np.sort_complex(ours), np.sort_complex(theirs), atol=1e-8)
 
 
 def test_bands_of_what_is_linear_in_theta_are_exact():
@@ -75,8 +73,8 @@ def test_bands_of_what_is_linear_in_theta_are_exact():
     step = model.step_response(4)
     ones = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
     std = np.sqrt(np.einsum("ij,jk,ik->i", ones, model.P, ones))
-    np.testing.assert_allclose(step.upper - step.response, Z * std, rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(step.response - step.lower, Z * std, rtol=1e-8, atol=1e-12)
+    for width in (step.upper - step.response, step.response - step.lower):
+        np.testing.assert_allclose(width, Z * std, rtol=1e-8, atol=1e-12)
     assert not step.sampled.any()
     first = identify(*recorded([1.0, -0.8], (1.0,)), OutputError(1, 1))
     ends, pole = first.confidence_intervals(), first.poles()
@@ -87,8 +85,7 @@ def test_bands_of_what_is_linear_in_theta_are_exact():
 
 def test_bands_are_the_quantiles_of_monte_carlo(model):
     thetas = drawn(model)
-    delays = np.exp(-1j * OMEGA[1:-1])
-    powers = delays ** np.arange(3)[:, None]
+    powers = np.exp(-1j * OMEGA[1:-1]) ** np.arange(3)[:, None]
     answers = (thetas[:, 2:] @ powers[1:]) / (1.0 + thetas[:, :2] @ powers[1:])
     found = model.frequency_response(OMEGA[1:-1])
     low, high = np.quantile(np.abs(answers), [0.025, 0.975], axis=0)
@@ -108,10 +105,8 @@ def test_next_to_the_unit_circle_the_bands_are_sampled(ringing):
     found = ringing.frequency_response([0.05, 0.6, 3.0])
     assert found.sampled[1]
     thetas = drawn(ringing)
-    delay = np.exp(-0.6j)
-    sizes = np.abs(
-        (thetas[:, 2] * delay + thetas[:, 3] * delay**2) / (1 + thetas[:, 0] * delay + thetas[:, 1] * delay**2)
-    )
+    delays = np.exp([-0.6j, -1.2j])
+    sizes = np.abs(thetas[:, 2:] @ delays / (1.0 + thetas[:, :2] @ delays))
     low, high = np.quantile(sizes, [0.025, 0.975])
     assert found.magnitude_lower[1] == pytest.approx(low, rel=0.1)
     assert found.magnitude_upper[1] == pytest.approx(high, rel=0.3)
@@ -143,12 +138,8 @@ def test_the_noise_spectrum_has_the_power_of_the_noise():
 
 def test_several_inputs_have_a_row_each():
     rng = np.random.default_rng(1)
-    u = rng.normal(size=(400, 2))
-    y = (
-        lfilter([0.0, 1.0], [1.0, -0.8], u[:, 0])
-        + lfilter([0.5, 0.2], [1.0, -0.8], u[:, 1])
-        + 0.1 * rng.normal(size=400)
-    )
+    u, noise = rng.normal(size=(400, 2)), 0.1 * rng.normal(size=400)
+    y = lfilter([0.0, 1.0], [1.0, -0.8], u[:, 0]) + lfilter([0.5, 0.2], [1.0, -0.8], u[:, 1]) + noise
     model = identify(y, u, OutputError(1, (1, 2), nk=(1, 0)))
     found, plant = model.frequency_response([0.1, 1.0]), model.transfer_function(dt=1.0)
     assert found.response.shape == found.sampled.shape == found.phase_lower.shape == (2, 2)
@@ -156,15 +147,9 @@ def test_several_inputs_have_a_row_each():
         np.testing.assert_allclose(found.response[i], plant[0, i](np.exp(1j * found.omega)), rtol=1e-9)
     assert found.to_control().frdata.shape == (1, 2, 2)
     assert list(model.step_response(5).to_frame().columns[:2]) == ["response[0]", "response[1]"]
-    assert model.zeros(input=0).values.size == 0 and model.zeros(input=1).values == pytest.approx(
-        -model.theta[3:4] / model.theta[2:3]
-    )
-
-
-def test_an_input_without_coefficients_does_nothing_for_sure():
-    rng = np.random.default_rng(1)
-    u = rng.normal(size=(200, 2))
-    y = lfilter([0.0, 1.0], [1.0], u[:, 0]) + 0.1 * rng.normal(size=200)
+    assert model.zeros(input=0).values.size == 0
+    assert model.zeros(input=1).values == pytest.approx(-model.theta[3:4] / model.theta[2:3])
+    # One without coefficients does nothing for sure.
     found = identify(y, u, FIR((1, 0))).frequency_response([0.1, 1.0])
     np.testing.assert_array_equal(found.magnitude_upper[1], 0.0)
     assert not found.sampled.any()
@@ -263,28 +248,17 @@ def test_two_standard_deviations_away_the_loss_has_risen_by_two(linearized):
 
 
 def test_units_do_not_matter_to_the_profile():
-    rng = np.random.default_rng(5)
-    u = rng.choice([-1.0, 1.0], 60)
+    rng, u = binary(5, 60)
     y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.6 * rng.normal(size=60)
     one = identify(y, u, OutputError(1, 1), trend="constant")
     other = identify(1e6 * y, 1e-3 * u, OutputError(1, 1), trend="constant")
-    assert one.profiled
-    assert other.profiled
+    assert one.profiled and other.profiled
     assert_allclose(other.std / [1.0, 1e9], one.std, rtol=1e-3)
 
 
-@pytest.fixture(scope="module")
-def too_large():
-    """Return a recording of a plant of order 2, and its model of order 4."""
-    rng = np.random.default_rng(29)
-    u = rng.choice([-1.0, 1.0], 300)
-    y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u)
-    y += np.where(rng.random(300) < 0.1, 3.0, 0.3) * rng.normal(size=300)
-    return y, u, identify(y, u, OutputError(4, 4), trend="constant", progress=False)
-
-
-def test_the_pole_that_nothing_tells_has_no_narrow_interval(too_large):
-    _, _, model = too_large
+def test_the_pole_that_nothing_tells_has_no_narrow_interval():
+    """Of a plant of order 2, in a model of order 4."""
+    model = identify(*recording(29, 300), OutputError(4, 4), trend="constant", progress=False)
     assert model.profiled
     assert "profile likelihood, at least" in model.summary().to_text()
     assert model.std[0] > 0.2

@@ -12,28 +12,8 @@ from robust_filterpy import ARX, OutputError, ParameterTracker, identify
 from robust_filterpy.filters import StuckSensorWarning
 from robust_filterpy.identification import ARMAX, FIR, BoxJenkins
 from robust_filterpy.identification.models import dependence as gain
-from robust_filterpy.identification.models.dependence import autocovariances, dependence
+from robust_filterpy.identification.models.dependence import autocovariances
 from robust_filterpy.identification.recursive.watch import LostTrackerWarning, _moved
-
-
-def plant(seed, length=400, hold=1, gain=1.0, b=B, a=A, size=1.0):
-    rng, u = binary([27, seed], length)
-    u = u.repeat(hold)[:length]
-    model, true = lfilter(B, A, u), gain * lfilter(b, a, u)
-    return true + wild(rng, length, 0.3 * size) - model, model, u
-
-
-def window(residual, model, u):
-    return residual[-120:], np.column_stack((model, u))[-120:]
-
-
-def test_the_residuals_of_another_plant_follow_the_inputs_and_those_of_a_right_model_do_not():
-    for change in ({"gain": 1.3}, {"gain": 2.0}, {"gain": -1.0}, {"a": np.poly([0.8, 0.6])}):
-        for seed in range(20):
-            assert dependence(*window(*plant(seed, hold=1 + 7 * (seed % 2), **change))).significant, (change, seed)
-    for seed in range(100):
-        right = plant(seed, hold=1 + 19 * (seed % 2), size=3.0 if seed % 3 else 1.0)
-        assert not dependence(*window(*right)).significant, seed
 
 
 def broken(seed=1, length=1600, at=900, change=2.0, stream=28):
@@ -98,16 +78,16 @@ def arx_on_an_output_error(seed, change=1.0):
     return broken(seed, 1200, 800, change, 30)
 
 
-def sentences(tracker, y, u):
+def said(tracker, y, u):
     """What a run says."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         tracker.run(y, u)
-    return [str(one.message) for one in caught]
+    return "\n".join(str(one.message) for one in caught)
 
 
 def restarts(structure, y, u):
-    return any("starts anew" in text for text in sentences(ParameterTracker(structure, start=200), y, u))
+    return "starts anew" in said(ParameterTracker(structure, start=200), y, u)
 
 
 @support.draws(1, 2)
@@ -156,9 +136,9 @@ def test_a_gain_that_changes_faintly_is_said_and_followed(gain, constant, draws)
     for seed in range(draws):
         y, u = faint(seed, gain, constant)
         tracker = ParameterTracker(ARX(4, 4))
-        with pytest.warns(LostTrackerWarning, match="its gain is .* in the mean of the last [0-9]+ samples") as said:
+        with pytest.warns(LostTrackerWarning, match="its gain is .* in the mean of the last [0-9]+ samples") as caught:
             tracker.run(y, u)
-        assert all("its gain" in str(one.message) for one in said)
+        assert all("its gain" in str(one.message) for one in caught)
         b = tracker.theta[4:] / (1.1 * NUMERATOR)
         # One standard deviation of a gain from 480 such samples is .08.
         assert b @ NUMERATOR**2 / (NUMERATOR @ NUMERATOR) == pytest.approx(gain, abs=0.25)
@@ -245,8 +225,7 @@ def test_residuals_off_zero_are_no_chance():
 
 def test_what_a_model_without_a_constant_leaves_off_zero_is_no_moved_level():
     y, noise, u = quiet(1, 1000)
-    said = sentences(ParameterTracker(OutputError(2, 2), offset=False), y + noise + 0.3, u)
-    assert not any("the level of y" in text for text in said)
+    assert "the level of y" not in said(ParameterTracker(OutputError(2, 2), offset=False), y + noise + 0.3, u)
 
 
 # What a stuck sensor says while a tracker runs counts as missing; sensors that repeat themselves are believed.
@@ -276,10 +255,9 @@ def test_a_sensor_that_is_stuck_is_said_once_and_teaches_nothing(structure, valu
     y[600:800] = y[599] if value == "last" else value
     tracker = begun(structure, y, u)
     theta, noise = tracker.theta, tracker.R
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
+    with pytest.warns(Warning) as caught:
         result = tracker.run(y[600:], u[600:])
-    assert [each.category for each in said] == [StuckSensorWarning]
+    assert [each.category for each in caught] == [StuckSensorWarning]
     assert np.isnan(result.residual[10:200]).all() and np.isnan(result.weights[10:200]).all()
     assert not np.isnan(result.residual[200:]).any()
     # The first readings may be near the prediction, and count as any others.
@@ -333,9 +311,7 @@ def believed():
 @pytest.mark.parametrize("name", support.by_night(believed(), "coarse", "counts", "at rest"))
 def test_sensors_that_repeat_themselves_are_believed(name):
     y, u = believed()[name]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LostTrackerWarning)
-        warnings.simplefilter("error", StuckSensorWarning)
+    with unheard(LostTrackerWarning), silence(StuckSensorWarning):
         result = ParameterTracker(OutputError(2, 2), start=200).run(y, u)
     assert np.isnan(result.residual).sum() <= 2
 
@@ -394,4 +370,4 @@ def test_coloured_noise_and_an_input_that_hardly_moves_are_no_other_gain(draws):
         u = rng.choice([-1.0, 1.0], 10).repeat(150)
         u[:400] = rng.choice([-1.0, 1.0], 400)
         y = lfilter(B, A, u) + 0.3 * lfilter([1.0], [1.0, -0.95], rng.normal(size=1500))
-        assert not any("its gain" in text for text in sentences(ParameterTracker(OutputError(2, 2)), y, u))
+        assert "its gain" not in said(ParameterTracker(OutputError(2, 2)), y, u)
