@@ -1,4 +1,4 @@
-"""Parts of two studies: the paper's claims, which come out of one command, and the servo's loop on bad sensors."""
+"""What studies claim and are made of: the paper's claims, the servo's loop, the water flow, README's first figure."""
 
 import importlib
 from dataclasses import replace
@@ -18,8 +18,15 @@ PAPER = Path(__file__).parents[2] / "examples" / "paper"
 
 @pytest.fixture
 def paper(monkeypatch):
-    """Import a module of the folder."""
+    """Import a module of the paper's folder."""
     monkeypatch.syspath_prepend(str(PAPER))
+    return importlib.import_module
+
+
+@pytest.fixture
+def example(monkeypatch):
+    """Import an example by its name."""
+    monkeypatch.syspath_prepend(str(PAPER.parent))
     return importlib.import_module
 
 
@@ -70,9 +77,8 @@ def test_bound_without_drift_and_prior_is_the_cramer_rao_bound(paper):
     assert bound[-1] ** 0.5 == pytest.approx(cramer_rao, rel=1e-4)
 
 
-def test_outliers_move_the_piston_less_when_the_robust_filter_runs_the_loop(monkeypatch):
-    monkeypatch.syspath_prepend(str(PAPER.parent))
-    ServoObserver = importlib.import_module("servo.observer").ServoObserver
+def test_outliers_move_the_piston_less_when_the_robust_filter_runs_the_loop(example):
+    ServoObserver = example("servo.observer").ServoObserver
     n, dt, std = 1000, 0.01, np.array([5e-5, 500.0, 500.0])
     reference = 0.02 * np.where(np.random.default_rng(0).random(n // 20) < 0.5, -1.0, 1.0).repeat(20)
 
@@ -89,3 +95,27 @@ def test_outliers_move_the_piston_less_when_the_robust_filter_runs_the_loop(monk
             deviations[i, j] = np.sqrt(np.mean((recording.position - without.position) ** 2))
             travels[i, j] = np.abs(np.diff(recording.valve)).sum() - np.abs(np.diff(without.valve)).sum()
     assert np.all(deviations[:, 1] < 0.7 * deviations[:, 0]) and np.all(travels[:, 1] < 0.4 * travels[:, 0])
+
+
+def test_robust_deviates_less_than_kalman_in_every_disturbance_of_the_water_flow(example, tmp_path):
+    scores = example("water_flow").main(["--out", str(tmp_path)])
+    kalman = scores["KalmanFilter"]
+    for name in ("Robust, Huber", "Robust, Tukey"):
+        for disturbance, at_most in {"stop 1": 0.25, "stop 2": 0.25, "stop 3": 0.25, "spike": 0.5}.items():
+            assert scores[name].worst[disturbance] < at_most * kalman.worst[disturbance]
+        assert scores[name].quiet < kalman.quiet
+
+
+def test_first_figure_shows_a_typical_gain(example, tmp_path):
+    first_screen = example("first_screen")
+    errors = first_screen.main(["--out", str(tmp_path), "--seeds", "1"])
+    shown = errors["KalmanFilter"] / errors["RobustKalmanFilter"]
+    ratios = []
+    for seed in range(1000, 1040):
+        position, readings, _ = first_screen.simulate(seed)
+        kalman, robust = (
+            first_screen.rms(first_screen.track(cls, readings) - position) for cls in (KalmanFilter, RobustKalmanFilter)
+        )
+        ratios.append(kalman / robust)
+    assert min(ratios) > 1
+    assert 3 < shown < np.median(ratios) * 1.25

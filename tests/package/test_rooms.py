@@ -2,6 +2,7 @@
 
 import ast
 import re
+from importlib.util import resolve_name
 from pathlib import Path
 
 import robust_filterpy
@@ -25,28 +26,18 @@ def hidden_from_running(tree):
 
 def imported(name, path):
     """Modules of the package that a module imports, wherever in it, below the package's name."""
-    tree = ast.parse(path.read_text())
-    hidden = hidden_from_running(tree)
-    here = name.split(".")[: -1 or None]
-    found = set()
+    tree, package = ast.parse(path.read_text()), f"robust_filterpy.{name}".rpartition(".")[0]
+    hidden, named = hidden_from_running(tree), []
     for node in ast.walk(tree):
-        if id(node) in hidden:
-            continue
-        if isinstance(node, ast.Import):
-            found |= {a.name.removeprefix("robust_filterpy.") for a in node.names if a.name.startswith("robust_fil")}
-        if isinstance(node, ast.ImportFrom):
-            if node.level:
-                base = ".".join([*here[: len(here) - node.level + 1], *((node.module or "").split("."))]).strip(".")
-            elif node.module == "robust_filterpy":
-                base = ""
-            elif (node.module or "").startswith("robust_filterpy."):
-                base = node.module.removeprefix("robust_filterpy.")
-            else:
-                continue
-            for alias in node.names:
-                inner = f"{base}.{alias.name}".strip(".")
-                found.add(inner if inner in FILES else f"{base}.__init__" if f"{base}.__init__" in FILES else base)
-    return {module for module in found if module in FILES and module != name}
+        if isinstance(node, ast.Import) and id(node) not in hidden:
+            named += [alias.name for alias in node.names]
+        if isinstance(node, ast.ImportFrom) and id(node) not in hidden:
+            home = resolve_name("." * node.level + (node.module or ""), package)
+            named += [f"{home}.{alias.name}" for alias in node.names]
+    # The module itself, or the one that a thing stands in.
+    ours = [one.removeprefix("robust_filterpy.") for one in named if one.startswith("robust_filterpy.")]
+    places = [(one, f"{one}.__init__", one.rpartition(".")[0], f"{one.rpartition('.')[0]}.__init__") for one in ours]
+    return {next((place for place in some if place in FILES), name) for some in places} - {name}
 
 
 GRAPH = {name: imported(name, path) for name, path in FILES.items()}

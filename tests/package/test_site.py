@@ -1,4 +1,4 @@
-"""The site builds without a warning, every link and image inside it leads somewhere, and its programs run."""
+"""The site builds without a warning, links and images in it lead somewhere; programs of pages and of README run."""
 
 import json
 import os
@@ -22,9 +22,10 @@ DOCS = ROOT / "docs"
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # testing.md is made from the room it describes, programs of fleet.md follow one another, those of adapters.md need a
 # library each: tests of their own.
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 SNIPPETS = {
     f"{path.stem}-{i}": text
-    for path in sorted([*DOCS.glob("*.md"), *DOCS.glob("situations/*.md")])
+    for path in [*sorted([*DOCS.glob("*.md"), *DOCS.glob("situations/*.md")]), ROOT / "README.md"]
     if path.name not in ("testing.md", "fleet.md", "adapters.md")
     for i, text in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.S))
 }
@@ -126,11 +127,12 @@ def test_no_page_is_written_in_tex(path):
 
 
 @pytest.mark.parametrize("name", [
-    pytest.param(name, marks=[pytest.mark.nightly] if name in LONG or k % 3 else [])
+    pytest.param(name, marks=[pytest.mark.nightly] if name in LONG or (k % 3 and "README" not in name) else [])
     for k, name in enumerate(SNIPPETS)
 ])  # fmt: skip
 def test_program_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    pytest.importorskip("matplotlib").use("Agg")
     exec(compile(SNIPPETS[name], name, "exec"), {"__name__": "page"})
 
 
@@ -176,3 +178,34 @@ def _too_small():
     kf = RobustKalmanFilter(1, 1)
     kf.F, kf.H, kf.Q, kf.R = np.eye(1), np.eye(1), 1e-4 * np.eye(1), 0.01 * np.eye(1)
     return kf, np.random.default_rng(10004).normal(size=400)
+
+
+def test_the_first_program_of_readme_differs_from_filterpys_by_one_word():
+    """Put filterpy's module back: it must still run, and the outlier must then hurt."""
+    first = SNIPPETS["README-0"]
+    original = first.replace("from robust_filterpy.kalman import", "from filterpy.kalman import")
+    assert original != first and "robust" not in original
+    ours, theirs = {}, {}
+    exec(first, ours)
+    exec(original, theirs)
+    assert abs(theirs["kf"].x[0, 0] - 4.0) > 100 * abs(ours["kf"].x[0, 0] - 4.0)
+
+
+def test_readme_can_be_read_in_a_minute_and_names_files_that_are_there():
+    assert len(README.splitlines()) <= 120
+    named = set(re.findall(r"(?:docs|examples|tests)/[\w/]+\.(?:py|png|csv|md)", README))
+    assert named and not [name for name in named if not (ROOT / name).exists()]
+
+
+def test_every_file_of_the_map_is_there():
+    text, package = (DOCS / "map.md").read_text(encoding="utf-8"), Path(robust_filterpy.__file__).parent
+    rows = [line.split("|")[2] for line in text.partition("## Which file")[2].splitlines() if line.count("|") == 3]
+    found = 0
+    for row in rows[2:]:
+        folder = package
+        for name in re.findall(r"`([\w/.]+(?:\.py|\.h)|\w+/\w+)`", row):
+            # A name without a folder stands beside the one before it.
+            path = package / name if "/" in name or (package / name).exists() else folder / name
+            assert path.exists(), name
+            folder, found = (path.parent if "/" in name else folder), found + 1
+    assert found > 50

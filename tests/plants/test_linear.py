@@ -116,16 +116,12 @@ def test_the_global_random_state_is_neither_used_nor_moved():
     assert (simulate_arx(G, np.ones(9), noise=stats.norm).y != simulate_arx(G, np.ones(9), noise=stats.norm).y).any()
 
 
-def test_pandas_columns_and_lists_are_taken():
-    frame = pd.DataFrame({"u": [1.0, 0.0, 2.0], "v": [0.1, 0.2, 0.3]}, index=[5, 6, 7])
-    expected = simulate_arx(G, [1, 0, 2], noise=[0.1, 0.2, 0.3]).y
-    np.testing.assert_array_equal(simulate_arx(G, frame.u, noise=frame.v).y, expected)
-
-
 @pytest.mark.parametrize("simulate", SIMULATORS)
-def test_the_result_shares_no_memory_with_the_arguments(simulate):
+def test_the_result_shares_no_memory_with_the_arguments_which_may_be_columns_of_pandas(simulate):
     given = np.ones(5), np.ones(5), np.tile(THETA, (5, 1))
     found = simulate(given[2], given[0], noise=given[1], na=2, nb=2)
+    u, noise = (pd.Series(values, range(5, 10)) for values in given[:2])
+    np.testing.assert_array_equal(simulate(given[2], u, noise=noise, na=2, nb=2).y, found.y)
     assert not any(np.shares_memory(part, one) for part in found for one in (*given, *found) if part is not one)
 
 
@@ -155,21 +151,6 @@ def test_a_number_stands_for_its_multiple_of_the_identity_and_what_a_singular_Q_
     np.testing.assert_array_equal(random_walk(THETA, 1e-3, 20, rng=1), random_walk(THETA, 1e-3 * np.eye(4), 20, rng=1))
     path = random_walk(THETA, np.diag([1e-3, 0.0, 1e-3, 0.0]), 200, rng=0)
     assert (path[:, [1, 3]] == THETA[[1, 3]]).all() and (np.diff(path[:, [0, 2]], axis=0) != 0).all()
-
-
-def test_a_refused_step_keeps_the_old_theta_and_every_theta_is_accepted():
-    accept = stable(4)
-    free = random_walk(THETA_BAR, 1e-4, 1000, rng=0)
-    kept = random_walk(THETA_BAR, 1e-4, 1000, rng=0, accept=accept)
-    assert not all(accept(theta) for theta in free)
-    assert all(accept(theta) for theta in kept)
-    still = (np.diff(kept, axis=0) == 0).all(1)
-    assert 0 < still.sum() < 999
-    # What was refused is the step that the free walk makes at that sample.
-    steps = np.diff(free, axis=0)
-    for k in np.flatnonzero(still):
-        assert not accept(kept[k] + steps[k])
-    np.testing.assert_allclose(np.diff(kept, axis=0)[~still], steps[~still], atol=1e-12)
 
 
 def test_a_refused_step_keeps_theta_also_under_C():

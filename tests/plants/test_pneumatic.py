@@ -124,6 +124,9 @@ def test_equation_6_beta_joins_heat_discharge_and_temperature():
     x, u = np.array([0.0, 0.1, 3e5, 2e5]), np.array([0.3, 0.0])
     default, explicit = pneumatic_servo(alpha=1.1), pneumatic_servo(alpha=1.1, beta=1.1 * 0.25)
     assert default.dynamics(0, x, u) == pytest.approx(explicit.dynamics(0, x, u), rel=1e-14)
+    # At every moment, where alpha is a function of it.
+    moving = pneumatic_servo(alpha=lambda t: 1.3 - 0.2 * t)
+    assert moving.dynamics(1.0, x, u) == pytest.approx(default.dynamics(0, x, u), rel=1e-14)
 
 
 def test_equation_7_is_the_dynamics_of_the_python_control_system():
@@ -201,11 +204,7 @@ def test_fast_path_agrees_with_python_control():
 def test_recording_names_every_signal():
     r = reference(50)
     recording = simulate_servo(r, 0.02, alpha=lambda t: 1.1 + 0.1 * t, beta=lambda t: 0.2 + 0.2 * t, load=3.0)
-    assert recording._fields == (
-        "t", "reference", "valve", "position", "velocity", "P_a", "P_b", "alpha", "beta", "load", "supply",
-        "position_measured", "P_a_measured", "P_b_measured", "position_estimate", "acceleration_estimate",
-    )  # fmt: skip
-    assert all(signal.shape == (50,) for signal in recording)
+    assert all(signal.shape == (50,) for signal in recording) and len(recording) == 16
     assert recording.t[1] == 0.02 and recording.reference == pytest.approx(r)
     assert recording.alpha == pytest.approx(1.1 + 0.1 * recording.t)
     assert recording.beta == pytest.approx(0.2 + 0.2 * recording.t)
@@ -247,22 +246,16 @@ def test_operating_point_is_a_steady_motion(velocity, position, load):
 def test_zero_velocity_is_the_limit_of_creeping():
     tight = replace(P, leakage_area=0.0, coulomb_friction=0.0, static_friction=0.0)
     creeping, still = operating_point(tight, velocity=1e-9), operating_point(velocity=0.0)
-    assert still.valve == P.dead_band
-    assert still[2:4] == pytest.approx(creeping[2:4], rel=1e-6)
+    assert still.valve == P.dead_band and still[2:4] == pytest.approx(creeping[2:4], rel=1e-6)
 
 
 def test_linearization_is_the_jacobian_of_the_equations():
     model = linearize_servo(position=0.01, dt=0.01, velocity=0.08, load=5.0, alpha=1.1, beta=0.4)
     rhs, point = servo_derivatives(P), np.array(model.point)
-    steps = np.array([1e-6, 1e-6, 10.0, 10.0, 1e-6, 1e-3])
-    for j, step in enumerate(steps):
-        ahead, behind = point.copy(), point.copy()
-        ahead[j] += step
-        behind[j] -= step
-        column = (np.array(rhs(*ahead, 1.1, 0.4)) - rhs(*behind, 1.1, 0.4)) / (2 * step)
-        got = model.continuous.A[:, j] if j < 4 else model.continuous.B[:, j - 4]
-        scale = np.abs(column).max()
-        assert got == pytest.approx(column, abs=1e-4 * scale + 1e-3)
+    found = np.hstack((model.continuous.A, model.continuous.B))
+    for got, step in zip(found.T, np.diag([1e-6, 1e-6, 10.0, 10.0, 1e-6, 1e-3]), strict=True):
+        column = (np.array(rhs(*point + step, 1.1, 0.4)) - rhs(*point - step, 1.1, 0.4)) / (2 * step.sum())
+        assert got == pytest.approx(column, abs=1e-4 * np.abs(column).max() + 1e-3)
 
 
 def test_transfer_functions_are_those_of_the_state_space_models():
@@ -286,11 +279,9 @@ def test_transfer_functions_are_those_of_the_state_space_models():
 
 
 def test_dry_friction_freezes_the_linear_model_at_standstill_unless_it_is_left_out():
-    stuck, viscous = (linearize_servo(dt=0.01, velocity=0.0, friction=kind) for kind in ("full", "viscous"))
-    assert stuck.continuous.A[1, 1] == pytest.approx(-(7.4 / 1e-3 + 4.47), rel=1e-3)
-    assert viscous.continuous.A[1, 1] == pytest.approx(-4.47, rel=1e-6)
-    sliding = linearize_servo(dt=0.01, velocity=0.1)
-    assert sliding.continuous.A[1, 1] == pytest.approx(-4.47, rel=1e-3)
+    for velocity, friction, slope in ((0.0, "full", 7.4 / 1e-3 + 4.47), (0.0, "viscous", 4.47), (0.1, "full", 4.47)):
+        model = linearize_servo(dt=0.01, velocity=velocity, friction=friction)
+        assert model.continuous.A[1, 1] == pytest.approx(-slope, rel=1e-3)
 
 
 def radius(p, beta, dt, **loop):
