@@ -55,6 +55,7 @@ def test_a_step_in_one_recording_is_taken_off_there():
     with pytest.warns(UserWarning, match="recording 1: the level of y steps"):
         model = identify(ys, us, OutputError(2, 2))
     assert np.abs(model.theta - THETA).max() < 0.05 and model.fit(ys[1], us[1]) > 85.0
+    assert [one.place for one in model.findings] == [(250, 400)]
 
 
 def test_without_input_and_with_a_disturbance():

@@ -32,7 +32,7 @@ from robust_filterpy.identification.estimation.starts import (
     require_informative,
     whitened,
 )
-from robust_filterpy.identification.models.noise import ROUNDING, Noise
+from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
@@ -115,8 +115,8 @@ class Ranked(NamedTuple):
 
 
 def ends(
-    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None = None,
-    least: float = ROUNDING**2, begin: Array | None = None,
+    model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None,
+    least: float, begin: Array | None = None,
 ) -> list[Ranked]:  # fmt: skip
     """Search from every start."""
     loss = START if influence is None else influence
