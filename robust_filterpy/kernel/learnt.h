@@ -1121,7 +1121,7 @@ INLINE void learnt_prepare(const int n, const int m, const learnt_rule *const ru
    in their part; add to log_density and write its part without what a candidate is made to fit. Return whether
    ordinary. */
 INLINE int learnt_believe(const int n, const learnt_rule *const rule, const learnt_work *const w, const int i, const
-                          real most, real *const log_density, real *const log_shown) {
+                          real most, real *const log_density, real *const log_said) {
     const int q = rule->q, models = learnt_models(rule), K = rule->K;
     real *const p = w->s->p, *const here = p + (int)w->head[i], *const logs = w->logs;
     real total = 0, full = 0, others = 0, evidence = 0;
@@ -1146,7 +1146,7 @@ INLINE int learnt_believe(const int n, const learnt_rule *const rule, const lear
     for (int c = 0; c < models; c++) total += w->shares[c] *= logs[c];
     if (!(total > 0) || !real_is_finite(total)) return 0;
     *log_density += most + real_log(total);
-    *log_shown = most + real_log(models > q ? full : total);
+    *log_said = most + real_log(models > q ? full : total);
     for (int k = 0; k < K; k++) w->after[k] = 0;
     for (int c = 0; c < models; c++) {
         w->shares[c] /= total;
