@@ -440,11 +440,14 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         values = np.atleast_1d(values)
         y = values - finite_product(H, x.ravel())
         # Of the correction by this S only what psi leaves of y is used: the gain is K.
-        before, C = self._prior(m)._replace(carried=None), P @ H.T
-        innovation = Innovation(values, y, C, np.asarray(S, dtype=float), R)
-        last, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._skips)
-        self._learn(last.memory, m)
-        SI = self.SI
+        before, C, SI = self._prior(m)._replace(carried=None), P @ H.T, self.SI
+        last: Any = None
+        if self.noise is None and not self._skips and self._stepped(values, None, y, C, np.asarray(S, dtype=float), R):
+            self.P, last = P, self._arrays()
+        if last is None:
+            innovation = Innovation(values, y, C, np.asarray(S, dtype=float), R)
+            last, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._skips)
+            self._learn(last.memory, m)
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
         self.y, self.z, self.S, self._last = last.y.reshape(shape), values.reshape(shape), S, last
@@ -500,7 +503,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
         shown, S, SI, z = self._record(), self._S, self._SI, np.array(self.z).ravel()
         settings = None if self._policy.noise is not None else (self._choices, self._memory, self._skips)
-        if H_i is None and self._correct_part(z_i, R_i, part):
+        if self._correct_part(z_i, R_i, H_i, part):
             correction, values = self._record(), self.z
         else:
             correction, values = self._corrected_part(z_i, R_i, H_i, part)
@@ -512,12 +515,13 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         # S and SI stay what they were, as in filterpy.
         self._last, self._S, self._SI = Parts.of(shown, m, (start, k, correction), settings), S, SI
 
-    def _correct_part(self, z: Any, R: Any, part: slice) -> bool:
+    def _correct_part(self, z: Any, R: Any, H: Any, part: slice) -> bool:
         """Correct by a part of the measurement by the kernel."""
         own, step = np.asarray(self.R), self._linear_step()
         if step is None or (R is None and own.shape != (self.dim_z, self.dim_z)):
             return False
-        return bool(step(self, z, own[part, part] if R is None else R, part, None))
+        rows = part if H is None else (part, H)
+        return bool(step(self, z, own[part, part] if R is None else R, rows, None))
 
     def _corrected_part(self, z: Any, R: Any, H: Any, part: slice) -> tuple[Any, Array]:
         """Correct by a part of the measurement by the definition; return the correction and the readings."""

@@ -270,21 +270,26 @@ static int take_memory(const correction_rule *rule, sensors *s, PyObject *memory
     return rule->scaling != SCALING_LEARNT || (s->learned && all_finite(s->learned, s->m * SPREAD_NUMBERS));
 }
 
-/* given: R, H and M, or None for the filter's and for none; a slice for H: those rows of the filter's; own: dim_z, inv,
-   R, H, memory, other sensors, the last two where something is learned. 1, 0, or -1 with an exception. */
+/* given: R, H and M, or None for the filter's and for none; a slice for H: those rows of the filter's, with an
+   H next to it: that, of the sensors at these places; own: dim_z, inv, R, H, memory, other sensors, the last two where
+   something is learned. 1, 0, or -1 with an exception. */
 static int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s) {
-    const int part = PySlice_Check(given[1]), whole = part || given[1] == Py_None;
-    PyObject *const R = given_or(h, given[0], own[2]), *const H = R ? given_or(h, whole ? Py_None : given[1], own[3]) : NULL;
+    PyObject *of[2] = {given[1], given[1]};
+    const int placed = take_objects(given[1], 2, of), part = PySlice_Check(of[0]);
+    const int whole = !placed && (part || of[1] == Py_None);
+    PyObject *const R = given_or(h, given[0], own[2]);
+    PyObject *const H = R ? given_or(h, whole ? Py_None : of[1], own[3]) : NULL;
     sensor_rows *const rows = &s->rows;
     Py_ssize_t first = -1, last, step;
     int outcome;
-    if (!H || (part && PySlice_Unpack(given[1], &first, &last, &step) < 0)) return -1;
+    if (!H || (part && PySlice_Unpack(of[0], &first, &last, &step) < 0)) return -1;
     if (own[1] != numpy_inverse || !is_array(H, 2)) return 0;
     s->m = PyArray_DIM((PyArrayObject *)H, 0);
     if (s->m < 1 || s->m > 10000 || (whole && s->m != whole_number(own[0]))) return 0;
     s->H = matrix_of(H, s->m, n);
-    if (part && !(s->H && first >= 0 && first < last && last <= s->m)) return 0;
-    if (part) s->H += first * n, s->m = last - first;
+    if (part && !(s->H && first >= 0 && first < last && last <= whole_number(own[0]))) return 0;
+    if (part && whole) s->H += first * n, s->m = last - first;
+    if (placed && (!part || s->m != last - first)) return 0;
     s->R = covariance_of(h, R, s->m);
     if (!s->R && PyErr_Occurred()) return -1;
     if (!s->H || !s->R || !take_cross(s, n, given[2])) return 0;

@@ -29,6 +29,7 @@ OPTIONS = {
 WAYS = {
     "H": {"H": np.array([[1.0, 0.1], [0.3, 1.0]])}, "a row of H": {"H": np.array([[1.0, 0.2]]), "R": 0.3},
     "R": {"R": np.array([[0.4, 0.1], [0.1, 0.3]])}, "M": {}, "F and Q": {}, "part by part": {},
+    "parts with H": {},
     "by name": {},
 }  # fmt: skip
 
@@ -62,9 +63,9 @@ def take(kf, k, z, way):
     kf.predict(F=kf.F.T, Q=2.0 * kf.Q) if way == "F and Q" else kf.predict()
     if way == "M":
         kf.update_correlated(z)
-    elif way == "part by part" and k % 3 != 2:
+    elif way in ("part by part", "parts with H") and k % 3 != 2:
         for i in np.flatnonzero(z == z).tolist():
-            kf.update_sequential(i, z[i])
+            kf.update_sequential(i, z[i], H_i=np.array([[0.2, 1.0]]) if way == "parts with H" else None)
     elif way == "by name":
         kf.update(z, sensor="ab"[k % 2])
     elif way == "a row of H" and k % 2 == 0:

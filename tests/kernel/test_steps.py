@@ -77,6 +77,24 @@ def test_a_step_is_the_definition(both, influence, grouping, scaling, informatio
     assert taken > 60
 
 
+@pytest.mark.parametrize("information", ["realized", "weight"])
+@pytest.mark.parametrize("grouping", ["component", "joint"])
+def test_a_correction_with_the_gain_as_it_stands_is_the_definition(both, grouping, information):
+    zs = np.random.default_rng(3).normal(size=(60, 2))
+    zs[25] += 30.0
+
+    def steps():
+        options = {"grouping": grouping, "information": information}
+        kf = support.mover(lambda n, m: RobustKalmanFilter(n, m, **options), H=[[1.0, 0.0], [1.0, 1.0]], q=0.01)
+        for k, z in enumerate(zs):
+            # From the 19th on S is that of the last correction, not H P H' + R.
+            kf.predict_steadystate() if k > 19 else kf.predict()
+            kf.update_steadystate(z) if k > 18 else kf.update(z)
+        return [shown(kf, "_memory")]
+
+    assert_alike(*both(steps), 1e-10, {"_memory": 1e-9})
+
+
 @pytest.mark.parametrize("scaling", ["learnt", "innovation"])
 def test_among_sensors_that_fail_together_one_that_sees_no_state_is_judged_alone(both, by_kernel_alone, scaling):
     problem = support.random_problem(3, 3, 4)
