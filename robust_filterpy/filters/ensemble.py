@@ -15,10 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._filterpy import EnsembleKalmanFilter
 from robust_filterpy._state import StateError, read, spelt
 from robust_filterpy.correction.result import Correction
-from robust_filterpy.filters.nonlinear_mixin import (
-    NonlinearFilterMixin,
-    require_finite,
-)
+from robust_filterpy.filters.nonlinear_mixin import NonlinearFilterMixin, require_finite
 from robust_filterpy.filters.policies import Options, with_options
 from robust_filterpy.filters.snapshot import whole
 

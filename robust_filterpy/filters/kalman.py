@@ -441,16 +441,15 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         y = values - finite_product(H, x.ravel())
         # Of the correction by this S only what psi leaves of y is used: the gain is K.
         before, C, SI = self._prior(m)._replace(carried=None), P @ H.T, self.SI
-        last: Any = None
-        if self.noise is None and not self._skips and self._stepped(values, None, y, C, np.asarray(S, dtype=float), R):
-            self.P, last = P, self._arrays()
-        if last is None:
-            innovation = Innovation(values, y, C, np.asarray(S, dtype=float), R)
+        innovation = Innovation(values, y, C, np.asarray(S, dtype=float), R)
+        if self.noise is None and self._stepped(values, None, *innovation[1:5]):
+            last: Any = self._arrays()
+        else:
             last, _ = Bounded(self._choices).corrected_by_moments(before, x.ravel(), P, innovation, self._skips)
             self._learn(last.memory, m)
         self.x = (x.ravel() + K @ last.y_bounded).reshape(x.shape)
         shape = (m, 1) if x.ndim == 2 else (m,)
-        self.y, self.z, self.S, self._last = last.y.reshape(shape), values.reshape(shape), S, last
+        self.y, self.z, self.S, self.P, self._last = last.y.reshape(shape), values.reshape(shape), S, P, last
         self.K, self.SI = K, SI
         self.x_post, self.P_post = self.x.copy(), P.copy()
         self._log_likelihood = self._likelihood = self._mahalanobis = None
@@ -520,8 +519,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         own, step = np.asarray(self.R), self._linear_step()
         if step is None or (R is None and own.shape != (self.dim_z, self.dim_z)):
             return False
-        rows = part if H is None else (part, H)
-        return bool(step(self, z, own[part, part] if R is None else R, rows, None))
+        return bool(step(self, z, own[part, part] if R is None else R, part if H is None else (part, H), None))
 
     def _corrected_part(self, z: Any, R: Any, H: Any, part: slice) -> tuple[Any, Array]:
         """Correct by a part of the measurement by the definition; return the correction and the readings."""
