@@ -359,6 +359,8 @@ def assert_tracks(
         raise ValueError(
             f"relative_to: expected a run of the same length for each of the {len(tested)} runs, got {len(best)}"
         )
+    if skip >= min(map(len, tested)):
+        raise ValueError(f"skip: expected fewer than the {min(map(len, tested))} samples of a run, got {skip}")
     errors, reference = (
         np.array([np.mean((run.error / np.where(known.deviation > 0, known.deviation, np.inf))[skip:] ** 2)
                   for run, known in zip(which, best, strict=True)])

@@ -260,6 +260,7 @@ LEVEL = draw("level", 20, rng=0).reference
     (lambda run: assert_covariance_stays_one(np.zeros(3)), ValueError, "P: expected shape"),
     (lambda run: assert_consistent(Run(LEVEL.y * np.nan, LEVEL.S)), ValueError, "at least one measurement"),
     (lambda run: assert_consistent(Run(LEVEL.y, -LEVEL.S)), AssertionError, "S of step 0 is no covariance"),
+    (lambda run: assert_tracks([run] * 12, skip=30), ValueError, "skip: expected fewer than the 30 samples"),
     (lambda run: assert_tracks([run] * 12, relative_to=[run]), ValueError, "relative_to"),
     (lambda run: assert_consistent(Run(x=run.x, truth=run.truth)), ValueError, "y: expected a run with y"),
     (lambda run: assert_recovers_parameters(Run(x=run.x, truth=run.truth)), ValueError, "scenario"),
