@@ -356,9 +356,7 @@ def assert_tracks(
     tested, skip = as_runs(runs), _checks.count("skip", skip)
     best = [run.of("scenario").reference for run in tested] if relative_to is None else as_runs(relative_to)
     if [len(run) for run in best] != [len(run) for run in tested]:
-        raise ValueError(
-            f"relative_to: expected a run of the same length for each of the {len(tested)} runs, got {len(best)}"
-        )
+        raise ValueError(f"relative_to: expected a run as long for each of the {len(tested)} runs, got {len(best)}")
     if skip >= min(map(len, tested)):
         raise ValueError(f"skip: expected fewer than the {min(map(len, tested))} samples of a run, got {skip}")
     errors, reference = (
