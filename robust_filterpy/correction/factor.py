@@ -72,19 +72,21 @@ def scaled(covariance: Array, factor: Array) -> Array:
 
 
 def judged(
-    given: Given, spreads: Array, z: Array, H: Array, R: Array, M: Array | None, logs: Array, parts: Array
+    given: Given, spreads: Array, z: Array, readings: Array, H: Array, R: Array, M: Array | None, logs: Array,
+    parts: Array,
 ) -> tuple[Given, Array]:  # fmt: skip
     """Return the recursion after a reading, and what is learned of the sensors' typical innovations.
 
-    `logs` are log densities of the readings by the models, NaN where there is none. Where the readings tell a factor,
+    `logs` are log densities of z, what the readings differ by from what x is a deviation from, by the models, NaN where
+    there is none. Where the readings tell a factor,
     it is not 1 any more.
     """
-    here, seen, count = ~np.isnan(logs), parts[np.argmax(H != 0.0, axis=1)].astype(int), given.readings
+    here, seen, counts = ~np.isnan(logs), parts[np.argmax(H != 0.0, axis=1)].astype(int), given.readings
     C, S = innovation_moments(given.P, H, R, M)
     y = np.where(here, z - H @ given.x, np.nan)
-    after = correct_by_typical(spreads, given.x, given.P, Innovation(z, y, C, S, R, H), _CHOICES, True)
-    evidence, readings, factor = given.evidence.copy(), count.copy(), given.factor.copy()
-    for head in np.unique(seen[here & (count[seen] < DECIDED)]):
+    after = correct_by_typical(spreads, given.x, given.P, Innovation(readings, y, C, S, R, H), _CHOICES, True)
+    evidence, count, factor = given.evidence.copy(), counts.copy(), given.factor.copy()
+    for head in np.unique(seen[here & (counts[seen] < DECIDED)]):
         own, states = np.flatnonzero(here & (seen == head)), parts == head
         # A factor is common to all sensors of a part: that of the sensor which shows least of one.
         learned = spreads[own, spread.WEIGHT] > 0
@@ -94,13 +96,13 @@ def judged(
         log_c = float(logs_of[np.argmin(np.abs(logs_of))])
         gain, beyond = 0.0, abs(log_c) > _LOG_BEYOND
         # One that repeats the reading before is no sample of noise.
-        for i in own[beyond & (z[own] != spreads[own, spread.LAST])]:
+        for i in own[beyond & (readings[own] != spreads[own, spread.LAST])]:
             log_unit = 0.5 * (math.log(S[i, i]) + log_c)
             by_it = -float(_CHOICES.influence.rho(y[i] / math.exp(log_unit))) - log_unit - _LOG_ROOT
             gain += min(max(by_it - logs[i], -LOG_EVIDENCE), LOG_EVIDENCE)
         gain = min(max(evidence[head] + gain, 0.0), 2.0 * LOG_DECIDES) if beyond else 0.0
-        readings[states] = min(count[head] + 1.0, DECIDED - float(beyond))
+        count[states] = min(counts[head] + 1.0, DECIDED - float(beyond))
         evidence[states] = gain
-        if readings[head] > _DECIDES and gain == 2.0 * LOG_DECIDES:
-            factor[states], readings[states] = math.exp(log_c), DECIDED
-    return Given(after.x, after.P, evidence, readings, factor), np.asarray(after.memory)
+        if count[head] > _DECIDES and gain == 2.0 * LOG_DECIDES:
+            factor[states], count[states] = math.exp(log_c), DECIDED
+    return Given(after.x, after.P, evidence, count, factor), np.asarray(after.memory)

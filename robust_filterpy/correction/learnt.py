@@ -132,8 +132,8 @@ def correct(
     if given.looks[parts[seen[~np.isnan(logs)]].astype(int)].any():
         before = given.factor
         given, memory[:, learning.GIVEN] = factor.judged(
-            given._replace(P=_limited(given.P[None], H, R.diagonal())[0]), memory[:, learning.GIVEN], z, H, R, M,
-            logs, parts,
+            given._replace(P=_limited(given.P[None], H, R.diagonal())[0]), memory[:, learning.GIVEN], z,
+            z if readings is None else readings, H, R, M, logs, parts,
         )
         models, new = models._replace(given=given), given.factor != before
         if new.any():

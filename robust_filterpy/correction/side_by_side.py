@@ -30,7 +30,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.factor import Given, scaled
 from robust_filterpy.correction.spread import FAR
 
-__all__ = ["Models", "Scales", "collapse", "coupled", "merged", "predict", "require_belief", "start"]
+__all__ = ["Models", "Scales", "collapse", "coupled", "extended", "merged", "predict", "require_belief", "start"]
 
 # Chance that the state is not where the start says, where its first reading is far from there.
 _START = 0.96
@@ -219,6 +219,15 @@ def coupled(models: Models, links: Array, process: Scales) -> Models:
         belief[q:-2, states] = jumped
         belief[_UNSEEN, states], belief[_PART, states] = belief[_UNSEEN, heads].max(), heads[0]
     return Models(x, P, belief, models.given)
+
+
+def extended(models: Models, covariance: Array, like: np.ndarray, process: Scales) -> Models:
+    """Return the models with further states at 0, shape (k, k), each in the part of one that there is, shape (k,)."""
+    (x, P, belief), n, k = models.packed, models.x.shape[1], len(covariance)
+    whole, links = np.zeros((len(x), n + k, n + k)), np.zeros((n + k, n + k))
+    whole[:, :n, :n], whole[:, n:, n:], links[n:, n:] = P, covariance, covariance
+    more = Models.unpacked(np.hstack((x, np.zeros((len(x), k)))), whole, np.hstack((belief, belief[:, like])))
+    return coupled(more, links, process)
 
 
 def require_belief(name: str, belief: Array, process: Scales) -> None:

@@ -43,7 +43,7 @@ def robust(kf: Any, **options: Unpack[Options]) -> Any:
     kf : KalmanFilter, ExtendedKalmanFilter, UnscentedKalmanFilter or CubatureKalmanFilter
         Of filterpy. Of a subclass the methods are kept; those that call ``super()`` get the robust ones.
     influence, scaling, information, grouping, noise, process, patience
-        As in `RobustKalmanFilter`; process for a linear filter alone.
+        As in `RobustKalmanFilter`.
 
     Returns
     -------

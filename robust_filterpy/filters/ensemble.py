@@ -91,7 +91,7 @@ class RobustEnsembleKalmanFilter(NonlinearFilterMixin, EnsembleKalmanFilter):
     True
     """
 
-    _takes_process = _takes_mixtures = False
+    _takes_mixtures = False
 
     @with_options
     def __init__(

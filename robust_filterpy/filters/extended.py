@@ -57,10 +57,8 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         D, as in `RobustKalmanFilter`.
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
-    noise, patience : optional
-        As in `RobustKalmanFilter`; Q has to be given.
-    process : None
-        What a linear filter takes; refused here.
+    noise, process, patience : optional
+        As in `RobustKalmanFilter`; the models of `process` go on to first order around the state that is shown.
 
     Attributes
     ----------
@@ -145,12 +143,17 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         n = self.dim_x
         _checks.matrix("F", self.F, (n, n), "dim_x")
         process_noise(self.Q, None, n)
+        before = self._current()
         self.predict_x(u)
-        if not self._predict_extended(None, False):
+        if before is not None or not self._predict_extended(None, False):
             x, P = state_of(self)
             F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
-            self.P = F.dot(P).dot(F.T) + Q
-            require_finite_prediction(x, self.P)
+            if before is None:
+                self.P = F.dot(P).dot(F.T) + Q
+            else:
+                self._kept = self._policy.predicted_around(before, F, Q, x.ravel())
+                self.x, self.P = self._kept.x.reshape(x.shape).copy(), self._kept.P.copy()
+            require_finite_prediction(self.x, self.P)
             self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
 
     def _is_linear(self) -> bool:

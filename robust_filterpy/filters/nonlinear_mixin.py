@@ -12,6 +12,7 @@ from robust_filterpy._arrays import measured, state_of
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
 from robust_filterpy.filters.driver import columns_of, take_steps, without_rounding
+from robust_filterpy.filters.policies import regressed
 from robust_filterpy.filters.shell import Shell
 
 #: Whether the installed filterpy draws new points from the predicted covariance for the correction; 1.4.5 does not.
@@ -53,8 +54,6 @@ def covariance(dx: Array, dz: Array, Wc: Array) -> Array:
 class NonlinearFilterMixin(Shell):
     """Correct by an innovation, and run through a recording step by step."""
 
-    # A model of the process as a function has no scale of Q to doubt.
-    _takes_process = False
     _none_is_column = True
 
     def _correct_by_moments(
@@ -79,11 +78,14 @@ class NonlinearFilterMixin(Shell):
         last, carried = self._corrected(P, values, y, C, S, R)
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
         require_finite(x=last.x)
-        self._keep(last, carried, values)
+        self._keep(last, None if carried is None else carried.at(last.x), values)
         return True
 
     def _corrected(self, P: Array, z: Array, y: Array, C: Array, S: Array | None, R: Array) -> tuple[Any, Any]:
         """Return the correction of a state at 0; C and S are the innovation's moments, or the Jacobian H and None."""
+        before = self._prior(len(y))
+        if before.carried is not None:
+            before = before._replace(carried=self._current().at(np.zeros(len(P))))
 
         def correct(before: Any, P: Array) -> Any:
             """Correct with the moments of P, where C is a Jacobian."""
@@ -91,7 +93,19 @@ class NonlinearFilterMixin(Shell):
             innovation = Innovation(z, y, cross, spread, R, C if S is None else None)
             return self._policy.corrected_by_moments(before, np.zeros(len(P)), P, innovation, self._skips)
 
-        return without_rounding(type(self).__name__, correct, self._prior(len(y)), P, C if S is None else None, R)
+        return without_rounding(type(self).__name__, correct, before, P, C if S is None else None, R)
+
+    def _current(self) -> Any:
+        """Return the models, None where there is one."""
+        x, P = state_of(self)
+        return None if self._kept is None else self._policy.current(self._kept, x.ravel(), P)
+
+    def _moved(self, before: Any, dx: Array, moved: Array, weights: Array, x: Array, P: Array, Q: Array) -> Any:
+        """Return the models after a prediction by sigma points, dx and moved from the mean, (points, n), to x and P."""
+        F, curvature = regressed(before.P, covariance(dx, moved, weights), P - Q)
+        after = self._policy.predicted_around(before, F, Q, x, curvature)
+        require_finite(x=after.x, P=after.P)
+        return after
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""

@@ -20,7 +20,6 @@ from functools import cached_property, partial
 from typing import Any, ClassVar, NamedTuple, TypeAlias, TypedDict, TypeVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import side_by_side, spread
@@ -47,7 +46,10 @@ from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import series
 from robust_filterpy.kernel.series import Rows, State
 
-__all__ = ["Bounded", "Mixture", "Options", "Policy", "finite_product", "ordinary_noise", "policy_of", "with_options"]
+__all__ = [
+    "Bounded", "Mixture", "Options", "Policy", "finite_product", "ordinary_noise", "policy_of", "regressed",
+    "with_options",
+]  # fmt: skip
 
 
 class Prior(NamedTuple):
@@ -77,6 +79,10 @@ class Carried(NamedTuple):
     def hypotheses(self) -> Models:
         """The models alone."""
         return Models.unpacked(*self[:3])
+
+    def at(self, x: Array) -> Carried:
+        """Return them with their mean at x, each as far from it as it is now."""
+        return self._replace(means=self.means + (x - self.x), x=x)
 
 
 @dataclass(frozen=True)
@@ -194,6 +200,14 @@ def alone(x: Array, P: Array) -> Carried:
     return Carried(x[None], P[None], np.array([np.ones(n), np.zeros(n), np.zeros(n)]), x, P)
 
 
+def regressed(P: Array, C: Array, S: Array) -> tuple[Array, Array]:
+    """Return H of the line through a state with covariance P, from moments (n, m), (m, m), and what it leaves of S."""
+    unit = np.sqrt(np.where(P.diagonal() > 0.0, P.diagonal(), 1.0))
+    H = (np.linalg.pinv(P / np.outer(unit, unit), hermitian=True) @ (C / unit[:, None])).T / unit
+    values, vectors = np.linalg.eigh(S - H @ C)
+    return H, (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
 def finite_product(H: Array, x: Array) -> Array:
     """Return H x, shape (m,), or raise: NaN would pass for a missing measurement."""
     predicted = H.dot(x)
@@ -281,6 +295,19 @@ class Mixture:
         after = Carried(*moved.packed, *merged_to)
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if carried is None else after
 
+    def predicted_around(self, now: Carried, F: Array, Q: Array, x: Array, curvature: Array | None = None) -> Carried:
+        """Return the models after a prediction that takes their mean to x, and what is near it as F says.
+
+        `curvature`, shape (n, n), is the covariance of what F does not explain of the prediction.
+        """
+        moved, mean, P = series.predict_models(now.at(np.zeros(len(F))).hypotheses, F, Q, self.scales)
+        if curvature is not None:
+            moved = side_by_side.coupled(moved, curvature, self.scales)
+            given = moved.given and moved.given._replace(P=moved.given.P + curvature)
+            moved = moved._replace(P=moved.P + curvature, given=given)
+            mean, P = side_by_side.merged(moved, self.scales)
+        return Carried(*moved.packed, mean, P).at(x + mean)
+
     def corrected(
         self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, skips: bool
     ) -> tuple[Correction | Mixed, Carried | None]:
@@ -304,31 +331,34 @@ class Mixture:
     def corrected_by_moments(
         self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool
     ) -> tuple[Correction | Mixed, Any]:
-        """Return the correction of one model; what a line does not explain of z is a state of its own."""
+        """Return the correction of every model by the same line; what that does not explain of z is a state of its own.
+        """
         readings, y, C, S, R, H = innovation
         curvature = np.zeros((0, 0))
         if H is None:
-            unit = np.sqrt(np.where(P.diagonal() > 0.0, P.diagonal(), 1.0))
-            H = (np.linalg.pinv(P / np.outer(unit, unit), hermitian=True) @ (C / unit[:, None])).T / unit
-            values, vectors = np.linalg.eigh(S - R - H @ C)
-            curvature = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        n, m = len(x), len(y)
+            H, curvature = regressed(P, C, S - R)
+        n, m, extra = len(x), len(y), len(curvature)
         y = np.where(H.any(axis=1), y, np.nan)
-        whole, states = np.hstack((H, np.eye(m)[:, : len(curvature)])), block_diag(P, curvature)
-        prior = side_by_side.start(np.zeros(n + len(curvature)), states, process_scales(None))
-        last, *_ = series.correct_models(prior, before.memory, y, whole, R, self.classes, self.scales, None, readings)
+        whole, prior = np.hstack((H, np.eye(m)[:, :extra])), self.current(before.carried, x, P).hypotheses
+        if extra:
+            prior = side_by_side.extended(prior, curvature, np.argmax(H != 0.0, axis=1), self.scales)
+        last, *merged = series.correct_models(
+            prior, before.memory, y, whole, R, self.classes, self.scales, None, readings
+        )
         unexplained = curvature if curvature.size else np.zeros((m, m))
         if np.isnan(last.weights).all():
             ordinary = ordinary_noise(R, before.memory) + unexplained
             return nothing_observed(x, P, H @ P @ H.T + ordinary, m), before.carried
         # What F P F' leaves of asymmetry would grow where F does.
-        covariance = last.models.P[0, :n, :n]
-        mean, covariance = x + last.models.x[0, :n], 0.5 * (covariance + covariance.T)
+        mean, covariance = merged[0][:n], merged[1][:n, :n]
+        covariance = 0.5 * (covariance + covariance.T)
+        means, covariances, belief = last.models.packed
+        after = Carried(means[:, :n], covariances[:, :n, :n], belief[:, :n], mean, covariance)
         return Mixed(
             mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory,
             lags(y, (H.dot(P) * H).sum(axis=1) + (ordinary_noise(R, before.memory) + unexplained).diagonal()),
             unexplained, self._named,
-        ), before.carried  # fmt: skip
+        ), None if before.carried is None else after  # fmt: skip
 
     def standing(self, carried: Carried | None, x: Array, P: Array, memory: Array) -> State:
         """Return where a recording begins, in arrays of its own."""

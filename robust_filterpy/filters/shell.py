@@ -78,8 +78,8 @@ class Shell(StateMixin):
 
     #: Whether z is a column after `update(None)` though x is none, as filterpy has it.
     _none_is_column = False
-    #: Whether a kind of filter takes ``process=``; only bounded influence is there for members of an ensemble.
-    _takes_process, _takes_mixtures = True, True
+    #: Whether a kind of filter takes ``noise=``; only bounded influence is there for members of an ensemble.
+    _takes_mixtures = True
     #: Whether the kernel's linear steps are this class's.
     _by_kernel = False
     #: Whether nobody else watches how often the filter clips.
@@ -168,15 +168,9 @@ class Shell(StateMixin):
 
     def _require_possible(self, policy: Any) -> None:
         """Raise for a policy that this kind of filter cannot follow."""
-        name = type(self).__name__
-        if policy.process is not None and not self._takes_process:
-            raise ValueError(
-                f"process: expected None for a {name}, got {policy.process!r}; copies with another Q are for linear "
-                "models (RobustKalmanFilter). Without noise= a jump of the state is believed"
-            )
         if not self._takes_mixtures and policy.noise is not None:
             raise ValueError(
-                f"noise: expected None for a {name}, whose members move by a bounded innovation; take a "
+                f"noise: expected None for a {type(self).__name__}, whose members move by a bounded innovation; take a "
                 "RobustUnscentedKalmanFilter"
             )
 

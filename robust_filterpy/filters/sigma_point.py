@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from filterpy.kalman.CubatureKalmanFilter import ckf_transform
+from filterpy.kalman.CubatureKalmanFilter import ckf_transform, spherical_radial_sigmas
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
@@ -82,10 +82,8 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         D, as in `RobustKalmanFilter`.
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
-    noise, patience : optional
-        As in `RobustKalmanFilter`; Q has to be given.
-    process : None
-        What a linear filter takes; refused here.
+    noise, process, patience : optional
+        As in `RobustKalmanFilter`; the models of `process` go on by the line through the sigma points.
 
     Attributes
     ----------
@@ -189,11 +187,19 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """
-        process_noise(self.Q, None, self.dim_x)
+        Q, before = process_noise(self.Q, None, self.dim_x), self._current()
         self.compute_process_sigmas(self._dt if dt is None else dt, fx, **fx_args)
         make = transformed if UT is None else UT
-        self.x, self.P = make(self.sigmas_f, self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x)
-        require_finite(x=self.x, P=self.P)
+        x, P = make(self.sigmas_f, self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x)
+        require_finite(x=x, P=P)
+        if before is not None:
+            dx, moved = (
+                np.array([self.residual_x(point, mean) for point in points])
+                for points, mean in ((drawn(self.points_fn, before.x, before.P), before.x), (self.sigmas_f, x))
+            )
+            self._kept = self._moved(before, dx, moved, self.Wc, x, P, Q)
+            x, P = self._kept.x.copy(), self._kept.P.copy()
+        self.x, self.P = x, P
         if REDRAWS:
             self.sigmas_f = drawn(self.points_fn, self.x, self.P)
         self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
@@ -345,10 +351,8 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         D, as in `RobustKalmanFilter`.
     grouping : {"component", "joint"} or tuple of tuple of int
         psi of each component of e, or of the length of e.
-    noise, patience : optional
-        As in `RobustKalmanFilter`; Q has to be given.
-    process : None
-        What a linear filter takes; refused here.
+    noise, process, patience : optional
+        As in `RobustKalmanFilter`; the models of `process` go on by the line through the sigma points.
 
     Raises
     ------
@@ -400,9 +404,15 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             If P is not positive definite; nothing has changed then.
         """
         with unchanged_if_refused(self):
-            process_noise(self.Q, None, self.dim_x)
+            Q, before = process_noise(self.Q, None, self.dim_x), self._current()
             super().predict(dt, fx_args)
             require_finite(x=self.x, P=self.P)
+            if before is not None:
+                dx = spherical_radial_sigmas(before.x, before.P) - before.x
+                moved = self.sigmas_f - np.ravel(self.x)
+                weights = np.full(len(dx), 1.0 / len(dx))
+                self._kept = self._moved(before, dx, moved, weights, np.ravel(self.x), self.P, Q)
+                self.x, self.P = self._kept.x.reshape(np.shape(self.x)).copy(), self._kept.P.copy()
 
     def update(self, z: ArrayLike | None, R: Any = None, hx_args: Any = (), *, sensor: str | int | None = None) -> None:
         """Correct the state by a measurement whose influence is bounded.

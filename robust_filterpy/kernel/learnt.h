@@ -1230,7 +1230,7 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
 #define learnt_judge_work(n, m) (update_work(n, m) + (size_t)((3 + 2 * SPREAD_NUMBERS) * (m)))
 
 /* Go on with the recursion as given, and let the models of a part begin again from it where it tells a factor of P, Q
-   and R. logs: of the readings by the models; z is NaN where there is none. Return whether all is ordinary. */
+   and R. logs: of z by the models, NaN where there is none. Return whether all is ordinary. */
 CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule, const learnt_work *const w, const real
                         *RESTRICT logs, real *RESTRICT work) {
     static const correction_rule huber = {{PSI_HUBER, REAL(1.345), 0, 0, NULL, NULL}, SCALING_LEARNT,
@@ -1255,7 +1255,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
         y[i] = c.y[i], S[i] = c.S[i * m + i];
         if (here[i] == here[i] && R[i * m + i] > 0 && S[i] > LEARNT_WIDEST * R[i * m + i]) return 0;
     }
-    if (!update(n, m, &huber, here, here, w->H, R, w->M, after, x, P, &c, NULL, work)) return 0;
+    if (!update(n, m, &huber, w->readings, here, w->H, R, w->M, after, x, P, &c, NULL, work)) return 0;
     for (int i = 0; i < m; i++) learnt_of(rule, s, i).habits->spread = after[i];
     for (int head = 0; head < n; head++) {
         real log_c = 0, evidence = 0, count;
@@ -1275,7 +1275,7 @@ CALLED int learnt_judge(const int n, const int m, const learnt_rule *const rule,
         for (int j = 0; j < m && beyond; j++) {
             real log_unit, by_it;
             /* One that repeats the reading before is no sample of noise. */
-            if (here[j] != here[j] || here[j] == before[j].last || learnt_head(n, w, j) != head) continue;
+            if (here[j] != here[j] || w->readings[j] == before[j].last || learnt_head(n, w, j) != head) continue;
             log_unit = REAL(0.5) * (real_log(S[j]) + log_c);
             by_it = -psi_rho(&huber.psi, y[j] / real_exp(log_unit)) - log_unit - REAL(0.5) * LEARNT_LOG_2PI;
             evidence += real_within(by_it - logs[j], real_log(LEARNT_EVIDENCE));

@@ -235,7 +235,6 @@ OPTIONS = [
     (linear, {"noise": "learnt", "influence": StudentT()}, "influence: expected none"),
     (linear, {"noise": "learnt", "scaling": "unit"}, "scaling: expected none"),
     (partial(RobustKalmanFilter, 2, 2), {"noise": "learnt", "grouping": ((0,), (0,))}, "grouping: expected"),
-    (partial(RobustExtendedKalmanFilter, 2, 1), {"noise": "learnt", "process": "scales"}, "linear models"),
     *((partial(nonlinear, cls), options, words) for cls in support.NONLINEAR for options, words in (
         ({"influence": 3.0}, "influence"), ({**support.RECOVERING, "patience": 2.5}, "patience"),
     )),

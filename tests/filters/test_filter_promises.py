@@ -74,6 +74,7 @@ for name, kind, own in (
         f"recovering {name}": (make(kind, **RECOVERING), ("likelihood", "linear", *own)),
         f"{name} given": (make(kind, **GIVEN), ("linear", "recovers", *(SIGMA if own is SIGMA else ()))),
         f"{name} learnt": (make(kind, noise="learnt"), ("linear", "recovers", *own)),
+        f"{name} adaptive": (make(kind, noise="learnt", process="scales"), ("linear", "prediction", *own)),
     }
 #: A policy of each kind on the linear filter and a shell keep every promise on every commit; of the
 #: others each name keeps a sixth of them then, another sixth than the name before.
@@ -95,7 +96,11 @@ EXPECTED = {
         **SIGMA_POINTS,
     },
 }
-EXPECTED |= {f"{name} {noise}": EXPECTED[name] for name in ("unscented", "cubature") for noise in ("given", "learnt")}
+EXPECTED |= {
+    f"{name} {noise}": EXPECTED[name]
+    for name in ("unscented", "cubature")
+    for noise in ("given", "learnt", "adaptive")
+}
 EXPECTED |= {f"recovering {name}": EXPECTED[name] for name in ("unscented", "cubature")}
 if not support.FILTERPY_2:
     EXPECTED["unscented"] |= SIGMA_POINTS

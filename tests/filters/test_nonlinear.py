@@ -45,7 +45,8 @@ PLAIN = {
     RobustCubatureKalmanFilter: CubatureKalmanFilter,
 }
 EVERY_CLASS = pytest.mark.parametrize("cls", PLAIN)
-POLICIES = {"bounded": {}, "recovering": RECOVERING, "learnt": {"noise": "learnt"}}
+ADAPTIVE = {"noise": "learnt", "process": "scales"}
+POLICIES = {"bounded": {}, "recovering": RECOVERING, "learnt": {"noise": "learnt"}, "adaptive": ADAPTIVE}
 EVERY = ("x", "P", "x_prior", "P_prior", "x_post", "P_post", "y", "S", "SI", "K", "log_likelihood", "mahalanobis")
 
 
@@ -138,7 +139,7 @@ LINEAR = {
     "recovering": SOON, "recovering, joint": {**SOON, "grouping": "joint"},
     "recovering, weight": {**SOON, "information": "weight"},
     "learnt": {"noise": "learnt"}, "learnt, joint": {"noise": "learnt", "grouping": "joint"},
-    "learnt, groups": {"noise": "learnt", "grouping": ((0, 1),)},
+    "learnt, groups": {"noise": "learnt", "grouping": ((0, 1),)}, "adaptive": ADAPTIVE,
 }  # fmt: skip
 
 
@@ -215,6 +216,22 @@ def test_a_copy_and_a_batch_go_on_alike_and_what_is_refused_changes_nothing(cls,
         assert kf.rts_smoother(means, covariances)[0].shape == means.shape
     np.testing.assert_array_equal(run(twin, rows[58:]), means)
     np.testing.assert_array_equal(twin.P, covariances[-1])
+
+
+@pytest.mark.parametrize(("wrong", "most"), [
+    (lambda kf: {"x": kf.x + np.array([12.0, 0.0, -12.0, 0.0])}, 0.6), (lambda kf: {"Q": 1e-3 * Q}, 0.6),
+    (lambda kf: {name: 1e-4 * getattr(kf, name) for name in "PQR"}, 0.3),
+], ids=["start", "Q", "P, Q, R"])  # fmt: skip
+@pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter])
+def test_a_wrong_start_and_wrong_covariances_are_learned(cls, wrong, most):
+    # With noise="learnt" alone a filter is off by 2 to 27 m.
+    right = run(radar(PLAIN[cls]), returns(250, 3))
+    for contamination in (0.0, 0.1):
+        kf = radar(cls, **ADAPTIVE)
+        for name, value in wrong(kf).items():
+            setattr(kf, name, value)
+        apart = (run(kf, returns(250, 3, contamination)) - right)[:, ::2]
+        assert (apart**2).mean() < most**2
 
 
 def failing():
