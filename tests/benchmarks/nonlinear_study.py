@@ -23,7 +23,7 @@ from robust_filterpy import RobustExtendedKalmanFilter, RobustUnscentedKalmanFil
 
 PAGE = Path(__file__).parents[2] / "docs" / "learnt_noise.md"
 ADAPTIVE = {"noise": "learnt", "process": "scales"}
-WAYS: dict[str, dict[str, Any]] = {"default": {}, 'noise="learnt"': {"noise": "learnt"}, "adaptive": ADAPTIVE}
+WAYS: dict[str, dict[str, Any]] = {"default": {}, '`noise="learnt"`': {"noise": "learnt"}, "adaptive": ADAPTIVE}
 EAST = np.array([100.0, 3.0, 200.0, -1.0])
 
 
