@@ -383,7 +383,7 @@ class Search(NamedTuple):
             if not times:
                 return None, {}
             if times == before and self.fits_sizes:
-                break
+                return fitted, breaks
             before, levels = times, breaks
             fitted = self._fitted(breaks, None if fitted is None else fitted.end)
             output = self.alone(fitted.model, self.y - fitted.levels, self.u)

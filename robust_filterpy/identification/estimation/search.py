@@ -122,7 +122,13 @@ def ends(
     loss = START if influence is None else influence
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
 
-    inner, part = _middle(model, missing) if begin is None else (None, slice(None))
+    if begin is not None:
+        # What is near the end shows the noise, and is not led away by one that is rough.
+        shown = model.residuals(begin)[_counting(model, True, missing)]
+        near = replace(noise, influence=loss, R=noise.R if noise.given else max(mad_scale(shown) ** 2, least))
+        end = _searched(model, begin, near, missing, ("one start",), _FULL, limits)
+        return _best_first(model, missing, [end], limits)
+    inner, part = _middle(model, missing)
     if inner is not None:
         # From every start in the middle of a long recording, and from what is found there in all of it.
         chosen: list[End] = []
@@ -133,8 +139,7 @@ def ends(
         rows = np.ones(model.y.size - model.first, dtype=bool)
         again = [end._replace(outliers=end.outliers._replace(wrong=missing, counts=rows)) for end in chosen]
         return _best_first(model, missing, [searched_again(model, end, missing, limits) for end in again], limits)
-    starts = _starts(model, missing) if begin is None else [Start("one start", begin)]
-    results = [_searched(model, start.p, noise, missing, (start.name,), _ROUGH, limits) for start in starts]
+    results = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing)]
     same, hopeless = _SAME, np.inf
     if not (model.na or model.structure.nc or model.structure.nd):
         # No outlier is in a regressor: all that is left to find is within the precision of the search.
