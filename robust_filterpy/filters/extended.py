@@ -151,7 +151,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             if before is None:
                 self.P = F.dot(P).dot(F.T) + Q
             else:
-                self._kept = self._policy.predicted_around(before, F, Q, x.ravel())
+                self._kept = self._policy.predicted_to(before, x.ravel(), F, Q)
                 self.x, self.P = self._kept.x.reshape(x.shape).copy(), self._kept.P.copy()
             require_finite_prediction(self.x, self.P)
             self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)

@@ -103,7 +103,7 @@ class NonlinearFilterMixin(Shell):
     def _moved(self, before: Any, dx: Array, moved: Array, weights: Array, x: Array, P: Array, Q: Array) -> Any:
         """Return the models after a prediction by sigma points, dx and moved from the mean, (points, n), to x and P."""
         F, curvature = regressed(before.P, covariance(dx, moved, weights), P - Q)
-        after = self._policy.predicted_around(before, F, Q, x, curvature)
+        after = self._policy.predicted_to(before, x, F, Q, curvature)
         require_finite(x=after.x, P=after.P)
         return after
 

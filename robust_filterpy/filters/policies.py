@@ -295,18 +295,18 @@ class Mixture:
         after = Carried(*moved.packed, *merged_to)
         return after.x.reshape(x.shape).copy(), after.P.copy(), None if carried is None else after
 
-    def predicted_around(self, now: Carried, F: Array, Q: Array, x: Array, curvature: Array | None = None) -> Carried:
+    def predicted_to(self, now: Carried, x: Array, F: Array, Q: Array, curvature: Array | None = None) -> Carried:
         """Return the models after a prediction that takes their mean to x, and what is near it as F says.
 
         `curvature`, shape (n, n), is the covariance of what F does not explain of the prediction.
         """
-        moved, mean, P = series.predict_models(now.at(np.zeros(len(F))).hypotheses, F, Q, self.scales)
+        moved, *merged_to = series.predict_models(now.hypotheses, F, Q, self.scales, x - F @ now.x)
         if curvature is not None:
             moved = side_by_side.coupled(moved, curvature, self.scales)
             given = moved.given and moved.given._replace(P=moved.given.P + curvature)
             moved = moved._replace(P=moved.P + curvature, given=given)
-            mean, P = side_by_side.merged(moved, self.scales)
-        return Carried(*moved.packed, mean, P).at(x + mean)
+            merged_to = list(side_by_side.merged(moved, self.scales))
+        return Carried(*moved.packed, *merged_to)
 
     def corrected(
         self, before: Any, x: Array, P: Array, z: Array, H: Array, R: Array, M: Array | None, skips: bool
