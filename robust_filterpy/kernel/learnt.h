@@ -1062,7 +1062,7 @@ CALLED void learnt_taken(const int n, const int m, const learnt_rule *const rule
             const real *RESTRICT own = ours + t * n, *RESTRICT with = theirs + t * m;
             for (int j = 0; j < n; j++) {
                 x[j] += a[t] * own[j];
-                for (int k = 0; k < n; k++) P[j * n + k] -= own[j] * bC[t * n + k];
+                for (int k = 0; k <= j; k++) P[k * n + j] = P[j * n + k] -= own[j] * bC[t * n + k];
             }
             for (int o = 0; o < m; o++) {
                 if (!(w->left[o] > 0)) continue;
