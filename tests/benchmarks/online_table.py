@@ -222,7 +222,7 @@ def table():
         ("cubature", cubature, polar, CubatureKalmanFilter, rf.filters.RobustCubatureKalmanFilter),
     ):
         other = (lambda m=made, c=theirs: m(c)), walk if theirs is not CubatureKalmanFilter else column
-        for kind, options in (("default", {}), ("learnt", LEARNT), ("given", GIVEN)):
+        for kind, options in (("default", {}), ("learnt", LEARNT), ("given", GIVEN), ("adaptive", ADAPTIVE)):
             yield f"{name}, {kind}", lambda m=made, c=cls, o=options: m(c, **o), walk, *other, 1
     yield (
         "ensemble", lambda: ensemble(RobustEnsembleKalmanFilter), polar, lambda: ensemble(EnsembleKalmanFilter), polar,
