@@ -77,8 +77,8 @@ def judged(
 ) -> tuple[Given, Array]:  # fmt: skip
     """Return the recursion after a reading, and what is learned of the sensors' typical innovations.
 
-    `logs` are log densities of z, what the readings differ by from what x is a deviation from, by the models, NaN where
-    there is none. Where the readings tell a factor,
+    z are measurements of x; `readings` are what the sensors said, of which z are the innovations in a nonlinear filter.
+    `logs` are log densities of z by the models, NaN where there is none. Where the readings tell a factor,
     it is not 1 any more.
     """
     here, seen, counts = ~np.isnan(logs), parts[np.argmax(H != 0.0, axis=1)].astype(int), given.readings

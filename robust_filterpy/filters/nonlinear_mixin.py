@@ -69,7 +69,7 @@ class NonlinearFilterMixin(Shell):
             return False
         if self._stepped(values, None, y, C, S, R):
             if add is not np.add:
-                # As angles are added, say.
+                # The kernel has added the correction; a state with angles is moved by its own function.
                 moved = np.asarray(add(x.ravel(), (self.x - x).ravel()), dtype=float)
                 require_finite(x=moved)
                 self.x = moved.reshape(x.shape)

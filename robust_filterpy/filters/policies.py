@@ -331,7 +331,7 @@ class Mixture:
     def corrected_by_moments(
         self, before: Any, x: Array, P: Array, innovation: Innovation, skips: bool
     ) -> tuple[Correction | Mixed, Any]:
-        """Return the correction of every model by the same line; what that does not explain of z is a state of its own.
+        """Return the correction of every model by one line; what the line does not explain of z is a state of its own.
         """
         readings, y, C, S, R, H = innovation
         curvature = np.zeros((0, 0))

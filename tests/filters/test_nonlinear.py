@@ -29,7 +29,7 @@ from support import (
 )
 
 from robust_filterpy import Huber, RobustKalmanFilter
-from robust_filterpy.correction import NotPositiveDefiniteError
+from robust_filterpy.correction import NotPositiveDefiniteError, Scales
 from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 from robust_filterpy.influence import Linear
 
@@ -232,6 +232,35 @@ def test_a_wrong_start_and_wrong_covariances_are_learned(cls, wrong, most):
             setattr(kf, name, value)
         apart = (run(kf, returns(250, 3, contamination)) - right)[:, ::2]
         assert (apart**2).mean() < most**2
+
+
+@EVERY_CLASS
+def test_models_that_do_not_differ_are_one_where_motion_and_sensor_bend(cls):
+    def swung(x, dt):
+        return np.array([x[0] + DT * x[1], x[1] - 9.81 * DT * np.sin(x[0])])
+
+    def seen(x):
+        return np.array([np.sin(x[0])])
+
+    filters = [
+        made(cls, 2, 1, swung, seen, noise="learnt", process=process)
+        for process in (None, Scales((1.0, 1.0), jump=0.0))
+    ]
+    for kf in filters:
+        kf.x, kf.P, kf.Q, kf.R = np.array([0.9, 0.0]), 0.2 * np.eye(2), 0.001 * np.eye(2), 0.01 * np.eye(1)
+        kf.predict_x = lambda u=0, kf=kf: setattr(kf, "x", swung(kf.x, DT))
+    for z in np.sin(1.2 * np.cos(0.3 * np.arange(60))) + 0.1 * np.random.default_rng(3).normal(size=60):
+        for kf in filters:
+            kf.F = np.array([[1.0, DT], [-9.81 * DT * np.cos(np.ravel(kf.x)[0]), 1.0]])
+            kf.predict()
+            bends = (lambda x: np.array([[np.cos(x[0]), 0.0]]), seen) if cls is RobustExtendedKalmanFilter else ()
+            kf.update(np.array([z]), *bends)
+        for name in ("x", "P", "learnt"):
+            ours, theirs = (np.ravel(getattr(kf, name)) for kf in filters)
+            if name == "learnt":
+                # What is typical of a sensor is looked after where there is a scale of Q alone.
+                ours, theirs = ours[:26], theirs[:26]
+            np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-10, err_msg=name)
 
 
 def failing():

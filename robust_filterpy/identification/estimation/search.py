@@ -123,7 +123,7 @@ def ends(
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
 
     if begin is not None:
-        # What is near the end shows the noise, and is not led away by one that is rough.
+        # A start that is near the end shows how large the noise is; a rough search would lead away from it.
         shown = model.residuals(begin)[_counting(model, True, missing)]
         near = replace(noise, influence=loss, R=noise.R if noise.given else max(mad_scale(shown) ** 2, least))
         end = _searched(model, begin, near, missing, ("one start",), _FULL, limits)
