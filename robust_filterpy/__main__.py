@@ -11,7 +11,7 @@ from pathlib import Path
 from robust_filterpy import __version__, kernel
 
 _NEEDED = ("numpy", "scipy", "filterpy", "control")
-_EXTRAS = ("matplotlib", "pandas", "narwhals", "pyarrow", "tqdm")
+_EXTRAS = ("matplotlib", "pandas", "narwhals", "pyarrow")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -20,7 +20,7 @@ from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import ArrayLike, NDArray
 
 from robust_filterpy import _checks
-from robust_filterpy._progress import progress_bar, stages
+from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 
 __all__ = ["bootstrap_interval", "monte_carlo", "rerun"]
@@ -193,8 +193,7 @@ def monte_carlo(
         `joblib.parallel_config` says, of a back end that delivers runs one by one. joblib's own worker processes share
         the processors' cores: each gets cpu_count // n_jobs threads for BLAS and OpenMP.
     progress : bool or None
-        Show a progress bar (tqdm) on standard error: True always, False never, None from 2 s on; where that is no
-        terminal, None writes a line now and then instead.
+        Whether to say on standard error how many runs are done: by default after 2 s.
 
     Returns
     -------
@@ -209,7 +208,7 @@ def monte_carlo(
         If `runs` is empty or negative or repeats a run, `n_jobs` is 0, or `seed` has spawned children already
         (the runs would get their random numbers).
     ImportError
-        If joblib is missing, or `progress` is True and tqdm is missing.
+        If joblib is missing.
     KeyboardInterrupt
         If it comes before the first run is done (later it ends the study, the runs done are kept, see ``stopped``).
 
@@ -244,22 +243,20 @@ def monte_carlo(
     outcomes = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(
         joblib.delayed(_run)(trial, root, index) for index in indices
     )
-    bar = progress_bar(len(indices), progress, " runs", "monte_carlo")
     done: list[Any] = []
-    stopped = None
+    stopped, failed = None, 0
     try:
-        for outcome in outcomes:
-            done.append(outcome)
-            if isinstance(outcome, Failure):
-                bar.set_postfix(failed=sum(isinstance(one, Failure) for one in done), refresh=False)
-            bar.update()
+        with stages("monte_carlo", progress):
+            for outcome in outcomes:
+                done.append(outcome)
+                failed += isinstance(outcome, Failure)
+                stage(f"{len(done)} of {len(indices)} runs{f', {failed} failed' if failed else ''}")
     except (KeyboardInterrupt, Exception) as reason:
         # An error here is the back end's (a dead worker, a lost cluster, a result that cannot be pickled).
         if not done:
             raise
         stopped = traceback.format_exception_only(reason)[-1].strip()
     finally:
-        bar.close()
         with warnings.catch_warnings():
             # joblib warns that finished runs are dropped; the Notes above say why they are.
             warnings.simplefilter("ignore")

@@ -8,7 +8,7 @@ import pytest
 from recordings import recording
 
 from robust_filterpy import OutputError, RobustKalmanFilter, _progress, estimate_noise, identify
-from robust_filterpy._progress import progress_bar, stage, stages
+from robust_filterpy._progress import stage, stages
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.identification import ARMAX, ARX, ParameterTracker, StateSpace, TrackerBank, select_structure
 from robust_filterpy.identification.estimation import prediction_error as _threads
@@ -81,20 +81,18 @@ def test_an_error_ends_the_stages(clock, capsys):
 
 
 def test_a_count_is_shown_less_and_less_often(clock, capsys):
-    bar = progress_bar(1000, None, "run", "study")
-    for _ in range(1000):
-        bar.update()
-    bar.close()
+    with stages("study", None):
+        for k in range(1000):
+            stage(f"{k + 1} of 1000")
     lines = capsys.readouterr().err.splitlines()
     assert 10 < len(lines) < 30
-    assert lines[0] == "study: 2 s, 2 of 1000 run"
-    assert lines[-1].startswith("study: ") and lines[-1].endswith(" of 1000 run")
+    assert lines[0] == "study: 2 s, 2 of 1000"
+    assert lines[-1].startswith("study: ") and lines[-1].endswith(" of 1000")
 
 
 def test_without_a_standard_error_nothing_is_said(clock, monkeypatch):
     monkeypatch.setattr("sys.stderr", None)
     identify(*SHORT, OutputError(2, 2))
-    progress_bar(3, None, "run", "study").update()
 
 
 # The search for a model leaves the threads of BLAS as it found them, and needs none.

@@ -26,7 +26,7 @@ from scipy.stats import norm
 from robust_filterpy import _checks
 from robust_filterpy._brief import Pictured, tabulated
 from robust_filterpy._checks import Array
-from robust_filterpy._progress import progress_bar
+from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.disturbances import PRICE, Settled
 from robust_filterpy.identification.estimation.identify import identify
@@ -333,8 +333,7 @@ def select_structure(
         quarter worse by more than 1 than another is not taken, whatever its criterion, and the models must stay those
         that they are with it. Of fewer than 400 samples, or with 0, the criterion alone decides.
     progress : bool, optional
-        Show a progress bar (tqdm) on standard error: True always, False never, None from 2 s on; where that is no
-        terminal, None writes a line now and then instead.
+        Whether to say on standard error what it is at: by default after 2 s.
 
     Returns
     -------
@@ -348,8 +347,6 @@ def select_structure(
         share, u is missing, or the recording is too short for the largest structure.
     TypeError
         If an order is no integer.
-    ImportError
-        If `progress` is True and tqdm is missing.
 
     Notes
     -----
@@ -396,7 +393,6 @@ def select_structure(
             "leave it out, and compare models on it"
         )
     confirmed, fitted = held_out is None and measured.size >= _LEAST_HELD, round((1.0 - _HELD) * measured.size)
-    bar = progress_bar(None, progress, " structures", "select_structure")
     responses = () if u is None else _impulse_responses(measured, signal, grid)
     delays: Any = [{one.delay, one.sure_delay} - {None} for one in responses]
     beginning = list(grid.beginning(delays or [set()] * max(signal.shape[1], 1)))
@@ -405,16 +401,16 @@ def select_structure(
         warnings.simplefilter("ignore", UserWarning)
         inputs = signal if largest.n_inputs else None
         settled = Settled.of(identify(measured, inputs, largest, progress=False), measured.size)
-    comparison = _Comparison(grid, measured, signal, criterion, bar, settled)
+    comparison = _Comparison(grid, measured, signal, criterion, settled)
     sizes = {grid.structure(orders).n_theta for orders in beginning} if confirmed else ()
-    comparison.try_all(beginning, len(set(grid.neighbours(beginning[0]))) + len(sizes))
-    comparison.near = True
-    best = None
-    while best != comparison.best:
-        best = comparison.best
-        comparison.try_all(grid.neighbours(best), len(sizes))
-    late = comparison.tried_on_rest(fitted) if confirmed else {}
-    bar.close()
+    with stages("select_structure", progress):
+        comparison.try_all(beginning, len(set(grid.neighbours(beginning[0]))) + len(sizes))
+        comparison.near = True
+        best = None
+        while best != comparison.best:
+            best = comparison.best
+            comparison.try_all(grid.neighbours(best), len(sizes))
+        late = comparison.tried_on_rest(fitted) if confirmed else {}
     rows = _ranked(comparison.rows(), late)
     structure = rows[0].structure
     trend: Any = settled
@@ -453,9 +449,9 @@ class _Tried(NamedTuple):
 class _Comparison:
     """The structures that were tried, on the same samples."""
 
-    def __init__(self, grid: Grid, y: Array, u: Array, criterion: str, bar: Any, settled: Settled) -> None:
+    def __init__(self, grid: Grid, y: Array, u: Array, criterion: str, settled: Settled) -> None:
         """Keep the recording."""
-        self.grid, self.criterion, self.bar, self.settled, self.y, self.u = grid, criterion, bar, settled, y, u
+        self.grid, self.criterion, self.settled, self.y, self.u = grid, criterion, settled, y, u
         self.tried: dict[Orders, _Tried] = {}
         self.near = False
         self.samples = int(np.isfinite(y[grid.first :]).sum())
@@ -468,9 +464,10 @@ class _Comparison:
     def try_all(self, many: Iterable[Orders], later: int) -> None:
         """Try out those that were not; some more come later."""
         new = [orders for orders in dict.fromkeys(many) if orders not in self.tried]
-        self.bar.total = len(self.tried) + len(new) + later
+        total = len(self.tried) + len(new) + later
         for orders in new:
             self.try_out(orders)
+            stage(f"{len(self.tried)} of {total} structures")
 
     def beginning(self, structure: Structure) -> Array | None:
         """Return the likeliest of the models whose noise and poles this structure has too, None to search anew."""
@@ -502,7 +499,6 @@ class _Comparison:
         shows_delay = bool((model.theta[b] ** 2 > price * model.P.diagonal()[b]).all())
         row = Candidate(structure, value, float("nan"), likelihood, shows_delay)
         self.tried[orders] = _Tried(row, model, residual, output)
-        self.bar.update()
 
     def tried_on_rest(self, fitted: int) -> dict[Structure, float]:
         """Return how the best structure of each number of parameters fits what it has not seen, in percent."""
@@ -515,12 +511,12 @@ class _Comparison:
             return {}
         if model.trend.size:
             y -= np.pad(model.trend, (y.size - model.trend.size, 0), mode="edge")
-        part = _Comparison(self.grid, y[:fitted], self.u[:fitted], self.criterion, self.bar, Settled(np.zeros(fitted)))
+        part = _Comparison(self.grid, y[:fitted], self.u[:fitted], self.criterion, Settled(np.zeros(fitted)))
         ranked = sorted(self.tried, key=lambda orders: self.tried[orders].row.rank, reverse=True)
         best_of_size = {self.tried[orders].row.structure.n_theta: orders for orders in ranked}
-        self.bar.total = len(self.tried) + len(best_of_size)
         rest, signals, fits = y[fitted:], {}, {}
-        for orders in reversed(best_of_size.values()):
+        for place, orders in enumerate(reversed(best_of_size.values()), len(self.tried) + 1):
+            stage(f"{place} of {len(self.tried) + len(best_of_size)} structures")
             # A part may tell too little of a structure that the whole tells of.
             with suppress(ValueError):
                 part.try_out(orders)
