@@ -68,8 +68,10 @@ def placed(a, bad, g):
     """Put a number anywhere."""
     a = a.copy()
     if a.size:
-        bad = bad if a.dtype.kind == "f" or np.isfinite(bad) else 2.0**40
-        a.reshape(-1)[g.integers(a.size)] = bad if a.dtype.kind == "f" else np.clip(bad, -(2.0**40), 2.0**40)
+        if a.dtype.kind != "f":
+            most = min(2.0**40, float(np.iinfo(a.dtype).max)) if a.dtype.kind in "iu" else 2.0**40
+            bad = np.clip(bad, -most, most) if np.isfinite(bad) else most
+        a.reshape(-1)[g.integers(a.size)] = bad
     return a
 
 

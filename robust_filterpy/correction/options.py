@@ -15,7 +15,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.influence.functions import Huber, Influence, Linear
 from robust_filterpy.influence.information import expected_information, expected_joint_information
 
-__all__ = ["GROUPINGS", "INFORMATIONS", "SCALINGS", "Choices", "Grouping", "Information", "Scaling"]
+__all__ = ["GROUPINGS", "INFORMATIONS", "NO_PART", "SCALINGS", "Choices", "Grouping", "Information", "Scaling"]
 
 Scaling: TypeAlias = Literal["learnt", "innovation", "unit", "bounded"]
 Information: TypeAlias = Literal["realized", "expected", "weight"]
@@ -27,7 +27,7 @@ GROUPINGS: Final[tuple[str, ...]] = ("component", "joint")
 # Above this a third-party psi may overflow: norms of statsmodels take the eighth power of e.
 _BEARABLE = 1e30
 # Below this correlation with every state a sensor is one that the state has no part in.
-_NO_PART = 1e-12
+NO_PART = 1e-12
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Choices:
         named = (tuple(range(m)),) if self.grouping == "joint" else self.grouping
         # Sigma points leave rounding, not zeros.
         unit = np.sqrt(np.outer(np.maximum(P.diagonal(), 0.0), np.maximum(S.diagonal(), 0.0)))
-        visible = (np.abs(C) > _NO_PART * unit).any(axis=0).tolist()
+        visible = (np.abs(C) > NO_PART * unit).any(axis=0).tolist()
         together = [[i for i in group if i < m and seen[i] and visible[i]] for group in named]
         alone = set(range(m)) - {i for group in together for i in group}
         return [group for group in together if group] + [[i] for i in sorted(alone) if seen[i]]

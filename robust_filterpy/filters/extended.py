@@ -134,7 +134,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
             If a shape does not fit, Q is negative or not symmetric, or the prediction not finite; nothing has changed
             then.
         """
-        if not (self._is_linear() and self._predict_extended(u, True)):
+        if not (self._is_linear() and self._predict_extended(u)):
             self._predict(u)
 
     @whole
@@ -145,7 +145,7 @@ class RobustExtendedKalmanFilter(NonlinearFilterMixin, ExtendedKalmanFilter):
         process_noise(self.Q, None, n)
         before = self._current()
         self.predict_x(u)
-        if before is not None or not self._predict_extended(None, False):
+        if before is not self._kept or not self._predict_extended(None, moved=False):
             x, P = state_of(self)
             F, Q = _checks.matrix("F", self.F, (n, n), "dim_x"), process_noise(self.Q, None, n)
             if before is None:

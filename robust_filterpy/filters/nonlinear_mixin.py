@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter, unscented_transform
 
-from robust_filterpy._arrays import measured, state_of
+from robust_filterpy._arrays import measured, process_noise, state_of
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
 from robust_filterpy.filters.driver import columns_of, take_steps, without_rounding
@@ -73,7 +73,7 @@ class NonlinearFilterMixin(Shell):
                 moved = np.asarray(add(x.ravel(), (self.x - x).ravel()), dtype=float)
                 require_finite(x=moved)
                 self.x = moved.reshape(x.shape)
-                self.x_post = self.x.copy()
+                self.x_post, self._kept = self.x.copy(), self._kept and self._kept.at(moved)
             return True
         last, carried = self._corrected(P, values, y, C, S, R)
         last = last._replace(x=np.asarray(add(x.ravel(), last.x), dtype=float))
@@ -100,12 +100,17 @@ class NonlinearFilterMixin(Shell):
         x, P = state_of(self)
         return None if self._kept is None else self._policy.current(self._kept, x.ravel(), P)
 
-    def _moved(self, before: Any, dx: Array, moved: Array, weights: Array, x: Array, P: Array, Q: Array) -> Any:
-        """Return the models after a prediction by sigma points, dx and moved from the mean, (points, n), to x and P."""
-        F, curvature = regressed(before.P, covariance(dx, moved, weights), P - Q)
-        after = self._policy.predicted_to(before, x, F, Q, curvature)
-        require_finite(x=after.x, P=after.P)
-        return after
+    def _move(self, before: Any, dx: Array, moved: Array, weights: Array, x: Array, P: Array) -> None:
+        """Predict the models by sigma points, dx and moved from the mean, (points, n), which have moved to x and P."""
+        cross = covariance(dx, moved, weights)
+        self.x, self.P = x, before.P.copy()
+        if before is not self._kept or not self._predict_extended(None, cross, P):
+            Q = process_noise(self.Q, None, self.dim_x)
+            F, curvature = regressed(before.P, cross, P - Q)
+            self._kept = self._policy.predicted_to(before, x.ravel(), F, Q, curvature)
+            self.x, self.P = self._kept.x.reshape(x.shape).copy(), self._kept.P.copy()
+            require_finite(x=self.x, P=self.P)
+            self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
 
     def _filtered(self, zs: Any, columns: dict[str, Any], step: Callable[..., None], saver: Any) -> tuple[Array, Array]:
         """Do a step for each measurement, with what each of the columns has for it; all of them or none."""

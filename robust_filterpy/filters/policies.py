@@ -31,7 +31,7 @@ from robust_filterpy.correction.definition import (
     nothing_observed,
 )
 from robust_filterpy.correction.learning import R_FACTOR, NoiseClasses, describe, usual
-from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
+from robust_filterpy.correction.options import NO_PART, Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.policies import (
     Contaminated,
     Learnt,
@@ -203,9 +203,12 @@ def alone(x: Array, P: Array) -> Carried:
 def regressed(P: Array, C: Array, S: Array) -> tuple[Array, Array]:
     """Return H of the line through a state with covariance P, from moments (n, m), (m, m), and what it leaves of S."""
     unit = np.sqrt(np.where(P.diagonal() > 0.0, P.diagonal(), 1.0))
-    H = (np.linalg.pinv(P / np.outer(unit, unit), hermitian=True) @ (C / unit[:, None])).T / unit
+    rounding = NO_PART * np.sqrt(np.maximum(S.diagonal(), 0.0))
+    H = (np.linalg.pinv(P / np.outer(unit, unit), hermitian=True) @ (C / unit[:, None])).T
+    H = np.where(np.abs(H) > rounding[:, None], H / unit, 0.0)
     values, vectors = np.linalg.eigh(S - H @ C)
-    return H, (vectors * np.maximum(values, 0.0)) @ vectors.T
+    left = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return H, np.where(np.abs(left) > np.outer(rounding, rounding) / NO_PART, left, 0.0)
 
 
 def finite_product(H: Array, x: Array) -> Array:

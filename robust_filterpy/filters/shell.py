@@ -205,11 +205,13 @@ class Shell(StateMixin):
         """Predict by F."""
         if _extension is None or not self._by_kernel:
             return False
-        return bool(_extension.predict(self, u, B, F, Q, True))
+        return bool(_extension.predict(self, u, B, F, Q, None))
 
-    def _predict_extended(self, u: Any, moves: bool) -> bool:
-        """Predict by F, or P alone where x has been moved by a function."""
-        return _extension is not None and bool(_extension.predict(self, u, None, None, None, moves))
+    def _predict_extended(self, u: Any, F: Any = None, moved: Any = None) -> bool:
+        """Predict by F; where a function has moved x, by what F says of the rest: moved is False, or the P that sigma
+        points have moved to, F then being their covariance with where they were.
+        """
+        return _extension is not None and bool(_extension.predict(self, u, None, F, None, moved))
 
     def _linear_step(self) -> Any:
         """Return the kernel's correction by a linear sensor, None where it is not this filter's."""

@@ -187,19 +187,21 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """
-        Q, before = process_noise(self.Q, None, self.dim_x), self._current()
+        process_noise(self.Q, None, self.dim_x)
+        before = self._current()
         self.compute_process_sigmas(self._dt if dt is None else dt, fx, **fx_args)
         make = transformed if UT is None else UT
         x, P = make(self.sigmas_f, self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x)
         require_finite(x=x, P=P)
-        if before is not None:
+        if before is None:
+            self.x, self.P = x, P
+        else:
             dx, moved = (
+                points - mean if self.residual_x is np.subtract else
                 np.array([self.residual_x(point, mean) for point in points])
                 for points, mean in ((drawn(self.points_fn, before.x, before.P), before.x), (self.sigmas_f, x))
             )
-            self._kept = self._moved(before, dx, moved, self.Wc, x, P, Q)
-            x, P = self._kept.x.copy(), self._kept.P.copy()
-        self.x, self.P = x, P
+            self._move(before, dx, moved, self.Wc, x, P)
         if REDRAWS:
             self.sigmas_f = drawn(self.points_fn, self.x, self.P)
         self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
@@ -404,15 +406,15 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             If P is not positive definite; nothing has changed then.
         """
         with unchanged_if_refused(self):
-            Q, before = process_noise(self.Q, None, self.dim_x), self._current()
+            process_noise(self.Q, None, self.dim_x)
+            before = self._current()
             super().predict(dt, fx_args)
             require_finite(x=self.x, P=self.P)
             if before is not None:
                 dx = spherical_radial_sigmas(before.x, before.P) - before.x
                 moved = self.sigmas_f - np.ravel(self.x)
                 weights = np.full(len(dx), 1.0 / len(dx))
-                self._kept = self._moved(before, dx, moved, weights, np.ravel(self.x), self.P, Q)
-                self.x, self.P = self._kept.x.reshape(np.shape(self.x)).copy(), self._kept.P.copy()
+                self._move(before, dx, moved, weights, self.x, self.P)
 
     def update(self, z: ArrayLike | None, R: Any = None, hx_args: Any = (), *, sensor: str | int | None = None) -> None:
         """Correct the state by a measurement whose influence is bounded.

@@ -207,14 +207,15 @@ static int set_rows(held *h, PyObject *filter, const sensor_rows *c, const doubl
     return set_attribute(filter, AT__memory, places) == 0 && set_attribute(filter, AT__other_sensors, rows) == 0;
 }
 
-/* given: B, F and Q, or None for the filter's; own: its F, Q, alpha_sq, B. 1, 0, or -1 with an exception. */
-static int take_motion(held *h, PyObject *const given[3], PyObject *const own[4], npy_intp n, motion *found) {
-    PyObject *const F = given_or(h, given[1], own[0]), *const Q = F ? given_or(h, given[2], own[1]) : NULL;
-    found->B = Q ? given_or(h, given[0], own[3]) : NULL;
+/* given: B, F and Q, or None for the filter's; own: its F, alpha_sq and B, NULL where it has none. 1, 0, or -1 with an
+   exception. */
+static int take_motion(held *h, PyObject *const given[3], PyObject *own_Q, PyObject *const *own, npy_intp n, motion *found) {
+    PyObject *const F = given_or(h, given[1], own ? own[0] : Py_None), *const Q = F ? given_or(h, given[2], own_Q) : NULL;
+    found->B = Q ? given_or(h, given[0], own ? own[2] : Py_None) : NULL;
     if (!found->B) return -1;
-    found->F = matrix_of(F, n, n), found->Q = covariance_of(h, Q, n);
+    found->F = matrix_of(F, n, n), found->Q = covariance_of(h, Q, n), found->alpha_sq = 1;
     if (!found->Q) return PyErr_Occurred() ? -1 : 0;
-    if (!found->F || !number_of(own[2], &found->alpha_sq) || !is_symmetric(found->Q, n)) return 0;
+    if (!found->F || (own && !number_of(own[1], &found->alpha_sq)) || !is_symmetric(found->Q, n)) return 0;
     for (npy_intp i = 0; i < n; i++)
         if (!(found->Q[i * n + i] >= 0)) return 0;
     return 1;

@@ -12,8 +12,8 @@ typedef struct {
 } models;
 
 /* Read the models; whether all is ordinary, -1 with an exception. x or P that have been assigned from outside are for the
-   definition. */
-static int take_models(held *h, const learnt_rule *rule, PyObject *kept, const filter_state *now, models *f) {
+   definition, but for an x that has been moved. */
+static int take_models(held *h, const learnt_rule *rule, PyObject *kept, const filter_state *now, int moved, models *f) {
     const npy_intp n = now->n, rows = learnt_rows(rule), beliefs = learnt_beliefs(1, rule);
     const double *means = now->x, *covariances = now->P, *p = NULL;
     f->rule = rule, f->kept = kept;
@@ -27,7 +27,8 @@ static int take_models(held *h, const learnt_rule *rule, PyObject *kept, const f
         AXIS('n') = n, AXIS('q') = rows, AXIS('b') = beliefs;
         if (!take_arrays(kept, "qn qnn bn n nn", lengths, (void *[]){&means, &covariances, &p, &x, &P})) return 0;
         f->x = PyTuple_GetItem(kept, 3), f->P = PyTuple_GetItem(kept, 4);
-        if (memcmp(x, now->x, (size_t)n * sizeof *x) || memcmp(P, now->P, (size_t)(n * n) * sizeof *P)) return 0;
+        if (!moved && memcmp(x, now->x, (size_t)n * sizeof *x)) return 0;
+        if (memcmp(P, now->P, (size_t)(n * n) * sizeof *P)) return 0;
     }
     f->after[0] = array_of(h, means, 2, rows, n, 0), f->after[1] = array_of(h, covariances, 3, rows, n, n);
     f->after[2] = array_of(h, p, 2, beliefs, n, 0);
@@ -54,47 +55,110 @@ static PyObject *kept_of(held *h, const models *f) {
     return hold(h, PyObject_CallFunction((PyObject *)Py_TYPE(f->kept), "OOOOO", of[0], of[1], of[2], of[3], of[4]));
 }
 
-/* given: B, F and Q for this call, or None; moves: whether x does too. */
-static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *const *given, int moves) {
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_F, AT_Q, AT__alpha_sq, AT_B};
+#define NO_PART 1e-12 /* correlation that is rounding */
+#define regress_work(n, m) ((size_t)((n) > (m) ? (n) * (2 * (n) + 1) : (m) * (2 * (m) + 1)))
+
+/* H (m, n) = C' P^-1, P (n, n) in units of its own and without directions in which it has no extent, and what of S such a line
+   does not explain, noise apart: curvature (m, m). */
+static void regress(int n, int m, const double *P, const double *C, const double *S, const double *R, double *H,
+                    double *curvature, double *work) {
+    const int k = n > m ? n : m;
+    double *const A = work, *const V = A + k * k, *const unit = V + k * k, most = 0;
+    for (int i = 0; i < n; i++) unit[i] = P[i * n + i] > 0 ? sqrt(P[i * n + i]) : 1;
+    for (int i = 0; i < n * n; i++) A[i] = P[i] / (unit[i / n] * unit[i % n]);
+    mend_diagonalize(n, A, V);
+    for (int i = 0; i < n; i++) most = real_max(most, fabs(A[i * n + i]));
+    for (int i = 0; i < m * n; i++) H[i] = 0;
+    for (int o = 0; o < n; o++) {
+        if (!(fabs(A[o * n + o]) > 1e-15 * most)) continue;
+        for (int i = 0; i < m; i++) {
+            double along = 0;
+            for (int l = 0; l < n; l++) along += V[l * n + o] * (C[l * m + i] / unit[l]);
+            for (int l = 0; l < n; l++) H[i * n + l] += V[l * n + o] * along / A[o * n + o];
+        }
+    }
+    for (int i = 0; i < m * n; i++) {
+        const double variance = S[i / n * (m + 1)] - R[i / n * (m + 1)];
+        H[i] = fabs(H[i]) > NO_PART * sqrt(real_max(variance, 0)) ? H[i] / unit[i % n] : 0;
+    }
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j <= i; j++) {
+            double seen = 0;
+            for (int l = 0; l < n; l++) seen += H[i * n + l] * C[l * m + j];
+            A[i * m + j] = A[j * m + i] = S[i * m + j] - R[i * m + j] - seen;
+        }
+    mend_diagonalize(m, A, V);
+    mend_compose(m, A, V, 0, curvature);
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) {
+            const double variances = (S[i * m + i] - R[i * m + i]) * (S[j * m + j] - R[j * m + j]);
+            if (fabs(curvature[i * m + j]) <= NO_PART * sqrt(real_max(variances, 0))) curvature[i * m + j] = 0;
+        }
+}
+
+/* Add to every model, in parts that it makes one, what no line explains of a prediction (n, n). */
+static void bend(int n, models *f, const double *curvature) {
+    for (int i = 0; i < n * n; i++)
+        if (curvature[i] != 0) learnt_join(n, f->rule, &f->s, i / n, i % n);
+    for (int i = 0; i < learnt_rows(f->rule) * n * n; i++) f->s.P[i] += curvature[i % (n * n)];
+}
+
+/* given: B, F and Q for this call, or None; moved: None where x moves by F, else a function has moved it: False, or the
+   P to which sigma points have moved, F then being their covariance with where they were. */
+static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *const *given, PyObject *moved) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT__kept, AT_Q, AT_F, AT__alpha_sq, AT_B};
     PyObject *const *const own = h->objects;
     filter_state now;
     motion how;
     judge by = {.mixes = 0};
     models f = {NULL};
     PyObject *x, *P, *kept = NULL;
-    double stack[STACK_WORK], *work, *control;
+    double stack[STACK_WORK], *work, *control, *curvature = NULL;
+    const double *to = NULL;
+    /* A filter with sigma points has no F, B and alpha. */
+    const int by_points = PyArray_CheckExact(moved);
     int fine;
-    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
+    if (hold_all(h, filter, names, by_points ? 5 : 8) < 0) return -1;
     /* One model moves as x and P do. */
     if (own[3] != Py_None && take_judge(h, filter, &by) < 0) return -1;
     if (!take_filter(own[0], own[1], own[2], &now)) return 0;
-    const int n = (int)now.n;
-    fine = take_motion(h, given, own + 4, n, &how);
-    if (fine > 0 && by.mixes) fine = take_models(h, &by.mixture, own[3], &now, &f);
-    if (fine <= 0) return fine;
+    const int n = (int)now.n, moves = moved == Py_None;
+    if (by_points && !(to = matrix_of(moved, n, n))) return 0;
+    fine = take_motion(h, given, own[4], by_points ? NULL : own + 5, n, &how);
+    if (fine > 0 && by.mixes) fine = take_models(h, &by.mixture, own[3], &now, !moves, &f);
+    if (fine <= 0 || (to && !f.rule)) return fine < 0 ? -1 : 0;
     x = array_of(h, NULL, now.ndim, n, 1, 0), P = array_of(h, NULL, 2, n, n, 0);
     if (h->failed) return -1;
-    work = work_of(stack, (f.rule ? learnt_predict_work(n, learnt_models(f.rule)) : predict_work(n)) + (size_t)n);
+    work = work_of(stack, (f.rule ? learnt_predict_work(n, learnt_models(f.rule)) : predict_work(n)) + (size_t)n +
+                              (to ? (size_t)(2 * n * n) + regress_work(n, n) : 0));
     if (!work) return -1;
     control = work;
     fine = take_control(how.B, u, n, &control);
     if (fine && f.rule) {
-        learnt_predict(n, f.rule, &f.s, how.F, how.Q, control, how.alpha_sq, work + n);
-        fine = merge(n, &f, x, P, work + n);
+        double *rest = work + n;
+        if (to) {
+            curvature = rest + n * n;
+            regress(n, n, now.P, how.F, to, how.Q, rest, curvature, curvature + n * n);
+            how.F = rest, rest = curvature + n * n;
+        }
+        if (!moves) control = work;
+        for (int i = 0; !moves && i < n; i++) control[i] = now.x[i] - real_dot(n, how.F + i * n, numbers_of(f.x));
+        learnt_predict(n, f.rule, &f.s, how.F, how.Q, control, how.alpha_sq, rest);
+        if (to) bend(n, &f, curvature);
+        fine = merge(n, &f, x, P, rest);
     } else if (fine) {
         fine = predict(n, now.x, now.P, how.F, how.Q, control, how.alpha_sq, numbers_of(x), numbers_of(P), work + n);
+        if (!moves) real_copy(n, now.x, numbers_of(x));
     }
     work_done(stack, work);
     if (!fine) return 0;
-    if (!moves) real_copy(n, now.x, numbers_of(x));
     if (f.rule && !(kept = kept_of(h, &f))) return -1;
     if (!set_state(h, filter, x, P, AT_x_prior, AT_P_prior)) return -1;
     return kept && set_attribute(filter, AT__kept, kept) < 0 ? -1 : 1;
 }
 
-STEP(predict_step, 6, take_prediction(&h, arguments[0], arguments[1], arguments + 2, arguments[5] == Py_True),
-     "predict: expected a filter, u, B, F, Q and whether x moves")
+STEP(predict_step, 6, take_prediction(&h, arguments[0], arguments[1], arguments + 2, arguments[5]),
+     "predict: expected a filter, u, B, F, Q and what has moved x")
 
 /* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Numbers, rows of m numbers, S and C'. */
 enum record_number { RECORD_N, RECORD_M, RECORD_SCALING, RECORD_LOG_DENSITY, RECORD_HEAD };
@@ -252,7 +316,7 @@ static int correct_mixture(held *h, PyObject *filter, const judge *by, PyObject 
     double stack[STACK_WORK], *work;
     models f;
     mixed made;
-    int fine = m > 1000 || !is_finite_product(s->H, now->x, m, n) ? 0 : take_models(h, rule, kept, now, &f);
+    int fine = m > 1000 || !is_finite_product(s->H, now->x, m, n) ? 0 : take_models(h, rule, kept, now, 0, &f);
     if (fine <= 0) return fine;
     if (!rule->learns) {
         if (!(s->memory = array_of(h, NULL, 2, rows, width, 0))) return -1;
@@ -309,82 +373,73 @@ static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *con
 STEP(correct_step, 5, take_correction(&h, arguments[0], arguments[1], arguments + 2),
      "correct: expected a filter, z, R, H and M")
 
-/* H (m, n) = C' P^-1, P (n, n) in units of its own and without directions in which it has no extent, and what of S such a line
-   does not explain, noise apart: curvature (m, m). work: 2 k k + k, k the larger of n and m. */
-static void regress(int n, int m, const double *P, const double *C, const double *S, const double *R, double *H,
-                    double *curvature, double *work) {
-    const int k = n > m ? n : m;
-    double *const A = work, *const V = A + k * k, *const unit = V + k * k, most = 0;
-    for (int i = 0; i < n; i++) unit[i] = P[i * n + i] > 0 ? sqrt(P[i * n + i]) : 1;
-    for (int i = 0; i < n * n; i++) A[i] = P[i] / (unit[i / n] * unit[i % n]);
-    mend_diagonalize(n, A, V);
-    for (int i = 0; i < n; i++) most = real_max(most, fabs(A[i * n + i]));
-    for (int i = 0; i < m * n; i++) H[i] = 0;
-    for (int o = 0; o < n; o++) {
-        if (!(fabs(A[o * n + o]) > 1e-15 * most)) continue;
-        for (int i = 0; i < m; i++) {
-            double along = 0;
-            for (int l = 0; l < n; l++) along += V[l * n + o] * (C[l * m + i] / unit[l]);
-            for (int l = 0; l < n; l++) H[i * n + l] += V[l * n + o] * along / A[o * n + o];
-        }
+/* The models (rows, n) with k further states at 0, with this covariance, each in the part of the first one that its sensor
+   sees; whole: H (k, n + k). to: their arrays. */
+static void extend(int n, int k, const models *f, const double *covariance, const double *whole, learnt_state *to) {
+    const int all = n + k, rows = learnt_rows(f->rule), beliefs = learnt_beliefs(1, f->rule);
+    for (int i = 0; i < rows * all; i++) to->x[i] = i % all < n ? f->s.x[i / all * n + i % all] : 0;
+    for (int i = 0; i < rows * all * all; i++) {
+        const int model = i / (all * all), row = i / all % all, column = i % all;
+        to->P[i] = row < n && column < n     ? f->s.P[(model * n + row) * n + column]
+                   : row >= n && column >= n ? covariance[(row - n) * k + column - n]
+                                             : 0;
     }
-    for (int i = 0; i < m * n; i++) H[i] /= unit[i % n];
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j <= i; j++) {
-            double seen = 0;
-            for (int l = 0; l < n; l++) seen += H[i * n + l] * C[l * m + j];
-            A[i * m + j] = A[j * m + i] = S[i * m + j] - R[i * m + j] - seen;
-        }
-    mend_diagonalize(m, A, V);
-    mend_compose(m, A, V, 0, curvature);
+    for (int i = 0; i < beliefs * all; i++) {
+        const int state = i % all, like = state < n ? state : learnt_sees(all, whole, state - n);
+        to->p[i] = f->s.p[i / all * n + (like < n ? like : 0)];
+    }
+    for (int i = 0; i < k * k; i++)
+        if (covariance[i] != 0) learnt_join(all, f->rule, to, n + i / k, n + i % k);
 }
 
-/* Correct a state at 0 by a line, and by a state of its own for what the line does not explain. */
-static int correct_by_line(held *h, PyObject *filter, const judge *by, const filter_state *now, sensors *s,
+/* Correct models by a line, as if the state were at 0, and by a state of its own for what the line does not explain. */
+static int correct_by_line(held *h, PyObject *filter, const judge *by, PyObject *kept, const filter_state *now, sensors *s,
                            const moments_given *given, PyObject *z, PyObject *y) {
     const learnt_rule *const rule = &by->mixture;
-    const int n = (int)now->n, m = (int)s->m, all = given->S ? n + m : n, rows = (int)memory_rows(rule, m);
-    const double *const before = matrix_of(s->memory, rows, learnt_width(rule->K));
-    const size_t k = (size_t)(n > m ? n : m), own = (size_t)(all * (all + 1 + m) + 3 * all);
+    const int n = (int)now->n, m = (int)s->m, k = given->S ? m : 0, all = n + k, rows = learnt_rows(rule);
+    const double *const before = matrix_of(s->memory, memory_rows(rule, m), learnt_width(rule->K));
+    const size_t own = (size_t)((rows + 1) * all * (all + 1) + learnt_beliefs(all, rule) + m * all);
     double stack[STACK_WORK], *work;
+    models f;
     mixed made;
-    int fine;
-    if (learnt_models(rule) != 1 || n > 1000 || m > 1000 || !before) return 0;
+    int fine = n > 1000 || m > 1000 || !before ? 0 : take_models(h, rule, kept, now, 0, &f);
+    if (fine <= 0) return fine;
     begin_mixed(h, rule, now, s, z, before, &made);
     made.z = y, made.H = array_of(h, s->H, 2, m, n, 0);
-    made.prior_x = array_of(h, NULL, 1, n, 0, 0), made.prior_P = array_of(h, now->P, 2, n, n, 0);
-    made.x = array_of(h, NULL, 1, n, 0, 0), made.P = array_of(h, NULL, 2, n, n, 0);
+    made.prior_x = array_of(h, NULL, 1, n, 0, 0), made.prior_P = f.P, made.x = f.after[3], made.P = f.after[4];
     made.curvature = array_of(h, NULL, 2, m, m, 0);
-    work = h->failed ? NULL : work_of(stack, own + correct_work(rule, all, m) + (size_t)(m * m) + 2 * k * k + k);
+    work = h->failed ? NULL : work_of(stack, own + correct_work(rule, all, m) + (size_t)(m * m) + regress_work(n, m));
     if (!work) return -1;
-    double *const x = work, *const P = x + all, *const p = P + all * all, *const whole = p + 3 * all;
-    double *const rest = whole + m * all, *const H = numbers_of(made.H), *const bend = numbers_of(made.curvature);
-    learnt_state state = {x, P, p, NULL};
+    double *const x = work, *const P = x + all, *const whole = P + all * all, *const means = whole + m * all;
+    learnt_state state = {means, means + rows * all, means + rows * all * (all + 1), NULL};
+    double *const rest = state.p + learnt_beliefs(all, rule), *const H = numbers_of(made.H);
+    double *const bend = numbers_of(made.curvature), *const mean = numbers_of(made.x), *const shown = numbers_of(made.P);
     for (int i = 0; i < m * m; i++) bend[i] = 0;
+    for (int i = 0; i < n; i++) numbers_of(made.prior_x)[i] = 0;
     fine = is_covariance(s->R, m, rest);
-    if (fine && given->S) regress(n, m, now->P, given->C, given->S, s->R, H, bend, rest);
-    for (int i = 0; i < all; i++) x[i] = 0, p[i] = 1, p[all + i] = p[2 * all + i] = 0;
-    for (int i = 0; i < all * all; i++) {
-        const int row = i / all, column = i % all;
-        P[i] = row < n && column < n     ? now->P[row * n + column]
-               : row >= n && column >= n ? bend[(row - n) * m + column - n]
-                                         : 0;
-    }
+    if (fine && k) regress(n, m, now->P, given->C, given->S, s->R, H, bend, rest);
     for (int i = 0; i < m; i++) {
         int sees = 0;
         for (int j = 0; j < all; j++) whole[i * all + j] = j < n ? H[i * n + j] : j - n == i;
         for (int j = 0; j < n; j++) sees |= H[i * n + j] != 0;
         if (!sees) numbers_of(y)[i] = NAN;
     }
-    fine = fine && weigh(all, m, rule, &state, numbers_of(y), numbers_of(z), whole, s->R, NULL, &made, rest);
+    for (int i = 0; i < rows * n; i++) f.s.x[i] -= now->x[i % n];
+    extend(n, k, &f, bend, whole, &state);
+    fine = fine && weigh(all, m, rule, &state, numbers_of(y), numbers_of(z), whole, s->R, NULL, &made, rest) &&
+           learnt_merge(all, rule, &state, x, P, rest);
     for (int i = 0; i < n; i++) {
-        numbers_of(made.prior_x)[i] = 0, numbers_of(made.x)[i] = now->x[i] + x[i];
-        for (int j = 0; j < n; j++) numbers_of(made.P)[i * n + j] = 0.5 * (P[i * all + j] + P[j * all + i]);
+        mean[i] = now->x[i] + x[i];
+        for (int j = 0; j < n; j++) shown[i * n + j] = 0.5 * (P[i * all + j] + P[j * all + i]);
     }
+    for (int i = 0; i < rows * n; i++) f.s.x[i] = state.x[i / n * all + i % n] + (mean[i % n] - x[i % n]);
+    for (int i = 0; i < rows * n * n; i++) f.s.P[i] = state.P[(i / (n * n) * all + i / n % n) * all + i % n];
+    for (int i = 0; i < learnt_beliefs(n, rule); i++) f.s.p[i] = state.p[i / n * all + i % n];
     work_done(stack, work);
-    if (!fine || !all_finite(numbers_of(made.x), n) || !all_finite(numbers_of(made.P), n * n)) return 0;
-    real_copy(n, numbers_of(made.x), numbers_of(made.x_set)), real_copy(n * n, numbers_of(made.P), numbers_of(made.P_set));
-    return set_mixed(h, filter, by, n, m, &made, NULL, NULL);
+    if (!fine || !all_finite(mean, n) || !all_finite(shown, n * n)) return 0;
+    real_copy(n, mean, numbers_of(made.x_set)), real_copy(n * n, shown, numbers_of(made.P_set));
+    kept = kept_of(h, &f);
+    return kept ? set_mixed(h, filter, by, n, m, &made, kept, NULL) : -1;
 }
 
 /* The Jacobian of sensors (m, n) and None, or C (n, m) and S; whether they are that. */
@@ -424,7 +479,7 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
     z = array_of(h, NULL, now.ndim, s.m, 1, 0), y = array_of(h, NULL, 1, s.m, 0, 0);
     if (h->failed) return -1;
     if (!take_difference(plain, s.m, numbers_of(z), numbers_of(y))) return 0;
-    if (by.mixes) return own[6] == Py_None ? correct_by_line(h, filter, &by, &now, &s, &innovation, z, y) : 0;
+    if (by.mixes) return correct_by_line(h, filter, &by, own[6], &now, &s, &innovation, z, y);
     if (begin_corrected(h, &now, &s, z, &made) < 0) return -1;
     innovation.y = numbers_of(y);
     outcome = correct_bounded(&by.bounded, &now, &s, &innovation, &made);

@@ -177,7 +177,7 @@ def test_a_spoilt_filter_does_what_the_definition_does(monkeypatch, options):
             spoil(kf, passed, g)
             for entry in ENTRIES:
                 given = (passed["u"], None) if "predict" in entry else (passed["z"], passed["R passed"])
-                arguments = (*given, None, None, True) if "predict" in entry else (*given, None, None)
+                arguments = (*given, None, None, None) if "predict" in entry else (*given, None, None)
                 if extension is not None:
                     outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(copy.copy(kf), *a)])
             raised = outcome([
@@ -230,11 +230,12 @@ def test_a_filter_that_changes_while_it_is_read_does_no_harm(options):
         kf.__class__ = Changing
         kf.armed = np.random.default_rng(seed)
         for entry in ENTRIES:
-            arguments = (None, None, None, None, True) if "predict" in entry else ([1.0, 2.0], None, None, None)
+            arguments = (None, None, None, None, None) if "predict" in entry else ([1.0, 2.0], None, None, None)
             outcome([lambda e=entry, a=arguments, kf=kf: getattr(EXTENSION, e)(kf, *a)])
         moments = ([1.0, 2.0], np.ones(2), None, np.ones((2, 3)), None, None)
         outcome([lambda kf=kf, a=moments: EXTENSION.correct_innovation(kf, *a)])
         outcome([lambda kf=kf: EXTENSION.predict(kf, None, None, None, None, False)])
+        outcome([lambda kf=kf: EXTENSION.predict(kf, None, None, np.eye(3), None, np.eye(3))])
 
 
 @pytest.mark.slow

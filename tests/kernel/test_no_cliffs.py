@@ -143,11 +143,17 @@ def slopes(x):
     return np.array([[-b, a] / (a**2 + b**2) for a, b in rows])
 
 
+def bent(x, dt=1.0):
+    """Move a state along a bend."""
+    return np.ravel(x) + 0.02 * dt * np.sin(np.ravel(x)[::-1])
+
+
 @pytest.mark.pairwise
 @pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("residual", [np.subtract, angle], ids=["plain", "angle"])
 @pytest.mark.parametrize("options", [
-    {"noise": "learnt"}, {"noise": "learnt", "grouping": "joint"}, GIVEN, {"patience": 3}, {},
+    {"noise": "learnt"}, {"noise": "learnt", "grouping": "joint"}, GIVEN, {"patience": 3}, {}, ADAPTIVE,
+    {**GIVEN, "process": Contaminated(0.05, 10.0)},
     {"grouping": "joint"}, {"influence": Linear()}, {"influence": TukeyBiweight(), "grouping": "joint"},
     {"influence": Hampel(), "scaling": "bounded"}, {"influence": StudentT(), "scaling": "innovation"},
 ], ids=str)  # fmt: skip
@@ -160,16 +166,21 @@ def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(kind, o
         if kind is RobustExtendedKalmanFilter:
             return kind(2, 2, **options)
         points = [MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)] if kind is RobustUnscentedKalmanFilter else []
-        return kind(2, 2, 1.0, bearings, lambda x, dt: np.ravel(x), *points, residual_z=residual, **options)
+        return kind(2, 2, 1.0, bearings, bent, *points, residual_z=residual, **options)
 
     def steps():
         rng, kf, rows = np.random.default_rng(3), made(), []
         kf.x = np.reshape([5.0, 3.0], (2, 1) if kind is RobustCubatureKalmanFilter else 2)
         kf.P, kf.Q, kf.R = 0.1 * np.eye(2), 1e-3 * np.eye(2), 1e-3 * np.eye(2)
+        at = np.array([5.0, 3.0])
+        kf.predict_x = lambda u=0: setattr(kf, "x", bent(kf.x))
         for k in range(40):
-            z = bearings([5.0, 3.0]) + 0.03 * rng.normal(size=2) + [0.0, 0.5 * (k % 7 == 3 or (k > 30 and jumps))]
+            at = bent(at)
+            z = bearings(at) + 0.03 * rng.normal(size=2) + [0.0, 0.5 * (k % 7 == 3 or (k > 30 and jumps))]
             z[k % 2] = np.nan if k % 5 == 4 else z[k % 2]
             R = None if k % 3 else np.diag(rng.uniform(1e-3, 2e-3, 2))
+            if kind is RobustExtendedKalmanFilter:
+                kf.F = np.eye(2) + 0.02 * np.diag(np.cos(kf.x[::-1]))[::-1]
             kf.predict()
             if kind is RobustExtendedKalmanFilter:
                 kf.update(z, slopes, bearings, R=R, residual=residual)

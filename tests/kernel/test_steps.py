@@ -142,7 +142,7 @@ def test_states_of_every_number_are_predicted(n):
     """The kernel takes four columns at a time where there are some, and four rows of more than eight states."""
     problem = support.random_problem(n, n, 1)
     kf = support.make(RobustKalmanFilter, problem, 1)
-    assert EXTENSION.predict(kf, *NONE, True)
+    assert EXTENSION.predict(kf, *NONE, None)
     np.testing.assert_allclose(kf.x, problem.F @ np.ravel(problem.x), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(kf.P, problem.F @ problem.P @ problem.F.T + problem.Q, rtol=1e-12, atol=1e-12)
 
