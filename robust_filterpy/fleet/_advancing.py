@@ -263,7 +263,7 @@ def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
     done = np.zeros(len(work.bounds) - 1, dtype=bool)
     for rows in _of_one_phase(work) if tracker.is_one_of_many else ():
         try:
-            _samples_together(tracker, settings, work, rows)
+            _samples_together(tracker, work, rows)
             done[rows] = True
         except REFUSED:
             continue
@@ -287,20 +287,20 @@ def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
 def _of_one_phase(work: Work) -> Iterator[np.ndarray]:
     """Yield keys with equally many samples, and as many until the next look at them unless there is one sample."""
     steps = np.diff(work.bounds)
-    phases = np.stack((steps, work.entries["recursion"][:, 6], work.entries["watch"][:, 2] % 40.0), axis=1)
+    phases = np.stack((steps, work.entries["waits"], work.entries["seen"] % 40.0), axis=1)
     phases[steps == 1, 1:] = 0.0
     _, of, counts = np.unique(phases, axis=0, return_inverse=True, return_counts=True)
     able = np.flatnonzero((counts[of.ravel()] > 1) & (steps > 0))
     yield from (able[members] for members in _groups(of.ravel()[able], lambda k: _TRACKERS))
 
 
-def _samples_together(tracker: ParameterTracker, settings: dict[str, Array], work: Work, rows: np.ndarray) -> None:
+def _samples_together(tracker: ParameterTracker, work: Work, rows: np.ndarray) -> None:
     """Take the samples of keys with equally many, or raise; nothing has changed then."""
     every = work.bounds[rows][:, None] + np.arange(work.bounds[rows[0] + 1] - work.bounds[rows[0]])
     y = measured_output(work.z[every].ravel()).reshape(every.shape)
     u = recorded_input(tracker.structure, None if work.u is None else work.u[every.ravel()], every.size)
     states = {name: column[rows] for name, column in work.entries.items()}
-    out, after = tracker.together(states | settings, y, u.reshape(*every.shape, -1))
+    out, after = tracker.together(states, y, u.reshape(*every.shape, -1))
     _write(tracker, work, every, out)
     for name, column in after.items():
         work.entries[name][rows] = column

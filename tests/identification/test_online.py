@@ -171,13 +171,13 @@ def test_another_forgetting_or_q_is_said_with_both_values_and_the_same_is_not(ma
     several = make is not ParameterTracker
     one = make(ARX(1, 1), start=0, forgetting=0.99)
     one.run(*((np.tile(column[:, None], 2) for column in (y, u)) if several else (y, u)))
-    state, number = one.state(), lambda x: rf"array\(\[{x}, {x}\]\)" if several else x
+    state = one.state()
     with silence():
         make(ARX(1, 1), start=0, forgetting=0.99).restore(state)
         one.reset()
-    both = rf"restore: forgetting of the state, {number('0.99')}, took the place of what was set, {number('0.9')};"
+    both = r"restore: forgetting of the state, 0\.99, took the place of what was set, 0\.9;"
     with pytest.warns(UserWarning, match=both):
         make(ARX(1, 1), start=0, forgetting=0.9).restore(state)
-    both = rf"Q of the state, 0, took the place of what was set, 0\.001; forgetting of the state, {number('0.99')},"
+    both = r"Q of the state, 0, took the place of what was set, 0\.001; forgetting of the state, 0\.99,"
     with pytest.warns(UserWarning, match=both):
         make(ARX(1, 1), start=0, Q=1e-3).restore(state)

@@ -244,7 +244,7 @@ def test_pickle_and_a_file_continue_bit_for_bit(structure):
 
 
 @pytest.mark.parametrize(("name", "value", "words"), [
-    ("R", 0.0, "> 0 in R, got"),
+    ("scale", 0.0, "> 0 in scale, got"),
     ("alpha_sq", 0.0, ">= 1 in alpha_sq, got"),
     ("P", np.diag([1.0, 1.0, 1.0, -1e-3]), "positive semidefinite"),
     ("P", np.diag([1e12, -1e3, 1.0, 1.0]), "positive semidefinite"),
@@ -252,9 +252,9 @@ def test_pickle_and_a_file_continue_bit_for_bit(structure):
     ("theta", [-2.5, 1.0, 0.0, 0.0], "theta of a stable model"),
     ("theta", np.nan, "finite numbers in theta"),
     ("undisturbed", np.inf, "finite numbers in undisturbed"),
-    ("recursion", -1e9, "limit"),
-    ("recursion", [0.0, 1.0, 0.0, 0.9, 1.0, 0.5, -1.0], "begun"),
-    ("recursion", [0.0, 1.0, 0.0, 0.9, 1.0, 1.0, -2.0], "next look"),
+    ("windup", -1e9, "limit"),
+    ("begun", 0.5, "0 or 1 in begun"),
+    ("waits", -2.0, "next look"),
 ])  # fmt: skip
 def test_state_that_no_bank_can_be_in_is_refused(name, value, words):
     bank = support.paper_bank(N, OutputError(2, 2), R=0.25)

@@ -40,28 +40,20 @@ def test_what_was_watched_belongs_to_the_state_and_not_to_the_object():
     tracker.reset()
     same(tracker.state(), fresh.state())
     assert not tracker.state()["followed"].size
-    without = {name: value for name, value in tracker.state().items() if name not in ("watch", "followed")}
-    tracker.run(y[:600], u[:600])
-    # States from before had none of it, or less.
-    state = tracker.state()
-    for numbers in (6, 7, 8):
-        tracker.restore({**state, "watch": state["watch"][:numbers]})
-        np.testing.assert_array_equal(tracker.state()["watch"][:numbers], state["watch"][:numbers])
-        assert tracker.state()["watch"].shape == state["watch"].shape == (32,)
-    tracker.restore(without)
-    same(tracker.state(), fresh.state())
 
 
-@pytest.mark.parametrize("place, value", [(0, 0.5), (1, 0.0), (2, -1.0), (2, 1.5), (3, -1.0), (4, np.nan)])
-def test_a_watch_that_cannot_be_is_refused_and_changes_nothing(place, value):
+@pytest.mark.parametrize("name, value", [
+    ("restarts", 0.5), ("samples", 0.0), ("seen", -1.0), ("seen", 1.5), ("usual", [-1.0, 0.0, 0.0, 0.0]),
+    ("usual", np.full(4, np.nan)), ("usual", np.zeros(3)), ("scores", np.full((12, 2), -1.0)), ("kept", 1.0),
+    ("followed", np.zeros((3, 2))),
+])  # fmt: skip
+def test_a_watch_that_cannot_be_is_refused_and_changes_nothing(name, value):
     tracker = ParameterTracker(OutputError(2, 2))
-    damaged = tracker.state()["watch"].copy()
-    damaged[place] = value
-    for watch in (damaged, damaged[:3], np.array(1.0)):
-        with unchanged(tracker), pytest.raises(ValueError, match="watch"):
-            tracker.restore({**tracker.state(), "watch": watch})
-    with unchanged(tracker), pytest.raises(ValueError, match="followed"):
-        tracker.restore({**tracker.state(), "followed": np.zeros((3, 2))})
+    state = tracker.state()
+    without = {other: kept for other, kept in state.items() if other != name}
+    for damaged in ({**state, name: np.array(value)}, without):
+        with unchanged(tracker), pytest.raises(ValueError, match=f"state: expected.*{name}"):
+            tracker.restore(damaged)
 
 
 def test_a_model_that_the_user_gave_is_not_replaced():
@@ -337,7 +329,7 @@ def test_after_a_long_gap_nothing_is_lost():
     with silence():
         tracker.run(y, u)
     # What is usual.
-    assert tracker.state()["watch"][3] > 0.3
+    assert tracker.state()["usual"][0] > 0.3
 
 
 def test_wild_outputs_explain_no_other_wild_one():

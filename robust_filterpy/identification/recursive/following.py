@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from robust_filterpy._fill_values import FillValues
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.snapshot import put_back, snapshot
-from robust_filterpy.filters.states import go_on_with
+from robust_filterpy.filters.states import go_on_with, kept_with
 from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup, track
@@ -62,7 +62,7 @@ class Following:
     form: Form
     #: Of the recording, for a tracker.
     dt: float | None
-    _name: ClassVar[str]
+    _name: ClassVar[str] = "ParameterTracker"
     #: What is set of each actuator, or of all alike, and the definition of a sample.
     _filters: list[Any]
     _now: State
@@ -74,8 +74,6 @@ class Following:
     _used: tuple[Any, track.Settings] | None
     #: The last time that a recording had, and how many samples came after it.
     _time: tuple[Any, int] | None
-    #: Q, R, F and forgetting, as a state has them.
-    _settings: Callable[[], dict[str, Any]]
 
     Q = _matrix("Q", "Covariance of a step of theta (paper 8), shape (d, d) or (n, d, d); may be set, to q for q I.")
     F = _matrix("F", "Transition matrix C of (9), shape (d, d) or (n, d, d); may be set.")
@@ -337,23 +335,29 @@ class Following:
         Returns
         -------
         dict of str to ndarray
-            readings: what was learned of the steps of y, (7,);
             theta and P, with the constant where there is one; the signals in memory: outputs (na,), inputs, residuals
-            (nc,), gradients, measured (na,); enabled; recursion: center of y, limit of tr P, samples, mean and memory
-            of R, whether a model was found, samples until the next look; start: y and u kept for it, (L, 1 + n_inputs);
-            watch: whether it may start anew and of how many samples, samples seen, and of ordinary residuals the
-            autocovariances, how much of them follows the inputs anyway and what is rounding, and score and information
-            of the gain in the last blocks; followed: the residuals, predictions and
-            inputs it judges that by, (L, 2 + n_inputs);
-            and the filter's Q, R, F and alpha_sq, and what else it keeps, as ``filter_..``.
-            Of a bank all with a leading axis of n, but for Q and F that are shared.
+            (nc,), undisturbed (nf,), gradients, prefiltered, measured (na,); scale: R, how many samples it stands on,
+            the mean of min(e^2, 4), how many samples it remembers, what is rounding; readings: what was learned of the
+            steps of y, (7,); centre of y; windup, the limit of tr P; begun, whether there is a model; enabled.
+            Of a model that is looked for: samples, of how many; waits, how many until the next look, -1 if none is;
+            start: y and u kept for it, (L, 1 + n_inputs), of which kept are its own.
+            Of what is watched: restarts, whether it may start anew; seen, how many samples; usual, of ordinary
+            residuals the autocovariances and how much of them follows the inputs anyway, (4,); scores and information
+            of the gain in the last blocks, (12, 2); followed: the residuals, predictions and inputs it judges that by,
+            (L, 2 + n_inputs);
+            and the filter's Q, F and alpha_sq, and what else it keeps, as ``filter_..``.
+            Of a bank all with a leading axis of n.
             ``format``: version, and name of tracker and structure as character codes. All of float64.
             ``numpy.savez(file, **state)`` stores it.
         """
-        arrays = {**self.now.arrays(), "enabled": self._enabled}
-        if not self._axes:
-            arrays = {name: value[0] for name, value in arrays.items() if name != "kept"}
-        return _state.labelled(self.kind, {**arrays, **self._settings()})
+        arrays = {**self.now.arrays(), "enabled": self._enabled, **self._settings()}
+        return _state.labelled(self.kind, {name: self._alone(value) for name, value in arrays.items()})
+
+    def _settings(self) -> dict[str, Array]:
+        """Return what may be set of each actuator's filter, and what that keeps of its sensor."""
+        each = [{**setup.settings(kf), **kept_with(kf)} for kf in self._filters]
+        stacked = {name: np.stack([one[name] for one in each]) for name in each[0]}
+        return {name: values.repeat(self.n // len(each), axis=0) for name, values in stacked.items()}
 
     @property
     def _axes(self) -> tuple[int, ...]:
@@ -363,30 +367,16 @@ class Following:
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
-        axes, own, given = self._axes, self.form.own, self._settings()
-        shapes: dict[str, Any] = {name: np.shape(given[name]) for name in ("Q", "F", "R", "alpha_sq") if name in given}
-        if axes:
-            square = (len(own), len(own))
-            shapes |= {name: (*axes, *square) if np.ndim(state.get(name, 0)) == 3 else square for name in "QF"}
-        shapes |= {"kept": axes} if "kept" in state else {}
-        stored = checked(state, self.form, axes, {}, shapes)
-        # Q and F of a bank may be the same for all.
-        rows = {
-            name: value if axes and (name not in "QF" or value.ndim == 3) else value[None]
-            for name, value in stored.items()
-        }
-        R = np.ravel(rows.pop("R", self._standing().scale[:, 0]))
-        filters = self._filters
-        if any(len(np.unique(rows[name], axis=0)) > 1 for name in ("Q", "F", "alpha_sq") if name in rows):
-            filters = self._apart()
+        axes, first = self._axes, setup.settings(self._filters[0])
+        stored = checked(state, self.form, axes, {name: (*axes, *value.shape) for name, value in first.items()})
+        rows = {name: value if axes and value.ndim else value[None] for name, value in stored.items()}
+        given = {name: rows[name] for name in first if name in rows}
+        filters = self._apart() if any((values != values[:1]).any() for values in given.values()) else self._filters
         for i, kf in enumerate(filters):
-            row = {name: value[i % len(value)] for name, value in rows.items()}
             kept = {name: state[name][i] if axes else state[name] for name in state if name.startswith("filter_")}
-            go_on_with(kf, row["theta"], row["P"], kept)
-            for name in {"Q", "F"} & {name for name in row if np.shape(row[name]) == (len(own), len(own))}:
-                row[name] = setup.embedded(getattr(kf, name), own, row[name])
-            setup.apply_settings(kf, row)
-        self._filters, self._now, self._enabled = filters, self._now.restored(rows, R), rows["enabled"]
+            go_on_with(kf, rows["theta"][i], rows["P"][i], kept)
+            setup.apply_settings(kf, {name: values[i % len(values)] for name, values in given.items()})
+        self._filters, self._now, self._enabled = filters, self._now.restored(rows), rows["enabled"]
         self._time, self._used = None, None
         self._load()
 
@@ -462,8 +452,9 @@ def _over(constant: Array, gain: Array) -> Array:
 
 
 def _given(key: str, value: Any) -> str:
-    """Return a setting on a line as a user gives it: a number, which may multiply the unit matrix, or an array."""
-    number = 1.0 / np.asarray(value) if key == "alpha_sq" else np.asarray(value)
+    """Return a setting on a line as a user gives it: of all alike a number, which may multiply I, or an array."""
+    number = 1.0 / value if key == "alpha_sq" else value
+    number = number[0] if (number == number[:1]).all() else number
     if number.ndim == 2 and np.array_equal(number, number[0, 0] * np.eye(len(number))):
         number = number[0, 0]
     return f"{number:.6g}" if number.ndim == 0 else " ".join(_checks.shown(number).split())

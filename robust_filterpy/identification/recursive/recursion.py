@@ -26,7 +26,7 @@ from robust_filterpy.identification.models.dependence import BLOCKS
 from robust_filterpy.identification.models.regressor import CLEANED_FROM, GUARDS, Layout, Memory, bounded, pushed
 from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.watch import Watch
+from robust_filterpy.identification.recursive.watch import USUAL, Watch
 
 #: What the gain is computed from.
 Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
@@ -39,9 +39,6 @@ REGRESSORS: Final[tuple[Regressor, ...]] = ("measured", "cleaned")
 WINDUP = 1e8
 #: What was learned of the readings, and for how many samples the sensor has been stuck.
 READINGS = repeats.WIDTH + 1
-#: What decides about another start: whether and of how many samples, samples seen, what is usual, what is rounding, and
-#: the scores of the gain.
-WATCHED = 8 + 2 * BLOCKS
 # What a record has one number of.
 _ALONE: Final = ("centre", "windup", "begun", "restarts", "samples")
 # A recording that tells nothing yet may become so many times as long before its oldest samples go.
@@ -223,47 +220,27 @@ class State(NamedTuple):
         return State(np.concatenate([one.moved for one in states]), states[0].record, starts, watch)
 
     def arrays(self) -> dict[str, Array]:
-        """Return it as plain arrays with a leading axis, R and what was warned of not among them."""
-        n, width = len(self.theta), self.watch.rows.shape[2]
-        waits = np.full(n, -1.0)
-        sizes = np.zeros(n)
-        for i, start in self.starts.items():
-            waits[i], sizes[i] = start.waits, start.y.size
-        recorded = np.full((n, int(sizes.max(initial=0)), width - 1), np.nan)
-        for i, start in self.starts.items():
-            recorded[i, recorded.shape[1] - start.y.size :] = np.column_stack((start.y, start.u))
-        part, scale, followed = self.part, self.scale, self.watch
-        rule = np.column_stack((part("centre"), part("windup"), scale[:, 1:4], part("begun"), waits))
-        watch = np.column_stack((part("restarts"), part("samples"), followed.numbers))
-        watch = np.insert(watch, 7, scale[:, 4], axis=1)
-        shown = min(int(followed.seen.max(initial=0)), followed.rows.shape[1])
-        rows = followed.rows[:, followed.rows.shape[1] - shown :]
+        """Return it as plain arrays with a leading axis, what was warned of not among them."""
+        seen, usual, rows, scores = self.watch[:4]
+        none, waits = np.zeros((0, rows.shape[2] - 1)), np.full(len(seen), -1.0)
+        waits[list(self.starts)] = [start.waits for start in self.starts.values()]
+        recorded = {i: np.column_stack((start.y, start.u)) for i, start in self.starts.items()}
+        each = [recorded.get(i, none) for i in range(len(seen))]
+        shown = min(int(seen.max(initial=0)), rows.shape[1])
         return {
-            **{name: part(name) for name in ("theta", "P", *Memory._fields, "readings")}, "recursion": rule,
-            "start": recorded, "kept": sizes, "watch": watch, "followed": rows,
+            **{name: self.part(name) for name in self.record.names or ()}, "waits": waits, "start": padded(each),
+            "kept": np.array([len(one) for one in each]), "seen": seen, "usual": usual, "scores": scores,
+            "followed": rows[:, rows.shape[1] - shown :],
         }  # fmt: skip
 
-    def restored(self, stored: Mapping[str, Array], R: Array) -> State:
-        """Return what `arrays` was made of, checked, with the R that belongs to it; what has been said stays said."""
-        n = len(self.theta)
-        rule = stored["recursion"]
-        own = np.column_stack((self.part("restarts"), self.part("samples")))
-        watch = stored.get("watch", np.column_stack((own, np.zeros((n, 6)))))
-        recorded, sizes = stored["start"], stored.get("kept", np.full(n, stored["start"].shape[1]))
-        samples = watch[:, 1].astype(int)
-        starts = {}
-        for i in np.flatnonzero(rule[:, 6] >= 0).tolist():
-            part = recorded[i, recorded.shape[1] - int(sizes[i]) :]
-            starts[i] = ColdStart(int(samples[i]), part[:, 0], part[:, 1:], int(rule[i, 6]))
-        rounding = watch[:, 7] if watch.shape[1] > 7 else np.zeros(n)
-        rows = stored.get("followed", np.zeros((n, 0, self.watch.rows.shape[2])))
-        numbers = np.delete(watch, 7, axis=1)[:, 2:] if watch.shape[1] > 7 else watch[:, 2:]
-        scale = np.column_stack((R, rule[:, 2:5], rounding))
-        return State(np.zeros(self.moved.shape), self.record, starts, self.watch.restored(numbers, rows)).with_parts(
-            **{name: stored[name] for name in ("theta", "P", *Memory._fields)}, scale=scale,
-            readings=stored.get("readings", 0.0), centre=rule[:, 0], windup=rule[:, 1], begun=rule[:, 5],
-            restarts=watch[:, 0], samples=samples,
-        )  # fmt: skip
+    def restored(self, stored: Mapping[str, Array]) -> State:
+        """Return what `arrays` was made of, checked; what has been said stays said."""
+        recorded, starts = stored["start"], {}
+        for i in np.flatnonzero(stored["waits"] >= 0).tolist():
+            part = recorded[i, recorded.shape[1] - int(stored["kept"][i]) :]
+            starts[i] = ColdStart(int(stored["samples"][i]), part[:, 0], part[:, 1:], int(stored["waits"][i]))
+        parts = {name: stored[name] for name in self.record.names or ()}
+        return State(np.zeros(self.moved.shape), self.record, starts, self.watch.restored(stored)).with_parts(**parts)
 
 
 def part_of(moved: Array, record: np.dtype[Any], name: str) -> Array:
@@ -298,19 +275,15 @@ def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, begu
     )  # fmt: skip
 
 
-def checked(
-    state: Any, form: Form, axes: tuple[int, ...], needed: Mapping[str, Any], optional: Mapping[str, Any]
-) -> dict[str, Array]:
-    """Return the arrays of a state, copied, or raise."""
-    d, signals = form.layout.n, form.n_signals
-    shapes: dict[str, Any] = {"theta": (d,), "P": (d, d), **form.layout.shapes(), "enabled": (), "recursion": (7,)}
-    shapes |= {"start": (None, signals)} if "start" in state else {}
-    if "watch" in state or "followed" in state:
-        shapes |= {"watch": (None,), "followed": (None, 1 + signals)}
-    shapes |= {"readings": (READINGS,)} if "readings" in state else {}
+def checked(state: Any, form: Form, axes: tuple[int, ...], settings: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the arrays of a state, copied, or raise; settings: the shapes of what is set, with their axes."""
+    shapes: dict[str, Any] = {name: form.record[name].shape for name in form.record.names or ()}
+    shapes |= {"usual": (USUAL,), "scores": (BLOCKS, 2), **dict.fromkeys(("enabled", "waits", "kept", "seen"), ())}
+    shapes |= {"start": (None, form.n_signals), "followed": (None, 1 + form.n_signals)}
     whole = {name: (*axes, *shape) for name, shape in shapes.items()}
-    stored = _state.checked(state, None, {**whole, **needed}, optional, ("start", "followed"))
-    for name, what, is_good in _PLAUSIBLE:
+    stored = _state.checked(state, None, whole, settings, ("start", "followed"))
+    plausible = (*_PLAUSIBLE, ("kept", "no more samples than in start", lambda kept: kept <= stored["start"].shape[-2]))
+    for name, what, is_good in plausible:
         if name in stored and not np.all(is_good(stored[name])):
             raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(stored[name])}")
     guarded = form.flags[:, 1] > GUARDS.index("none")
@@ -319,25 +292,22 @@ def checked(
             "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
             "circle"
         )
-    stored.setdefault("start", np.zeros((*axes, 0, signals)))
     return {**stored, "enabled": stored["enabled"].astype(bool)}
 
 
 # What arrays of a state hold, each with what must be so of it.
 _PLAUSIBLE: Final[tuple[tuple[str, str, Callable[[Array], Any]], ...]] = (
-    ("R", "variances > 0", lambda R: R > 0.0),
     ("alpha_sq", "numbers >= 1", lambda alpha_sq: alpha_sq >= 1.0),
-    ("recursion", "a limit of tr P > 0", lambda row: row[..., 1] > 0.0),
-    ("recursion", "counts of samples >= 0", lambda row: row[..., [2, 4]] >= 0.0),
-    ("recursion", "a mean of min(e^2, 4) in [0, 4]", lambda row: np.abs(row[..., 3] - 2.0) <= 2.0),
-    ("recursion", "begun to be 0 or 1", lambda row: np.isin(row[..., 5], (0.0, 1.0))),
-    ("recursion", "a whole number of samples until the next look, or -1", lambda row: _are_whole(row[..., 6], -1.0)),
-    # Format 1 began without the share that follows the inputs anyway, what is rounding, and the scores of the gain.
-    ("watch", f"{WATCHED} numbers", lambda row: row.shape[-1] in (6, 7, 8, WATCHED)),
-    ("watch", "whether it may start anew to be 0 or 1", lambda row: np.isin(row[..., 0], (0.0, 1.0))),
-    ("watch", "whole numbers of samples >= 0", lambda row: _are_whole(row[..., 1:3], np.array([1.0, 0.0]))),
-    ("watch", "a variance >= 0", lambda row: row[..., 3] >= 0.0),
-    ("watch", "information >= 0", lambda row: row[..., 9::2] >= 0.0),
+    ("scale", "variances > 0", lambda row: row[..., 0] > 0.0),
+    ("scale", "counts of samples and rounding >= 0", lambda row: row[..., [1, 3, 4]] >= 0.0),
+    ("scale", "a mean of min(e^2, 4) in [0, 4]", lambda row: np.abs(row[..., 2] - 2.0) <= 2.0),
+    ("windup", "a limit of tr P > 0", lambda limit: limit > 0.0),
+    *((name, "0 or 1", lambda value: np.isin(value, (0.0, 1.0))) for name in ("begun", "restarts")),
+    ("samples", "a whole number >= 1", lambda count: _are_whole(count, 1.0)),
+    ("waits", "a whole number of samples until the next look, or -1", lambda count: _are_whole(count, -1.0)),
+    *((name, "a whole number >= 0", lambda count: _are_whole(count, 0.0)) for name in ("kept", "seen")),
+    ("usual", "a variance >= 0", lambda row: row[..., 0] >= 0.0),
+    ("scores", "information >= 0", lambda row: row[..., 1] >= 0.0),
     ("readings", "a scale and counts >= 0", lambda row: row[..., [2, 3, repeats.WIDTH]] >= 0.0),
 )
 

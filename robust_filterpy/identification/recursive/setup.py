@@ -170,8 +170,8 @@ def is_plain(kf: Any, n: int) -> bool:
 
 
 def settings(kf: RobustKalmanFilter) -> dict[str, Array]:
-    """Return what a filter's behavior depends on besides x and P."""
-    values = {name: getattr(kf, name) for name in ("Q", "R", "F")} | {"alpha_sq": vars(kf)["_alpha_sq"]}
+    """Return what a filter's behavior depends on besides x, P and R."""
+    values = {"Q": kf.Q, "F": kf.F, "alpha_sq": vars(kf)["_alpha_sq"]}
     return {name: np.array(value, dtype=float) for name, value in values.items() if value is not None}
 
 

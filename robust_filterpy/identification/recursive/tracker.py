@@ -200,8 +200,6 @@ class ParameterTracker(Following, PolynomialSystem):
     (array([-0.8,  2. ]), 0.01)
     """
 
-    _name = "ParameterTracker"
-
     def __init__(
         self, structure: Structure | Model, *, filter: Any = None, theta: ArrayLike | None = None,
         P: ArrayLike | None = None, Q: ArrayLike | None = None, R: ArrayLike | None = None, F: ArrayLike | None = None,
@@ -540,34 +538,21 @@ class ParameterTracker(Following, PolynomialSystem):
         after : dict of str to ndarray
             The states after it.
         """
-        n = len(y)
-        sizes = np.array([len(one) for one in states["start"]])
-        stored = {**states, "kept": sizes, **{name: recursion.padded(states[name]) for name in ("start", "followed")}}
-        many = self._like(Following, np.zeros(n, dtype=int))
-        settings = {name: value.shape for name, value in setup.settings(self._filter).items() if name != "R"}
-        stored = recursion.checked(stored, many.form, (n,), {"R": (n, 1, 1)}, {**settings, "kept": (n,)})
-        now = many._now.restored(stored, stored["R"].ravel())
-        flags = many.form.flags.copy()
-        flags[:, 3] = stored["enabled"]
-        using = self._using()._replace(alpha_sq=np.tile(self._using().alpha_sq, n), flags=flags)
-        now, out, news = track.advance(many.form, using, now, y, u, None)
-        now, more = track.settled(many.form, now)
-        self._say(news + more)
-        after = now.arrays() | {"enabled": stored["enabled"], "R": now.scale[:, :1, None]}
-        lengths = {"start": after.pop("kept").astype(int), "followed": np.minimum(now.watch.seen, SPAN)}
+        many = self._like(Following, np.zeros(len(y), dtype=int))
+        many._go_back({**states, **{name: recursion.padded(states[name]) for name in ("start", "followed")}})
+        out = many._taken(0, y, u, None)
+        many._now, news = track.settled(many.form, many._now)
+        many._say(news)
+        after = many._now.arrays() | {"enabled": many._enabled}
+        lengths = {"start": after["kept"], "followed": np.minimum(after["seen"], SPAN)}
         return out, after | {name: recursion.apart(after[name], size) for name, size in lengths.items()}
 
     @property
     def filter(self) -> Any:
         """The filter. From when it is first asked for on it shows the last correction (y, S, K, weights, ..)."""
-        self._loaded()
-        self._asked = True
-        return self._filter
-
-    def _loaded(self) -> Any:
-        """Return the filter, which holds theta, P and R."""
         if not self._asked:
             self._load()
+        self._asked = True
         return self._filter
 
     def _standing(self) -> State:
@@ -579,13 +564,6 @@ class ParameterTracker(Following, PolynomialSystem):
         kf, scale = self._filter, self._now.scale.copy()
         scale[0, 0] = recursion.given_variance(kf)
         return self._now.with_parts(theta=np.ravel(kf.x), P=kf.P, scale=scale)
-
-    # Interruption.
-
-    def _settings(self) -> dict[str, Any]:
-        """Return what may be set of the filter, and what it keeps of its sensor."""
-        kf = self._loaded()
-        return {**setup.settings(kf), **kept_with(kf)}
 
     def replaced(self, *, Q: ArrayLike | None = None, forgetting: float | None = None) -> ParameterTracker:
         """Return a copy with another Q or forgetting, which it has after a reset, too.
@@ -606,7 +584,7 @@ class ParameterTracker(Following, PolynomialSystem):
         values = {name: value for name, value in {"Q": Q, "forgetting": forgetting}.items() if value is not None}
         for name, value in values.items():
             setattr(tracker, name, value)
-        settings = setup.settings(tracker._loaded())
+        settings = setup.settings(tracker._filter)
         changed = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
         tracker._initial, tracker._given = tracker._initial | changed, tracker._given | values
         return tracker
@@ -919,12 +897,6 @@ class TrackerBank(Following):
     def _named(self, which: list[int]) -> str:
         """Return some actuators as a message begins with them."""
         return f"{setup.actuators(np.isin(np.arange(self.n), which))}: "
-
-    def _settings(self) -> dict[str, Array]:
-        """Return what may be set of them."""
-        kept = [kept_with(kf) for kf in self._filters]
-        stacked = {name: np.stack([one[name] for one in kept]) for name in kept[0]}
-        return {"Q": self.Q, "F": self.F, "alpha_sq": self._using().alpha_sq, "R": self.R, **stacked}
 
 
 def _every(keep: Any, length: int) -> int:

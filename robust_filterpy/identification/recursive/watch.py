@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -22,7 +23,7 @@ from robust_filterpy.identification.models.dependence import (
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.regression import mad_scale
 
-__all__ = ["LOST", "OF_START", "OF_STUCK", "LostTrackerWarning", "News", "Trouble", "Watch", "long_held"]
+__all__ = ["LOST", "OF_START", "OF_STUCK", "USUAL", "LostTrackerWarning", "News", "Trouble", "Watch", "long_held"]
 
 # Samples that are judged together.
 _WINDOW: Final = 200
@@ -42,8 +43,8 @@ _IN_A_ROW: Final = 20
 _MOVED: Final = 7.0
 # Where so many residuals are no more than rounding, the plant rests or has no noise, and they tell nothing.
 _NEARLY_ALL: Final = 0.9
-# Numbers that are usual of an actuator.
-_USUAL: Final = 4
+#: Numbers that are usual of an actuator.
+USUAL: Final = 4
 # So seldom the residuals of a right model look as if they followed the inputs.
 _BY_CHANCE: Final = 1e-2
 # Of the autocovariances of ordinary residuals, how much each look renews.
@@ -103,21 +104,16 @@ class Watch(NamedTuple):
     def none(cls, n: int, n_signals: int) -> Watch:
         """Return it before the first sample."""
         rows, scores, spoken = np.zeros((n, SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2)), np.zeros((n, 3), bool)
-        seen, usual = np.zeros(n, dtype=int), np.zeros((n, _USUAL))
+        seen, usual = np.zeros(n, dtype=int), np.zeros((n, USUAL))
         return cls(seen, usual, rows, scores, np.zeros((n, 0, 3)), np.full(n, np.nan), spoken)
 
-    @property
-    def numbers(self) -> Array:
-        """Samples seen, what is usual, and the scores, (n, 29)."""
-        return np.column_stack((self.seen, self.usual, self.scores.reshape(len(self.seen), -1)))
-
-    def restored(self, numbers: Array, rows: Array) -> Watch:
-        """Return it with such numbers, fewer from before there were so many, and rows; what was said stays said."""
-        empty = Watch.none(len(rows), rows.shape[2] - 1)
-        last, every = rows[:, -SPAN:], empty.numbers
-        empty.rows[:, SPAN - last.shape[1] :], every[:, : numbers.shape[1]] = last, numbers
-        usual, scores = every[:, 1 : 1 + _USUAL], every[:, 1 + _USUAL :].reshape(empty.scores.shape)
-        return empty._replace(seen=every[:, 0].astype(int), usual=usual, scores=scores, spoken=self.spoken)
+    def restored(self, stored: Mapping[str, Array]) -> Watch:
+        """Return it with what a state has of it; what was said stays said."""
+        last = stored["followed"][:, -SPAN:]
+        empty = Watch.none(len(last), last.shape[2] - 1)
+        empty.rows[:, SPAN - last.shape[1] :] = last
+        seen, usual, scores = stored["seen"].astype(int), stored["usual"], stored["scores"]
+        return empty._replace(seen=seen, usual=usual, scores=scores, spoken=self.spoken)
 
     def waits(self, which: np.ndarray) -> int:
         """Return after how many samples one of some actuators is to be looked at."""
