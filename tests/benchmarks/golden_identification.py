@@ -129,8 +129,6 @@ def single_cases():
     frame = pd.DataFrame({"u": u}, index=dates)
     yield "output error, dates", of(pd.Series(y, dates), frame, OutputError(2, 2))
     yield "output error, told", of(y, u, OutputError(2, 2), influence=StudentT(4.0), R=0.01, offset=False)
-    groups = np.repeat([0, 1], N // 2)
-    yield "output error, groups", of(y + 2.0 * groups, u, OutputError(2, 2), groups=groups)
     rng, two = drawn(2, N, 2)
     y2 = simulate_output_error([-0.8, 1.0], two[:, 0], na=1, nb=1).y
     y2 += simulate_output_error([-0.8, 0.5], two[:, 1], na=1, nb=1).y + 0.1 * rng.normal(size=N)

@@ -132,7 +132,6 @@ def simulated(name, **options):
 
 ABILITIES = {
     **{one: lambda name, one=one: moved(name, one, STEPPED if one == "level step" else None) for one in CHANGES},
-    "groups": lambda name: moved(name, groups=np.arange(len(recorded(name)[0])) // 60),
     "fixed": lambda name: moved(name, fixed={named(name): -1.2}),
     "bounds": lambda name: moved(name, bounds={named(name): (-3.0, 3.0)}),
     "no trend": lambda name: moved(name, trend="none"),
@@ -166,7 +165,7 @@ POLYNOMIALS = {
 # What takes minutes of a physical model is tried of one recording; its level step has a test of its own.
 COSTLY = {"level step", "gaps", "fill values", "operating point", "gap in u", "line", "several", "no trend"}
 # Each makes a model of its own: an eighth of them for each structure on every commit, the next eighth for the next.
-MADE = (*(one for one in ABILITIES if one in COSTLY), "groups", "fixed", "bounds", "focus", "constant", "times")
+MADE = (*(one for one in ABILITIES if one in COSTLY), "fixed", "bounds", "focus", "constant", "times")
 
 
 def abilities(name, often):

@@ -41,12 +41,12 @@ def test_several_recordings_tell_as_much_as_one(structure, inside, near):
     assert np.array_equal(identify(ys[:1], us[:1], structure).theta, identify(ys[0], us[0], structure).theta)
 
 
-def test_a_column_groups_the_rows_of_a_table():
+def test_the_parts_of_a_table_are_a_list_of_recordings():
     ys, us = plant([200, 150], 4)
     table = pd.DataFrame({"y": np.concatenate(ys), "u": np.concatenate(us), "batch": ["a"] * 200 + ["b"] * 150})
-    listed, shuffled = identify(ys, us, OutputError(2, 2)), table.sort_values("batch", kind="stable")
-    grouped = identify(shuffled["y"], shuffled["u"], OutputError(2, 2), groups=shuffled["batch"])
-    assert np.allclose(grouped.theta, listed.theta, rtol=1e-9)
+    parts = [part for _, part in table.groupby("batch")]
+    grouped = identify([part["y"] for part in parts], [part["u"] for part in parts], OutputError(2, 2))
+    assert np.allclose(grouped.theta, identify(ys, us, OutputError(2, 2)).theta, rtol=1e-9)
 
 
 def test_a_step_in_one_recording_is_taken_off_there():
@@ -92,13 +92,11 @@ def test_a_long_gap_in_u_or_of_the_time_axis_makes_two_recordings_and_a_short_on
     (lambda ys, us: ([ys[0], ys[1][:3]], [us[0], us[1][:3]]), "in recording 1"),
     (lambda ys, us: ([ys[0], np.full(150, np.nan)], us), "got 0 in recording 1"),
     (lambda ys, us: (ys, [us[0], us[1][:-1]]), "150 samples like y, got 149"),
-    (lambda ys, us: (ys[0], us[0], [1] * 199), "a label for each of the 200"),
-    (lambda ys, us: (ys[0], us[0], [1.0, np.nan] * 100), "sample 1"),
 ])  # fmt: skip
-def test_recordings_and_labels_that_do_not_fit_are_refused_by_number(change, says):
-    y, u, *groups = change(*plant([200, 150], 10))
+def test_recordings_that_do_not_fit_are_refused_by_number(change, says):
+    y, u = change(*plant([200, 150], 10))
     with pytest.raises(ValueError, match=says):
-        identify(y, u, OutputError(2, 2), groups=groups[0] if groups else None)
+        identify(y, u, OutputError(2, 2))
 
 
 @pytest.mark.pairwise(1)

@@ -238,14 +238,13 @@ def _without_leverage(problem: Problem, y: Array) -> Explanation:
 @overload
 def identify(
     y: ArrayLike, u: ArrayLike | None, structure: Structure, *, influence: Influence | None = None, offset: bool = True,
-    R: float | None = None, trend: str | None = None, groups: ArrayLike | None = None,
-    fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None,
-    progress: bool | None = None,
+    R: float | None = None, trend: str | None = None, fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Any] | None = None, progress: bool | None = None,
 ) -> Model: ...  # fmt: skip
 @overload
 def identify(
     y: ArrayLike, u: ArrayLike | None, structure: StateSpace, *, influence: Influence | None = None,
-    trend: str | None = None, groups: ArrayLike | None = None, progress: bool | None = None,
+    trend: str | None = None, progress: bool | None = None,
 ) -> StateSpaceModel: ...  # fmt: skip
 @overload
 def identify(
@@ -254,8 +253,8 @@ def identify(
 ) -> GreyBoxModel: ...  # fmt: skip
 def identify(
     y: Any, u: Any, structure: Structure | StateSpace | GreyBox, *, influence: Influence | None = None,
-    offset: bool = True, R: float | None = None, trend: str | None = None, groups: ArrayLike | None = None,
-    t: ArrayLike | None = None, fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None,
+    offset: bool = True, R: float | None = None, trend: str | None = None, t: ArrayLike | None = None,
+    fixed: Mapping[str, float] | None = None, bounds: Mapping[str, Any] | None = None,
     progress: bool | None = None,
 ) -> Model | StateSpaceModel | GreyBoxModel:  # fmt: skip
     """Find the model of a recording with outliers, from nothing but the recording.
@@ -269,7 +268,8 @@ def identify(
     ----------
     y : array_like, shape (N,), or list of these
         Measured output; NaN where it is missing. A pandas Series has the index of u, in equal steps, which tell the
-        sampling period. A list: several recordings of one plant, each with a level and a start of its own.
+        sampling period. A list: several recordings of one plant, each with a level and a start of its own; of a table
+        ``[part["y"] for _, part in table.groupby("batch")]``.
     u : array_like, shape (N,) or (N, n_inputs), list of these, or None
         Input; the rows phi(k) for a LinearRegression; None for a structure without input. NaN where it is missing: up
         to 10 samples in a row are held at the value before, longer gaps make two recordings of one.
@@ -286,8 +286,6 @@ def identify(
         What level y has besides the model: none (as ``offset=False``), a constant, a straight line, or a constant with
         steps and ramps wherever the recording shows them. Default: "breaks", for a structure with inputs. Outputs of
         states have a constant at least, those of physics none besides their equations.
-    groups : array_like, shape (N,), optional
-        A label for each sample: those with the same one are a recording.
     t : array_like, shape (N,), optional
         Times in s, at any distance, of the samples for a GreyBox; else those of the index.
     fixed : dict of str to float, optional
@@ -352,7 +350,7 @@ def identify(
         raise TypeError(f"influence: expected an influence function such as Huber(), got {_checks.shown(influence)}")
     with stages("identify", progress):
         if isinstance(structure, (StateSpace, GreyBox)):
-            model = _of_outputs(y, u, structure, influence, trend, groups, t, {
+            model = _of_outputs(y, u, structure, influence, trend, t, {
                 "offset": offset, "R": R, "fixed": fixed, "bounds": bounds
             })  # fmt: skip
         else:
@@ -365,7 +363,7 @@ def identify(
             if not isinstance(offset, (bool, np.bool_)):
                 raise TypeError(f"offset: expected True or False, got {_checks.shown(offset)}")
             limits = Limits.of(structure, fixed, bounds)
-            model = _of_polynomials(y, u, structure, influence, bool(offset), R, trend, groups, limits)
+            model = _of_polynomials(y, u, structure, influence, bool(offset), R, trend, limits)
     for words in (said(model.findings), model.warning):
         if words:
             warn(f"identify: {words}")
@@ -373,14 +371,14 @@ def identify(
 
 
 def _of_polynomials(
-    y: Any, u: Any, structure: Structure, influence: Any, offset: bool, R: Any, trend: Any, groups: Any, limits: Any
+    y: Any, u: Any, structure: Structure, influence: Any, offset: bool, R: Any, trend: Any, limits: Any
 ) -> Model:  # fmt: skip
     """Return a model of one output."""
     if trend is not None and not isinstance(trend, Settled):
         _checks.option("trend", trend, TRENDS)
         if not offset and trend != "none":
             raise ValueError(f'trend: expected "none" with offset=False, got {_checks.shown(trend)}; leave offset out')
-    recording = recorded(structure, y, u, groups)
+    recording = recorded(structure, y, u)
     require_motion(recording.y, recording.u)
     signal = recording.u
     offset = offset and trend != "none"
@@ -400,7 +398,7 @@ def _of_polynomials(
 
 
 def _of_outputs(
-    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, trend: Any, groups: Any, t: Any, given: Any
+    y: Any, u: Any, structure: StateSpace | GreyBox, influence: Any, trend: Any, t: Any, given: Any
 ) -> StateSpaceModel | GreyBoxModel:
     """Return a state-space or physical model, or raise if it is asked for what it does not take."""
     physical, kind = isinstance(structure, GreyBox), type(structure).__name__
@@ -417,9 +415,7 @@ def _of_outputs(
     levels = tuple(one for one in TRENDS if one != ("constant" if physical else "none"))
     trend = "breaks" if trend is None else _checks.option("trend", trend, levels)
     if isinstance(structure, GreyBox):
-        if groups is not None:
-            raise ValueError("groups: expected None for a GreyBox; give lists of y, u and t")
         return identified_grey_box(y, u, structure, t, influence, trend)
     if t is not None:
         raise ValueError("t: expected None for a StateSpace, whose samples are equally far apart; take a GreyBox")
-    return identified_state_space(y, u, structure, influence, groups, trend)
+    return identified_state_space(y, u, structure, influence, trend)

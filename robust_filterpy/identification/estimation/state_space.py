@@ -87,12 +87,12 @@ class _Found(NamedTuple):
 
 
 def identified_state_space(
-    y: Any, u: Any, structure: StateSpace, influence: Influence | None = None, groups: Any = None, trend: str = "breaks"
+    y: Any, u: Any, structure: StateSpace, influence: Influence | None = None, trend: str = "breaks"
 ) -> StateSpaceModel:
     """Find a state-space model of recordings of several outputs."""
     if u is None:
         raise ValueError("u: expected a recording of the inputs for a state-space model, got None")
-    recording = recorded(ANY_COLUMNS, y, u, groups)
+    recording = recorded(ANY_COLUMNS, y, u)
     require_motion(recording.y, recording.u)
     spans = recording.spans
 

@@ -1,9 +1,8 @@
 """From what was recorded to arrays, once, at the door: one recording or several, at equal steps or any times.
 
-Several recordings come as lists, or as one table with a column that groups its rows. A gap of more than `LONG_GAP`
-samples in the inputs or in the time axis makes two recordings of one: what happened in it is unknown, so what comes
-after it has a start of its own. In shorter gaps an input is held at the value before, which is said. Equations of
-physics hold it as long as it takes.
+Several recordings come as lists. A gap of more than `LONG_GAP` samples in the inputs or in the time axis makes two
+recordings of one: what happened in it is unknown, so what comes after it has a start of its own. In shorter gaps an
+input is held at the value before, which is said. Equations of physics hold it as long as it takes.
 
 A measured output has noise, and hardly ever the same number twice. A number that many samples have, or a stretch of
 them, while the others are all different, is no rounding; and if inputs moved as much then as at other times, it is no
@@ -216,9 +215,9 @@ class Recording(NamedTuple):
         return all(are_equal(np.diff(self.times[part])) for part in self.spans)
 
 
-def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None, t: Any = None) -> Recording:
+def recorded(structure: Structure | Signals, y: Any, u: Any, t: Any = None) -> Recording:
     """Return what was recorded, checked; `ANY_COLUMNS` is the structure of states, `ANY_TIMES` that of physics."""
-    recordings = _grouped(y, u, groups) if groups is not None else _listed(y, u, t)
+    recordings = _listed(y, u, t)
     if len(recordings) == 1 and not are_several(y, u):
         recordings = _split_in_time(structure, *recordings[0])
     axes: list[TimeAxis] = []
@@ -241,7 +240,7 @@ def recorded(structure: Structure | Signals, y: Any, u: Any, groups: Any = None,
             raise ValueError(f"{name}: expected recordings of equally many columns, got {[*widths]}")
     measured, signal = (np.concatenate(each) for each in zip(*parts, strict=True))
     measured, lies = measurements(measured, signal)
-    in_time = len(recordings) > 1 and groups is None and not are_several(y, u)
+    in_time = len(recordings) > 1 and not are_several(y, u)
     if len(recordings) < len(parts) or in_time:
         jumps = f"{len(recordings) - 1} jumps of the time axis"
         what = f"gaps of more than {LONG_GAP} samples in u" if len(recordings) < len(parts) else jumps
@@ -264,25 +263,6 @@ def _listed(y: Any, u: Any, t: Any) -> list[tuple[Any, Any, Any]]:
             raise ValueError(f"{name}: expected a list of {len(y)} recordings like y, got {got}")
         columns.append([None] * len(y) if each is None else each)
     return list(zip(*columns, strict=True))
-
-
-def _grouped(y: Any, u: Any, groups: Any) -> list[tuple[Any, Any, Any]]:
-    """Return the recordings that a column tells apart, in the order in which they begin."""
-    labels = np.asarray(groups, dtype=object).ravel()
-    if labels.size != len(y) or (u is not None and len(u) != len(y)):
-        raise ValueError(f"groups: expected a label for each of the {len(y)} samples of y and u, got {labels.size}")
-    if any(label is None or label != label for label in labels):
-        k = next(k for k, label in enumerate(labels) if label is None or label != label)
-        raise ValueError(f"groups: expected a label for each sample, got {labels[k]} in sample {k}")
-    rows: dict[Any, list[int]] = {}
-    for k, label in enumerate(labels):
-        rows.setdefault(label, []).append(k)
-    return [(_rows(y, where), None if u is None else _rows(u, where), None) for where in rows.values()]
-
-
-def _rows(signal: Any, where: Any) -> Any:
-    """Return some rows of an array or a table."""
-    return signal.iloc[where] if hasattr(signal, "iloc") else np.asarray(signal)[where]
 
 
 def _split_in_time(structure: Structure | Signals, y: Any, u: Any, t: Any) -> list[tuple[Any, Any, Any]]:
