@@ -1,7 +1,8 @@
 """The machinery of `check_filter`: named promises, what is expected to fail, and the subject that they are tested on.
 
 A promise is a function of a subject (the filter's factory, a seed, the false-alarm probability) that raises
-AssertionError. Its docstring's first line is the theorem.
+AssertionError, or SkipTest where it has no meaning for this filter, which pytest and unittest report as skipped. Its
+docstring's first line is the theorem.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ import time
 import unittest
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,18 +28,6 @@ from robust_filterpy.testing.runs import Run
 
 #: Samples after which a filter is old.
 OLD = 1200
-
-
-def through(estimator: Any, steps: Iterable[Callable[[Any], Any]]) -> Any:
-    """Make calls one after another and return the estimator."""
-    for step in steps:
-        step(estimator)
-    return estimator
-
-
-def not_applicable(reason: str) -> unittest.SkipTest:
-    """Return what a promise raises that has no meaning for this estimator; pytest and unittest report it as skipped."""
-    return unittest.SkipTest(reason)
 
 
 @dataclass(frozen=True)
@@ -102,7 +91,7 @@ class Check:
         except Exception as error:
             why = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
             if self.expected_failure is not None:
-                raise not_applicable(f"fails as expected, {self.expected_failure}: {why}") from None
+                raise unittest.SkipTest(f"fails as expected, {self.expected_failure}: {why}") from None
             raise AssertionError(f"{self.name}: {why}") from error
         if self.expected_failure is not None:
             warnings.warn(
@@ -136,12 +125,15 @@ class CheckResult(NamedTuple):
         Why, if it did not pass.
     seconds : float
         What it took.
+    needs : frozenset of str
+        Claims that it belongs to.
     """
 
     name: str
     status: str
     message: str
     seconds: float
+    needs: frozenset[str] = frozenset()
 
 
 class ChecksFailed(AssertionError):
@@ -151,8 +143,6 @@ class ChecksFailed(AssertionError):
     ----------
     results : sequence of CheckResult
         One for each check.
-    claims : mapping of str to iterable of str, optional
-        To which claims checks belong, by name.
 
     Attributes
     ----------
@@ -160,22 +150,20 @@ class ChecksFailed(AssertionError):
         One for each check.
     """
 
-    def __init__(self, results: Sequence[CheckResult], claims: Mapping[str, Iterable[str]] | None = None) -> None:
+    def __init__(self, results: Sequence[CheckResult]) -> None:
         """Put the failed ones into the message, each with what must not be claimed if it is not meant."""
         self.results = tuple(results)
-        reasons: dict[str, list[str]] = {}
-        for result in results:
-            if result.status == "failed":
-                reasons.setdefault(result.message.removeprefix(f"{result.name}: "), []).append(result.name)
-        lines = [f"{sum(map(len, reasons.values()))} of {len(results)} checks failed"]
-        claims_needed = set()
-        for why, names in reasons.items():
-            needed = {claim for name in names for claim in (claims or {}).get(name, ())}
-            claims_needed |= needed
+        failed = [result for result in results if result.status == "failed"]
+        lines = [f"{len(failed)} of {len(results)} checks failed"]
+        reasons: dict[str, list[CheckResult]] = {}
+        for result in failed:
+            reasons.setdefault(result.message.removeprefix(f"{result.name}: "), []).append(result)
+        for why, alike in reasons.items():
+            names, needed = [result.name for result in alike], frozenset().union(*(result.needs for result in alike))
             several = f"{why} ({len(names)} checks: {', '.join(names)})"
             lines.append(several if len(names) > 1 else f"{names[0]}: {why}")
             lines[-1] += f" [{', '.join(sorted(needed))}]" if needed else ""
-        if claims_needed:
+        if any(result.needs for result in failed):
             lines.append("In brackets: the claim that is tested; not_claimed=(..) takes names that are not claimed")
         super().__init__("\n".join(lines))
 
@@ -189,7 +177,7 @@ def result_of(check: Check, make: Callable[..., Any]) -> CheckResult:
         status, message = "skipped", str(reason)
     except AssertionError as error:
         status, message = "failed", str(error)
-    return CheckResult(check.name, status, message, time.perf_counter() - start)
+    return CheckResult(check.name, status, message, time.perf_counter() - start, check.needs)
 
 
 #: What a filter can claim; `check_filter` tests all of it that is not in not_claimed.
@@ -307,16 +295,6 @@ class FilterSubject:
         model = self.model()
         scenarios = [draw(model, _STEPS, contamination=contamination, rng=self.rng) for _ in range(count)]
         return [runs.run_filter(self.new(model), scenario) for scenario in scenarios]
-
-    def work(self) -> tuple[Callable[[], Any], Sequence[Callable[[Any], Any]]]:
-        """Return what makes loaded filters, and predictions and corrections in turn."""
-        model = self.model()
-        steps = [
-            call
-            for z in self.recording(model)
-            for call in (partial(runs.predict, u=None), partial(runs.measure, z=z, model=model))
-        ]
-        return lambda: self.new(model), steps
 
     def corrected(self, e: float, age: int = 0, R_ratio: float = 1.0) -> tuple[Array, Array, Array, Array]:
         """Return the step of a correction by e deviations of each sensor, the Kalman gain's, P before and after."""

@@ -9,6 +9,7 @@ from typing import Any
 from robust_filterpy import _checks
 from robust_filterpy.testing import contracts, filter_data, filter_equations
 from robust_filterpy.testing.bench import FILTER_TAGS, Check, CheckResult, ChecksFailed, FilterSubject, result_of
+from robust_filterpy.testing.consistency import probability
 
 #: From what breaks everything to what only shows in the long run, so that the first failure is the one to look at.
 FILTER_PROMISES = (*contracts.FIRST, *filter_equations.PROMISES, *filter_data.LATER)
@@ -50,7 +51,7 @@ def filter_checks(
     expected, names = dict(expected_failures or {}), [entry.name for entry in FILTER_PROMISES]
     for name in expected:
         _checks.option("expected_failures", name, names)
-    alpha, seed = contracts.probability(false_alarm), _checks.count("seed", seed)
+    alpha, seed = probability(false_alarm), _checks.count("seed", seed)
 
     return [
         replace(entry, expected_failure=expected.get(entry.name), claims=claims, seed=seed, false_alarm=alpha)
@@ -109,5 +110,5 @@ def check_filter(
         raise type(error)(str(error).replace("kf: ", "make: ", 1)) from None
     results = [result_of(check, make) for check in checks]
     if any(result.status == "failed" for result in results):
-        raise ChecksFailed(results, {check.name: check.needs for check in checks})
+        raise ChecksFailed(results)
     return tuple(results)

@@ -4,50 +4,17 @@ from __future__ import annotations
 
 import copy
 import pickle
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
-from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.testing import runs
-from robust_filterpy.testing.bench import OLD, Check, FilterSubject, promise, through
+from robust_filterpy.testing.bench import OLD, Check, FilterSubject, promise
 from robust_filterpy.testing.models import StateModel
 from robust_filterpy.testing.runs import state
-
-
-def times(ratio: float) -> str:
-    """Say by which factor a covariance is wrong, of squares that are so many times too large."""
-    return f"{ratio:.2g} times too small" if ratio > 1 else f"{1 / max(ratio, 1e-300):.2g} times too large"
-
-
-def band(dof: int, alpha: float) -> tuple[float, float]:
-    """Return the two quantiles that a chi-square variable leaves with this probability."""
-    return float(stats.chi2.ppf(alpha / 2, dof)), float(stats.chi2.isf(alpha / 2, dof))
-
-
-def at_least_one(factor: Any) -> float:
-    """Return a factor >= 1 or raise."""
-    if not _checks.positive("factor", factor) >= 1.0:
-        raise ValueError(f"factor: expected a number >= 1, got {_checks.shown(factor)}")
-    return float(factor)
-
-
-def probability(value: Any) -> float:
-    """Return a probability in (0, 1) or raise."""
-    if not 0.0 < _checks.real("false_alarm", value) < 1.0:
-        raise ValueError(f"false_alarm: expected a probability in (0, 1), got {_checks.shown(value)}")
-    return float(value)
-
-
-def fail(failures: Sequence[str | None]) -> None:
-    """Raise what failed in one AssertionError."""
-    words = [failure for failure in failures if failure]
-    if words:
-        raise AssertionError("\n".join(words))
 
 
 def deviations(P: Array) -> Array:
@@ -241,11 +208,10 @@ def integers_are_numbers_like_any_other(subject: FilterSubject) -> None:
 @promise(FIRST)
 def estimates_handed_out_stay_as_they_were(subject: FilterSubject) -> None:
     """What the estimator showed, kept in a list after each call, is not changed by later calls."""
-    new, steps = subject.work()
-    estimator, shown_before = new(), []
-    # As often as it takes for a buffer of past estimates to be written over.
-    for step in OLD // len(steps) * list(steps):
-        step(estimator)
+    model = subject.model()
+    estimator, shown_before = subject.new(model), []
+    # As long as it takes for a buffer of past estimates to be written over.
+    for _ in runs.calls(estimator, subject.recording(model, OLD // 2), model):
         shown = {name: getattr(estimator, name) for name in _SHOWN if hasattr(estimator, name)}
         shown_before += [(name, value, np.array(value, dtype=float)) for name, value in shown.items()]
     for name, value, then in shown_before:
@@ -256,13 +222,14 @@ def estimates_handed_out_stay_as_they_were(subject: FilterSubject) -> None:
 @promise(FIRST)
 def two_estimators_share_nothing(subject: FilterSubject) -> None:
     """An estimator at work changes neither another one, nor those made later, nor what these find."""
-    new, steps = subject.work()
-    idle = new()
+    model = subject.model()
+    zs, idle = subject.recording(model), subject.new(model)
     before = visible(idle)
-    after = visible(through(new(), steps), _SHOWN)
+    after = visible(subject.advance(subject.new(model), zs, model), _SHOWN)
     assert_unchanged(before, idle, "another one's work")
-    assert_unchanged(before, new(), "the first one's work, in those made later,")
-    assert_unchanged(after, through(new(), steps), "something that is left of the first one")
+    assert_unchanged(before, subject.new(model), "the first one's work, in those made later,")
+    again = subject.advance(subject.new(model), zs, model)
+    assert_unchanged(after, again, "something that is left of the first one")
 
 
 @promise(FIRST)
@@ -279,9 +246,9 @@ def pickles_go_on_alike(subject: FilterSubject) -> None:
 
 def _round_trip(subject: FilterSubject, way: str, copied: Callable[[Any], Any]) -> None:
     """Copy in the middle of a recording, and go on with both."""
-    new, steps = subject.work()
-    half = len(steps) // 2
-    estimator = through(new(), steps[:half])
+    model = subject.model()
+    first, rest = np.split(subject.recording(model), 2)
+    estimator = subject.advance(subject.new(model), first, model)
     try:
         twin = copied(estimator)
     except Exception as error:
@@ -290,25 +257,24 @@ def _round_trip(subject: FilterSubject, way: str, copied: Callable[[Any], Any]) 
         raise AssertionError(f"{way} made a {type(twin).__name__} of a {type(estimator).__name__}")
     before = visible(estimator)
     assert_unchanged(before, twin, way)
-    after = visible(through(estimator, steps[half:]))
+    after = visible(subject.advance(estimator, rest, model))
     assert_unchanged(before, twin, f"the original went on and, through what a {way} shares with it,")
-    assert_unchanged(
-        after, through(twin, steps[half:]), f"going on after {way} gave other numbers than the original's: it"
-    )
+    gone_on = subject.advance(twin, rest, model)
+    assert_unchanged(after, gone_on, f"going on after {way} gave other numbers than the original's: it")
 
 
 @promise(FIRST, "validates")
 def bad_input_is_refused_and_changes_nothing(subject: FilterSubject) -> None:
     """What cannot be right raises ValueError or TypeError; the estimate, and what it is later, are as without it."""
-    (new, steps), faults = subject.work(), []
-    half = len(steps) // 2
-    wanted = visible(through(new(), steps), _SHOWN)
+    model, faults = subject.model(), []
+    first, rest = np.split(subject.recording(model), 2)
+    wanted = visible(subject.advance(subject.advance(subject.new(model), first, model), rest, model), _SHOWN)
     for words, bad in BAD_VALUES.items():
         call = partial(_bad_call, subject.model(), *bad)
-        estimator = through(new(), steps[:half])
+        estimator = subject.advance(subject.new(model), first, model)
         try:
             assert_refused_call_changes_nothing(estimator, call, names=_SHOWN)
-            assert_unchanged(wanted, through(estimator, steps[half:]), "after it, what followed")
+            assert_unchanged(wanted, subject.advance(estimator, rest, model), "after it, what followed")
         except AssertionError as error:
             faults.append(f"{words}: {error}")
     if faults:

@@ -146,13 +146,13 @@ def test_correlation_at_a_later_lag_is_found():
 
 
 @pytest.mark.parametrize(("P", "expected"), [
-    (np.array([[1.0, 0.0], [1e-3, 1.0]]), "not symmetric at step 0"),
-    (np.array([[1.0, 1.1], [1.1, 1.0]]), "no covariance at step 0: its least eigenvalue is -0.1"),
-    (np.array([[1e12, 1.1], [1.1, 1e-12]]), "no covariance"),
+    (np.array([[1.0, 0.0], [1e-3, 1.0]]), "P[1]: expected a symmetric matrix"),
+    (np.array([[1.0, 1.1], [1.1, 1.0]]), "least eigenvalue is -0.1;"),
+    (np.array([[1e12, 1.1], [1.1, 1e-12]]), "P[1]: expected a positive semidefinite"),
     (np.array([[1.0, np.nan], [np.nan, 1.0]]), "NaN or infinity"),
 ])  # fmt: skip
 def test_what_is_no_covariance_is_named_whatever_the_units(P, expected):
-    assert expected in words(assert_covariance_stays_one, P)
+    assert expected in words(assert_covariance_stays_one, np.stack([np.eye(2), P]))
     assert_covariance_stays_one(np.diag([1e12, 1e-12]))
     assert_covariance_stays_one(draw("constant velocity", 20, rng=1).reference.P)
 
