@@ -17,7 +17,7 @@ import numpy as np
 import scipy.signal
 from numpy.typing import ArrayLike
 
-from robust_filterpy._checks import Array, count, finite_vector, matrix, numbers, positive
+from robust_filterpy._checks import Array, count, finite, finite_vector, matrix, numbers, positive
 from robust_filterpy._checks import covariance as require_covariance
 from robust_filterpy.identification.models.regressor import LinearParameters, is_stable, linear_parameters
 
@@ -116,9 +116,7 @@ def simulate_arx(
     >>> simulate_arx([-0.5, 1.0], [1, 0, 0, 0], na=1, nb=1).y
     array([0.  , 1.  , 0.5 , 0.25])
     """
-    plant = _Plant.of(system, u, na, nb, nk)
-    v = _noise(noise, plant.u.size, rng)
-    return Simulation(plant.u, plant.output(plant.forcing + v), plant.output(plant.forcing), plant.theta)
+    return _simulated(True, system, u, noise, rng, na, nb, nk)
 
 
 def simulate_output_error(
@@ -155,55 +153,43 @@ def simulate_output_error(
     >>> (data.y - data.y_clean).round(3)
     array([ 0.035,  0.082,  0.033, -0.13 ])
     """
-    plant = _Plant.of(system, u, na, nb, nk)
-    v = _noise(noise, plant.u.size, rng)
-    y_clean = plant.output(plant.forcing)
-    return Simulation(plant.u, y_clean + v, y_clean, plant.theta)
+    return _simulated(False, system, u, noise, rng, na, nb, nk)
 
 
-class _Plant(NamedTuple):
-    """Checked arguments: what drives the recursion, and its coefficients."""
+def _simulated(inside: bool, system: System, u: ArrayLike, noise: Any, rng: Any, *orders: int | None) -> Simulation:
+    """Simulate a plant from rest, the noise inside its loop or on its output; orders: na, nb, nk."""
+    signal = finite_vector("u", u).copy()
+    theta, na, nb, nk = orders_of(system, *orders)
+    if theta.ndim > 1 and len(theta) != signal.size:
+        raise ValueError(f"theta: expected a row for each of the {signal.size} samples of u, got {len(theta)} rows")
+    path = np.tile(theta, (signal.size, 1)) if theta.ndim == 1 else theta.copy()
+    # b_1(k) u(k-nk) + .. + b_nb(k) u(k-nk-nb+1)
+    padded, forcing = np.concatenate((np.zeros(nk + nb), signal)), np.zeros(signal.size)
+    for j in range(nb):
+        forcing += path[:, na + j] * padded[nb - j : nb - j + signal.size]
+    v, a = _noise(noise, signal.size, rng), theta[..., :na]
+    clean = _output(a, forcing)
+    return Simulation(signal, _output(a, forcing + v) if inside else clean + v, clean, path)
 
-    u: Array
-    theta: Array  # (N, na + nb)
-    na: int
-    forcing: Array  # b_1(k) u(k-nk) + .. + b_nb(k) u(k-nk-nb+1)
-    constant: bool
 
-    @classmethod
-    def of(cls, system: System, u: ArrayLike, na: int | None, nb: int | None, nk: int | None) -> _Plant:
-        """Bring every accepted form of system to a theta per sample."""
-        signal = finite_vector("u", u).copy()
-        theta, na, nb, nk = orders_of(system, na, nb, nk)
-        constant = theta.ndim == 1
-        if not constant and len(theta) != signal.size:
-            raise ValueError(f"theta: expected a row for each of the {signal.size} samples of u, got {len(theta)} rows")
-        theta = np.tile(theta, (signal.size, 1)) if constant else theta.copy()
-        padded = np.concatenate((np.zeros(nk + nb), signal))
-        forcing = np.zeros(signal.size)
-        for j in range(nb):
-            forcing += theta[:, na + j] * padded[nb - j : nb - j + signal.size]
-        return cls(signal, theta, na, forcing, constant)
-
-    def output(self, forcing: Array) -> Array:
-        """Run y(k) = forcing(k) - a_1(k) y(k-1) - .. - a_na(k) y(k-na) from rest."""
-        na = self.na
-        with np.errstate(over="ignore", invalid="ignore"):
-            if self.constant:
-                y = scipy.signal.lfilter([1.0], np.concatenate(([1.0], self.theta[0, :na])), forcing)
-            else:
-                padded = np.zeros(na + forcing.size)
-                # Oldest first, as the samples stand in the buffer.
-                a = np.ascontiguousarray(self.theta[:, na - 1 :: -1] if na else self.theta[:, :0])
-                for k, drive in enumerate(forcing):
-                    padded[na + k] = drive - a[k].dot(padded[k : k + na])
-                y = padded[na:]
-        if not np.isfinite(y).all():
-            raise ValueError(
-                f"theta: the output overflows at sample {int(np.argmin(np.isfinite(y)))}, the plant is unstable; "
-                "random_walk(..., accept=stable(na)) keeps a path stable"
-            )
-        return y
+def _output(a: Array, forcing: Array) -> Array:
+    """Run y(k) = forcing(k) - a_1 y(k-1) - .. - a_na y(k-na) from rest; a may have a row for each sample."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if a.ndim == 1:
+            y = scipy.signal.lfilter([1.0], np.concatenate(([1.0], a)), forcing)
+        else:
+            # Oldest first, as the samples stand in the buffer.
+            na, a = a.shape[1], np.ascontiguousarray(a[:, ::-1])
+            padded = np.zeros(na + forcing.size)
+            for k, drive in enumerate(forcing):
+                padded[na + k] = drive - a[k].dot(padded[k : k + na])
+            y = padded[na:]
+    if not np.isfinite(y).all():
+        raise ValueError(
+            f"theta: the output overflows at sample {int(np.argmin(np.isfinite(y)))}, the plant is unstable; "
+            "random_walk(..., accept=stable(na)) keeps a path stable"
+        )
+    return y
 
 
 def _noise(noise: Any, n: int, rng: np.random.Generator | int | None) -> Array:
@@ -279,9 +265,7 @@ def random_walk(
     covariance = numbers("Q", Q)
     covariance = matrix("Q", covariance * np.eye(p) if covariance.ndim == 0 else covariance, (p, p), f"{p} parameters")
     require_covariance("Q", covariance)
-    transition = None if C is None else matrix("C", C, (p, p), f"{p} parameters")
-    if transition is not None and not np.isfinite(transition).all():
-        raise ValueError("C: expected finite numbers, got NaN or infinity among them")
+    transition = None if C is None else finite("C", C, (p, p))
     if accept is not None and not callable(accept):
         raise TypeError(f"accept: expected a function of theta or None, got {accept!r}; stable(na) makes one")
     if accept is not None and not accept(theta0.copy()):

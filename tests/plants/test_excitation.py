@@ -93,7 +93,7 @@ def test_sample_autocovariance_equals_statsmodels(seed, size, data):
     (bandlimited_pink_autocovariance(*BAND, 40), (-1, 1), 1, 300), ([1.0], (-1, 1), 3, 40),
     (bandlimited_pink_autocovariance(*BAND, 40), (-1, 1), 3, 150), ([2.0, 0.7, 0.3, 0.1], (-2, 3), 4, 40),
     ([0.25, 0.1, 0.0, -0.1, 0.01], (0, 1), 2, 40), ([1.0, 0.0, 0.0, 0.0], (-1, 1), 7, 40),
-    # 2^13 tuples take two blocks.
+    # Many tuples, and a horizon beyond the last lag.
     ([0.6, 0.5, 0.4], (-1, 1), 13, 3),
     # On the edge of the positive semidefinite ones: that of the alternating signal.
     ([(-1.0) ** k for k in range(9)], (-1, 1), 1, 100),
