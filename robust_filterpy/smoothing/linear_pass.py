@@ -90,16 +90,10 @@ class Smooth(NamedTuple):
 
 
 def smoothing_pass(
-    model: Model,
-    weighting: Weighting,
-    *,
-    spread: bool = True,
-    states: bool = False,
-    process: bool = False,
-    into: Smooth | None = None,
+    model: Model, weighting: Weighting, *, spread: bool = True, states: bool = False, process: bool = False
 ) -> Smooth:
     """Smooth all series once: by the kernel (``kernel/smoother.h``), else by the definition."""
-    out = _room(model, weighting, spread, states, process) if into is None else into
+    out = _room(model, weighting, spread, states, process)
     sharpest = _passed(model, weighting, out)
     if sharpest > _SHARP and out.spread.shape[1] and not out.x.shape[1]:
         out = _room(model, weighting, True, True, process)

@@ -20,7 +20,8 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import stack
 from robust_filterpy._checks import Array
 from robust_filterpy.filters.conversion import robust
-from robust_filterpy.filters.nonlinear_mixin import innovation_of
+from robust_filterpy.filters.nonlinear_mixin import covariance, innovation_of
+from robust_filterpy.filters.policies import regressed
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.smoothing.linear_pass import Model, Recording, Smooth, problem
 
@@ -173,10 +174,7 @@ class SigmaPoints:
         value = np.ravel(self.Wm @ y if mean is None else mean(y, self.Wm))
         apart = np.array([np.ravel(residual(one, value)) for one in y])
         dx = np.array([np.ravel(self.residual_x(one, x)) for one in s])
-        A = np.linalg.solve(P, (dx * self.Wc[:, None]).T @ apart).T
-        rest = (apart * self.Wc[:, None]).T @ apart - A @ P @ A.T
-        values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
-        return Tangent(value, A, (vectors * np.maximum(values, 0.0)) @ vectors.T)
+        return Tangent(value, *regressed(P, covariance(dx, apart, self.Wc), covariance(apart, apart, self.Wc)))
 
 
 def _robust_copy(kf: Any) -> Any:

@@ -80,14 +80,12 @@ def reweighted(
     frozen = np.full(series, plain and trajectory is None)
     weighting = ordinary(observed) if plain else first(model, observed)
     soon = plain or trajectory is not None
-    before = unused = None
+    before = None
     earlier = np.full(series, np.inf)
     for sweep in range(limit):
-        if unused is not None and bool(unused.x.shape[1]) != soon:
-            unused = None
-        smooth = smoothing_pass(model, weighting, states=soon, process=doubted or soon, into=unused)
+        smooth = smoothing_pass(model, weighting, states=soon, process=doubted or soon)
         soon = soon or bool(smooth.x.shape[1])
-        moved = np.full(series, np.inf) if before is None else _moved(smooth, before.fitted, observed)
+        moved = np.full(series, np.inf) if before is None else _moved(smooth, before, observed)
         if trajectory is not None:
             model, moved = trajectory.advanced(smooth)
         temperature = np.ones((series, 1, 1))
@@ -103,7 +101,7 @@ def reweighted(
         if frozen.all():
             break
         weighting = Weighting(*(_kept(frozen, old, new) for old, new in zip(weighting, (d, o, q), strict=True)))
-        before, unused = smooth, before
+        before = smooth.fitted
         soon = soon or sweep + 2 == limit or bool(np.max(moved) < 30.0 * tolerance)
     if not smooth.x.shape[1]:
         smooth = smoothing_pass(model, weighting, states=True, process=True)
