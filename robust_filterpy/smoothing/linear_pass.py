@@ -89,15 +89,11 @@ class Smooth(NamedTuple):
     """Its covariance, (series, n, n)."""
 
 
-def smoothing_pass(
-    model: Model, weighting: Weighting, *, spread: bool = True, states: bool = False, process: bool = False
-) -> Smooth:
+def smoothing_pass(model: Model, weighting: Weighting, *, states: bool = False, process: bool = False) -> Smooth:
     """Smooth all series once: by the kernel (``kernel/smoother.h``), else by the definition."""
-    out = _room(model, weighting, spread, states, process)
-    sharpest = _passed(model, weighting, out)
-    if sharpest > _SHARP and out.spread.shape[1] and not out.x.shape[1]:
-        out = _room(model, weighting, True, True, process)
-        _passed(model, weighting, out)
+    out = _room(model, weighting, states, process)
+    if _passed(model, weighting, out) > _SHARP and not states:
+        return smoothing_pass(model, weighting, states=True, process=process)
     return out
 
 
@@ -108,17 +104,17 @@ def _passed(model: Model, weighting: Weighting, out: Smooth) -> float:
         return _by_definition(model, weighting, out)
     given = model._replace(x0=model.x0[:, None], P0=model.P0[:, None])
     weights = weighting._replace(process_scale=weighting.process_scale[..., None])
-    rooms = (out[0], *(None if a.shape[1] == 0 else a for a in out[1:6]), *out[6:])
+    rooms = (*out[:2], *(None if a.shape[1] == 0 else a for a in out[2:6]), *out[6:])
     return float(extension.smooth(tuple(map(plain, given)), tuple(map(plain, weights)), rooms))
 
 
-def _room(model: Model, weighting: Weighting, spread: bool, states: bool, process: bool) -> Smooth:
+def _room(model: Model, weighting: Weighting, states: bool, process: bool) -> Smooth:
     """Return empty arrays for what a pass returns."""
     series, steps, m = weighting.precision.shape
     n, r = model.G.shape[2:]
-    wide, shown, driven = (steps if wanted else 0 for wanted in (spread, states, process))
+    shown, driven = (steps if wanted else 0 for wanted in (states, process))
     return Smooth(
-        np.empty((series, steps, m)), np.empty((series, wide, m, m)),
+        np.empty((series, steps, m)), np.empty((series, steps, m, m)),
         np.empty((series, driven, r)), np.empty((series, driven, r, r)),
         np.empty((series, shown, n)), np.empty((series, shown, n, n)), np.empty((series, n)), np.empty((series, n, n)),
     )  # fmt: skip
@@ -156,8 +152,7 @@ def _by_definition(model: Model, weighting: Weighting, out: Smooth) -> float:
         V = H @ PH - _t(PH) @ B
         wanted = out.x.shape[1]
         out.fitted[:, k] = _times(H, out.x[:, k]) if wanted else fitted
-        if out.spread.shape[1]:
-            out.spread[:, k] = H @ out.P[:, k] @ _t(H) if wanted else V
+        out.spread[:, k] = H @ out.P[:, k] @ _t(H) if wanted else V
         dH = d[:, k, :, None] * H
         s = s + _times(_t(H), d[:, k] * (model.z[:, k] - fitted) + o[:, k])
         L = L + _t(H) @ dH - _t(dH) @ V @ dH - _t(dH) @ _t(B) - B @ dH
