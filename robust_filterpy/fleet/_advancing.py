@@ -119,8 +119,10 @@ def advance_filters(kf: Any, update: Mapping[str, Any], series: Plain | None, wo
     x, P, memory = _moving(work)
     good = np.isfinite(x).all(axis=1) & _checks.are_covariances(P, _checks.GATHERED, _checks.ROUNDING)
     good &= np.isfinite(memory).all(axis=(1, 2))
+    worker = kf if good.all() else copy.deepcopy(kf)
     for i in np.flatnonzero(~good).tolist():
-        _explain(copy.deepcopy(kf), work, i)
+        # Says what is wrong with the state.
+        _alone(worker, {}, update, work, i, 0, int(steps[i]))
     before = memory.copy()
     n, m, able = kf.dim_x, kf.dim_z, np.flatnonzero(good & (steps > 0))
     for members in _groups(steps[able], lambda k: _GROUP // max(int(steps[able[k]]) * (2 * n + m), n * n)):
@@ -136,15 +138,6 @@ def _moving(work: Work) -> tuple[Array, Array, Array]:
     """Return x, without the axis of a column, P and the memory of the sensors of all keys, to be written into."""
     x, P = work.entries["x"], work.entries["P"]
     return x.reshape(-1, P.shape[-1]), P, work.entries.get("spread", np.zeros((len(x), 0, 0)))
-
-
-def _explain(worker: Any, work: Work, i: int) -> None:
-    """Say what is wrong with the state of a key."""
-    try:
-        worker.restore({name: work.entries[name][i] for name in moved_shapes(worker)})
-        work.stopped[i] = -1, "state: expected finite numbers and a covariance"
-    except REFUSED as error:
-        work.stopped[i] = -1, str(error)
 
 
 def _alone(

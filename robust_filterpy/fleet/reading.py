@@ -14,6 +14,7 @@ import numpy as np
 
 from robust_filterpy import _checks, _stamps
 from robust_filterpy._checks import Array
+from robust_filterpy._warning import warn
 
 #: What is wrong with some of the rows.
 Reasons: TypeAlias = dict[int, str]
@@ -142,14 +143,6 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
     return _rows(len(frame), keys, stamps, z, u, said, like)
 
 
-def reasons(table: Any, key: str) -> tuple[list[tuple[Any, str]], list[Any]]:
-    """Return keys and what the column ``error`` says of the rows that have one, and the keys of all rows."""
-    frame, _ = _frame(table)
-    bad = frame.filter(~frame["error"].is_null())
-    keys = frame[key].to_list() if len(bad) else []
-    return list(zip(bad[key].to_list(), bad["error"].to_list(), strict=True)), keys
-
-
 def _frame(table: Any) -> tuple[Any, Callable[[Any], Any]]:
     """Return a table as the data frame of narwhals, and the way back; or raise."""
     if type(table).__name__ != "RecordBatch":
@@ -264,12 +257,8 @@ class Placed(NamedTuple):
     """Where their last samples stand."""
     late: dict[int, str]
     """Rows that are not later than the one before them, and what they are."""
-    off: dict[int, str]
-    """Rows that lie off the grid or after too long a silence."""
-    followed: dict[int, str]
-    """Rows from which on another clock is followed, and which."""
-    milliseconds: bool
-    """Whether times look like milliseconds where seconds were expected."""
+    noted: dict[int, str]
+    """Rows that lie off the grid or after too long a silence, or from which on another clock is followed."""
 
 
 def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None, instants: bool = False) -> Placed:
@@ -277,7 +266,7 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
     counts = np.diff(starts)
     step = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
     if times is None or not len(times):
-        return Placed(step, counts, clocks, {}, {}, {}, False)
+        return Placed(step, counts, clocks, {}, {})
     last, origin, at, elsewhere = (one.copy() for one in clocks)
     first, filled = starts[:-1], counts > 0
     if dt is not None:
@@ -286,10 +275,11 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
     steps, ends = counts.copy(), starts[1:] - 1
     last[quick] = times[ends[quick]]
     at[quick], elsewhere[quick] = finals[quick], np.nan
-    said: tuple[dict[int, str], dict[int, str], dict[int, str]] = ({}, {}, {})
+    late: Reasons = {}
+    noted: Reasons = {}
     milliseconds = False
     for i in np.flatnonzero(~quick).tolist():
-        line = _Line(Clocks(*(one[i] for one in clocks)), dt, instants, said)
+        line = _Line(Clocks(*(one[i] for one in clocks)), dt, instants, late, noted)
         for row in range(starts[i], starts[i + 1]):
             step[row] = line.place(float(times[row]), row)
             if step[row] < 0:
@@ -299,7 +289,12 @@ def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | 
         last[i], origin[i], at[i], elsewhere[i] = line.last, line.origin, line.step, line.elsewhere
         steps[i] = line.steps
         milliseconds |= line.milliseconds
-    return Placed(step, steps, Clocks(last, origin, at, elsewhere), *said, milliseconds)
+    if milliseconds:
+        warn(
+            f"time: gaps of a thousand steps of dt={dt:g} s; times as large as these are milliseconds since 1970 as a "
+            f"rule, divide them by 1000"
+        )
+    return Placed(step, steps, Clocks(last, origin, at, elsewhere), late, noted)
 
 
 def _each_a_step(times: Array, starts: np.ndarray, clocks: Clocks, dt: float | None) -> tuple[np.ndarray, Array]:
@@ -332,12 +327,12 @@ def _as_instant(seconds: float) -> str:
 class _Line:
     """The samples of one key, one after the other."""
 
-    def __init__(self, stood: Clocks, dt: float | None, instants: bool, said: tuple[dict[int, str], ...]) -> None:
+    def __init__(self, stood: Clocks, dt: float | None, instants: bool, late: Reasons, noted: Reasons) -> None:
         """Begin where the last sample stands."""
         self.shown = _as_instant if instants else "{:.15g}".format
         self.last, self.origin, self.step = (float(one) for one in stood[:3])
         self.elsewhere, self.dt, self.steps = tuple(stood.elsewhere.tolist()), dt, 0
-        self.milliseconds, (self.late, self.off, self.followed) = False, said
+        self.milliseconds, self.late, self.noted = False, late, noted
 
     def place(self, time: float, row: int) -> int:
         """Return which step a sample is, -1 if it is none, which is noted."""
@@ -365,9 +360,8 @@ class _Line:
         if self.elsewhere[1] < (_FOLLOWED_NEAR if abs(time - self.last) <= apart else _FOLLOWED_FAR):
             return -1
         self.late.pop(row, None)
-        self.off.pop(row, None)
         expected = f"time: expected one after {self.shown(self.last)}, got {self.shown(time)}"
-        self.followed[row] = f"{expected}; the clock was set, and is followed from here on"
+        self.noted[row] = f"{expected}; the clock was set, and is followed from here on"
         self.last, self.elsewhere, self.steps = time, _NOWHERE, self.steps + 1
         if self.dt is not None:
             self.origin, self.step = time, 0.0
@@ -377,12 +371,12 @@ class _Line:
         """Return which step of the grid a sample is."""
         place = (time - self.origin) / dt
         if not abs(place) < 1e15:
-            self.off[row] = f"time: expected a time that {dt:g} s is a step of, got {self.shown(time)}"
+            self.noted[row] = f"time: expected a time that {dt:g} s is a step of, got {self.shown(time)}"
             return -1
         near = float(np.rint(place))
         apart, ahead = place - near, near - self.step
         if abs(apart) > JITTER:
-            self.off[row] = (
+            self.noted[row] = (
                 f"time: expected samples within {JITTER:.0%} of dt={dt:g} s of the grid through "
                 f"{self.shown(self.origin)}, got {self.shown(time)}, {abs(apart):.2f} of it away"
             )
@@ -393,7 +387,7 @@ class _Line:
             return -1
         self.milliseconds |= ahead >= 900.0 and abs(time) > _MILLISECONDS
         if ahead > _LONGEST:
-            self.off[row] = (
+            self.noted[row] = (
                 f"time: expected gaps of at most {_LONGEST} steps of dt={dt:g} s, got {ahead:.6g}; start anew with "
                 f"state None"
             )

@@ -214,13 +214,13 @@ FLEET: dict[str, _state.Shape] = {
 def taken(states: Any, model: Model) -> States:
     """Return states in columns, from a mapping of key to state, from an Arrow table, or from nothing."""
     if states is None:
-        return States(model.label, [], {name: _empty(0, shape) for name, shape in model.shapes.items()})
+        return States(model.label, [], {name: empty(0, shape) for name, shape in model.shapes.items()})
     if isinstance(states, States) and np.array_equal(states.label, model.label):
         return states
     return _stacked(states, model) if isinstance(states, Mapping) else _from_table(states, model)
 
 
-def _empty(n: int, shape: _state.Shape) -> np.ndarray:
+def empty(n: int, shape: _state.Shape) -> np.ndarray:
     """Return a column without numbers."""
     sizes = [size for size in shape if size is not None]
     return np.full(n, None, dtype=object) if None in shape else np.full((n, *sizes), np.nan)
@@ -235,7 +235,7 @@ def _stacked(states: Mapping[Any, Any], model: Model) -> States:
             good.append(key)
         except (TypeError, ValueError):
             odd[key] = state
-    columns = {name: _empty(len(rows), shape) for name, shape in model.shapes.items()}
+    columns = {name: empty(len(rows), shape) for name, shape in model.shapes.items()}
     for name, column in columns.items():
         for i, row in enumerate(rows):
             if name in row:
@@ -294,7 +294,7 @@ def _from_table(table: Any, model: Model) -> States:
     columns = {}
     for name, shape in shapes.items():
         if name not in table.column_names:
-            columns[name] = _empty(n, shape)
+            columns[name] = empty(n, shape)
             continue
         column = table.column(name).combine_chunks()
         if None in shape:

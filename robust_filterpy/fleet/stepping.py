@@ -12,11 +12,10 @@ import numpy as np
 
 from robust_filterpy import _state
 from robust_filterpy._checks import Array
-from robust_filterpy._warning import warn
 from robust_filterpy.fleet._advancing import Work
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.reading import Clocks, Placed, Reasons, Rows, placed, say, silences
-from robust_filterpy.fleet.states import checked
+from robust_filterpy.fleet.states import checked, empty
 
 
 class Outcome(NamedTuple):
@@ -57,17 +56,11 @@ def owned(model: Model, state: Any) -> dict[str, Array]:
 
 def started(model: Model, count: int) -> dict[str, np.ndarray]:
     """Return states at the start, in columns."""
-    start, entries = model.start(), {}
-    for name, shape in model.shapes.items():
-        if None in shape:
-            entries[name] = np.full(count, None, dtype=object)
-            for i in range(count):
-                entries[name][i] = start[name]
-        elif name in start:
-            entries[name] = np.tile(start[name], (count, *[1] * len(shape)))
-        else:
-            entries[name] = np.full((count, *(size or 0 for size in shape)), np.nan)
-    entries["model"][:] = model.fingerprint
+    entries = {name: empty(count, shape) for name, shape in model.shapes.items()}
+    for name, value in {**model.start(), "model": model.fingerprint}.items():
+        # Of any length each key has an array of its own.
+        for row in range(count) if entries[name].dtype == object else (slice(None),):
+            entries[name][row] = value
     return entries
 
 
@@ -134,11 +127,6 @@ def _advanced(
         new = np.isnan(grid[:, 0]) & ~np.isnan(time)
         clocks = clocks._replace(origin=np.where(new, time, grid[:, 0]), step=np.where(new, 0.0, grid[:, 1]))
     line = placed(times, starts, clocks, model.dt, rows.instants)
-    if line.milliseconds:
-        warn(
-            f"time: gaps of a thousand steps of dt={model.dt:g} s; times as large as these are milliseconds since 1970 "
-            f"as a rule, divide them by 1000"
-        )
     batch = Batch(rows, order, starts, of, model.late == "drop", clocks, line)
     work, at, held = _steps(model, entries, batch, z, u)
     model.advance(work)
@@ -224,7 +212,7 @@ def _gathered(model: Model, begun: np.ndarray, batch: Batch, work: Work, at: np.
             if k < 0 or at[place] >= bounds[i] + k:
                 at[place] = -1
                 said[place] = text
-    for place, text in {**line.off, **line.followed, **({} if batch.drops else line.late)}.items():
+    for place, text in {**line.noted, **({} if batch.drops else line.late)}.items():
         said.setdefault(place, text)
     if work.missed:
         where = {int(one): place for place, one in enumerate(at.tolist()) if one in work.missed}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ from robust_filterpy import _state
 from robust_filterpy._fill_values import without_fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import NOBODY, Rows, grouped, read_array, read_table, reasons, say, strays
+from robust_filterpy.fleet.reading import NOBODY, Rows, grouped, read_array, read_table, say, strays
 from robust_filterpy.fleet.states import States, taken
 from robust_filterpy.fleet.stepping import Outcome, advance, owned, started
 from robust_filterpy.fusion import Fusion
@@ -79,8 +78,13 @@ def filter_table(model: Model, table: Any, *, key: str = "device", sort: bool = 
     """
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
-    output = _taken(model, None, table, key, sort, whole=True)[1]
-    refused, keys = reasons(output, key)
+    _, read, outcome = _taken(model, None, table, key, sort, whole=True)
+    output = _output(model, read, outcome)
+    if not outcome.reasons:
+        return output
+    names: Any = read.keys.tolist() if isinstance(read.keys, np.ndarray) else read.keys
+    keys = [None if names[row] is NOBODY else names[row] for row in outcome.retained.tolist()]
+    refused = [(name, why) for name, why in zip(keys, outcome.errors, strict=True) if why is not None]
     bad, rows = Counter(name for name, _ in refused), Counter(keys)
     most = [(name, why) for name, why in dict(reversed(refused)).items() if 2 * bad[name] > rows[name]]
     if 2 * len(refused) > len(keys) or most:
@@ -162,7 +166,8 @@ def step(
     if not isinstance(model, Model):
         raise TypeError(f"model: expected a FilterModel or a TrackerModel, got {type(model).__name__}")
     if key is not None:
-        return _taken(model, state, batch, key, sort)
+        states, rows, outcome = _taken(model, state, batch, key, sort)
+        return states, _output(model, rows, outcome)
     before = None if state is None else owned(model, state)
     is_table = hasattr(batch, "columns") or hasattr(batch, "schema")
     rows = read_table(batch, model, None) if is_table else read_array(batch, model)
@@ -178,8 +183,10 @@ def step(
     return after, _output(model, rows, outcome)
 
 
-def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: bool = False) -> tuple[States, Any]:
-    """Return states and output of the next samples of many keys, or of all that there are."""
+def _taken(
+    model: Model, states: Any, table: Any, key: str, sort: bool, whole: bool = False
+) -> tuple[States, Rows, Outcome]:
+    """Take the next samples of many keys, or all that there are; return the states, and what became of the rows."""
     rows = read_table(table, model, key)
     before = taken(states, model)
     keys = _usable(_Keys(*grouped(rows.keys, len(rows.z))), before, model, rows)
@@ -210,8 +217,7 @@ def _taken(model: Model, states: Any, table: Any, key: str, sort: bool, whole: b
     if len(moved) < len(names):
         names, places = [names[i] for i in moved.tolist()], places[moved]
         entries = {name: column[moved] for name, column in entries.items()}
-    after = before.updated(names, places, entries)
-    return after, _output(model, rows, outcome)
+    return before.updated(names, places, entries), rows, outcome
 
 
 def _output(model: Model, rows: Rows, outcome: Outcome) -> Any:
@@ -236,19 +242,11 @@ def _usable(keys: _Keys, before: States, model: Model, rows: Rows) -> _Keys:
         mine = slice(keys.starts[i], keys.starts[i + 1])
         lost[mine] = True
         if keys.names[i] is not NOBODY:
-            why = _refusal(before[keys.names[i]], model)
-            for row in keys.order[mine].tolist():
-                rows.said[row] = why
+            try:
+                owned(model, before[keys.names[i]])
+            except (TypeError, ValueError) as error:
+                rows.said.update(dict.fromkeys(keys.order[mine].tolist(), str(error)))
     counts = np.delete(np.diff(keys.starts), gone)
     left = set(gone)
     names = [name for i, name in enumerate(keys.names) if i not in left]
     return _Keys(names, keys.order[~lost], np.concatenate(([0], np.cumsum(counts))))
-
-
-def _refusal(state: Mapping[str, Any], model: Model) -> str:
-    """Return what is wrong with a state."""
-    try:
-        owned(model, state)
-    except (TypeError, ValueError) as error:
-        return str(error)
-    return "state: expected one of this model"
