@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator
+import weakref
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Final
@@ -31,7 +32,8 @@ class _Lines:
             print(f"{self.name}: {elapsed:.0f} s, {text}", file=sys.stderr, flush=True)
 
 
-_running: ContextVar[_Lines | None] = ContextVar("stages", default=None)
+# A weak reference: where an interrupt falls before a call has left, nobody speaks for it any more.
+_running: ContextVar[Callable[[], _Lines | None]] = ContextVar("stages", default=lambda: None)
 
 
 @contextmanager
@@ -40,8 +42,9 @@ def stages(name: str, progress: bool | None) -> Iterator[None]:
 
     A call inside another one has nothing to tell: what it is for is what the outer one says.
     """
-    silent = _running.get() is not None or progress is False
-    token = _running.set(_Lines(name, math.inf if silent else 0.0 if progress else _SHORT))
+    silent = _running.get()() is not None or progress is False
+    lines = _Lines(name, math.inf if silent else 0.0 if progress else _SHORT)
+    token = _running.set(weakref.ref(lines))
     try:
         yield
     finally:
@@ -50,6 +53,6 @@ def stages(name: str, progress: bool | None) -> Iterator[None]:
 
 def stage(text: str) -> None:
     """Say what begins now, if somebody waits for it."""
-    lines = _running.get()
+    lines = _running.get()()
     if lines is not None:
         lines.stage(text)

@@ -196,7 +196,6 @@ def test_the_chosen_tracker_has_the_value_and_has_seen_nothing():
     before = given.state()
     found = given.tuned(y, u, over={"forgetting": [0.5, 0.9, 0.95, 0.98, 0.999]})
     assert found.tracker.forgetting == pytest.approx(found.best.values["forgetting"])
-    assert found.tracker.get_params()["forgetting"] == found.best.values["forgetting"]
     same(given.state(), before)
     assert_array_equal(found.tracker.theta, given.theta)
     # The run is that of a tracker made with the value, also after a reset.

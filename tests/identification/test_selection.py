@@ -121,7 +121,7 @@ def test_an_outlier_in_the_regressor_costs_as_much_as_a_few_parameters_whatever_
 ])  # fmt: skip
 def test_what_is_tried_where_nothing_is_given_is_what_the_documentation_says(kind, tried):
     ranges = Grid.of(kind, dict.fromkeys(("na", "nb", "nc", "nd", "nf", "nk")), True).ranges
-    assert ranges == {name: None if orders is None else tuple(orders) for name, orders in tried.items()}
+    assert ranges == {(name, 0): None if orders is None else tuple(orders) for name, orders in tried.items()}
 
 
 def test_without_input_the_order_is_that_of_statsmodels():

@@ -51,7 +51,7 @@ def test_a_structure_is_its_orders_and_says_how_it_was_made():
     assert all(one.integrated and one.nd == 1 for one in summed) and summed[0].names == ("a1", "a2", "b1", "d1")
     assert not any(one.integrated for one in (ARX(2, 1), Structure(2, 1, nd=1)))
     for structure in (*made, *summed, LinearRegression(2), Structure(1, 2, 1, 1, 2)):
-        assert eval(repr(structure)) == structure == Structure(**structure.get_params())
+        assert eval(repr(structure)) == structure
     assert Structure(na=2, nb=2, form="ARX") == ARX(2, 2) != ARMAX(2, 2, 0)
     assert Structure(1, 1, 1, 1, 1).names == ("a1", "b1", "f1", "c1", "d1")
     assert ARMAX(1, (1, 2), 1).names == ("a1", "b1[0]", "b1[1]", "b2[1]", "c1")

@@ -139,22 +139,21 @@ def test_a_matrix_for_each_actuator_that_is_set_or_restored_later_is_its_own():
         close(bank.run(y, u)[:6], expected)
 
 
-# One sample or a recording, kept or not
+# One sample or a recording, whole or in parts
 
 
-def test_result_has_an_axis_for_samples_and_one_for_actuators_and_what_is_not_kept_changes_nothing():
+def test_result_has_an_axis_for_samples_and_one_for_actuators_and_parts_go_on_from_each_other():
     structure = OutputError(2, 2)
     y, u = recording(structure)
     result = support.paper_bank(N, structure).run(y, u)
     assert result.theta.shape == (LENGTH, N, 4) and result.guard.dtype.kind == "i"
-    same([result.sample], [np.arange(LENGTH)])
     alone = result.tracker(2)
     same(alone, [column[:, 2] for column in result[:6]])
     lower, upper = result.confidence_intervals(0.9)
     same(alone.confidence_intervals(0.9), (lower[:, 2], upper[:, 2]))
-    for keep, samples in (("last", [LENGTH - 1]), (7, np.arange(6, LENGTH, 7)), (1, range(LENGTH)), (LENGTH + 1, [])):
-        some = support.paper_bank(N, structure).run(y, u, keep=keep)
-        same(some, [column[list(samples)] for column in result])
+    bank = support.paper_bank(N, structure)
+    for part in (slice(0, 1), slice(1, 8), slice(8, LENGTH)):
+        same(bank.run(y[part], u[part]), [column[part] for column in result])
 
 
 def test_an_input_may_be_shared_by_all():

@@ -51,6 +51,8 @@ from robust_filterpy.identification.models.structures import (
 Kind = Callable[..., Structure]
 _KINDS: Final[tuple[Kind, ...]] = (OutputError, ARX, ARMAX, FIR, BoxJenkins, ARMA, AR)
 Orders = tuple[int, ...]
+# Arguments that each input has its own of.
+_OF_INPUTS: Final = ("nb", "nk")
 # What lies so many times outside the band is no accident.
 _SURE: Final = 2.0
 
@@ -59,7 +61,9 @@ class Grid(NamedTuple):
     """What may be tried: values of each argument of a constructor, None for as many as the first of them."""
 
     kind: Kind
-    ranges: dict[str, tuple[int, ...] | None]
+    #: By argument, and number of the input that it is of: each has b's and a delay of its own.
+    ranges: dict[tuple[str, int], tuple[int, ...] | None]
+    several: bool
 
     @classmethod
     def of(cls, kind: Kind, given: dict[str, Any], count: int) -> Grid:
@@ -87,24 +91,20 @@ class Grid(NamedTuple):
                 f"nb: expected the numbers of b's to try where {first} holds 0, got None; say nb=range(1, 5)"
             )
         acting = tuple(value for value in ranges[first] or () if value)
-        of_each = {name: [f"{name}[{i}]" for i in range(count)] for name in ("nb", "nk") if count > 1}
-        for name, values in list(ranges.items()):
-            # In their order.
-            del ranges[name]
-            ranges |= dict.fromkeys(of_each[name], values or acting) if name in of_each else {name: values}
-        return cls(kind, ranges)
-
-    def named(self, orders: Orders) -> dict[str, Any]:
-        """Return orders by their names; those of several inputs as a tuple."""
-        by_name: dict[str, Any] = {}
-        for name, order in zip(self.ranges, orders, strict=True):
-            whole, _, each = name.partition("[")
-            by_name[whole] = (*by_name.get(whole, ()), order) if each else order
-        return by_name
+        of_each = {
+            (name, i): values or acting if count > 1 and name in _OF_INPUTS else values
+            for name, values in ranges.items()
+            for i in range(max(count, 1) if name in _OF_INPUTS else 1)
+        }
+        return cls(kind, of_each, count > 1)
 
     def structure(self, orders: Orders) -> Structure:
-        """Return the structure of these orders."""
-        return self.kind(**self.named(orders))
+        """Return the structure of these orders; those of several inputs are a tuple."""
+        arguments: dict[str, Any] = {}
+        for (name, _), order in zip(self.ranges, orders, strict=True):
+            each = self.several and name in _OF_INPUTS
+            arguments[name] = (*arguments.get(name, ()), order) if each else order
+        return self.kind(**arguments)
 
     def beginning(self, given: list[set[int]]) -> Iterator[Orders]:
         """Yield all orders with the first delays given for each input and with the last, or with all delays of one."""
@@ -117,20 +117,17 @@ class Grid(NamedTuple):
         tried = [(lag,) for lag in delays[0]] if len(delays) == 1 else sorted(ends)
         for n in first or ():
             for each in tried:
-                yield (n, *(self._nearest(name, values, n, each) for name, values in others))
+                yield (n, *(self._nearest(*of, n, each) for of, _ in others))
+
+    def _nearest(self, name: str, i: int, n: int, delays: tuple[int, ...]) -> int:
+        """Return the value of an order that is next to the one that is wanted to begin with."""
+        values, wanted = self.ranges[name, i], delays[i] if name == "nk" else n if name == "nb" else 0
+        return n if values is None else min(values, key=lambda value: abs(value - wanted))
 
     @property
     def lags(self) -> tuple[int, ...]:
         """The delays of the first input that may be tried."""
-        return self.ranges.get("nk") or self.ranges.get("nk[0]") or (0,)
-
-    def _nearest(self, name: str, values: tuple[int, ...] | None, n: int, delays: tuple[int, ...]) -> int:
-        """Return the value of an order that is next to the one that is wanted to begin with."""
-        if values is None:
-            return n
-        whole, _, each = name.partition("[")
-        wanted = {"nk": delays[int(each[:-1]) if each else 0], "nb": n}.get(whole, 0)
-        return min(values, key=lambda value: abs(value - wanted))
+        return self.ranges.get(("nk", 0)) or (0,)
 
     def neighbours(self, orders: Orders) -> Iterator[Orders]:
         """Yield the orders of which one is the next one up or down."""
@@ -146,9 +143,9 @@ class Grid(NamedTuple):
     @property
     def first(self) -> int:
         """The first sample that every structure can predict."""
-        most = {name: (values or next(iter(self.ranges.values())) or (0,))[-1] for name, values in self.ranges.items()}
-        delayed = [lag + most.get(name.replace("nk", "nb"), 1) - 1 for name, lag in most.items() if name[:2] == "nk"]
-        return max(most.get("na", 0), most.get("nb", 1) - 1 if not delayed else 0, *delayed, 0)
+        most = {of: (values or next(iter(self.ranges.values())) or (0,))[-1] for of, values in self.ranges.items()}
+        delayed = [lag + most.get(("nb", i), 1) - 1 for (name, i), lag in most.items() if name == "nk"]
+        return max(most.get(("na", 0), 0), *delayed, 0)
 
 
 def _range(name: str, values: Any, least: int) -> tuple[int, ...]:

@@ -125,6 +125,8 @@ class Recorded(NamedTuple):
 class TrackingResult(Pictured, Recorded):
     """What a recording of N samples gave, row k after sample k; a tuple of its first six attributes.
 
+    That of a bank has an axis of actuators after that of the samples.
+
     Attributes
     ----------
     theta : ndarray, shape (N, n)
@@ -143,26 +145,43 @@ class TrackingResult(Pictured, Recorded):
         Names of the parameters.
     index : pandas.Index or None
         When the samples were taken, if the recording was a pandas object.
+    actuators : tuple
+        Of a bank the columns of y if it was a pandas DataFrame, otherwise 0, 1, ..; empty of a tracker.
     """
 
     picture = "figures.plot_states"
 
     names: tuple[str, ...] = ()
     index: Any = None
+    actuators: tuple[Any, ...] = ()
 
     def __str__(self) -> str:
         """Return what fits a screen, and where the parameters end."""
-        if not len(self.theta) or len(self.names) != self.theta.shape[1]:
+        if not len(self.theta) or self.actuators or len(self.names) != self.theta.shape[1]:
             return brief(self)
         each = zip(self.names, self.theta[-1], self.std[-1], strict=True)
         end = ", ".join(f"{name} {value:.4g} +- {std:.2g}" for name, value, std in each)
         return "\n".join([brief(self), *lines_of({"at the end": end})])
 
-    def labelled(self, names: tuple[str, ...], index: Any = None) -> TrackingResult:
-        """Return the same columns with names of the parameters and an index."""
+    def labelled(self, names: tuple[str, ...], index: Any = None, actuators: tuple[Any, ...] = ()) -> TrackingResult:
+        """Return the same columns with names of the parameters, an index, and names of the actuators."""
         result = TrackingResult(*self)
-        result.names, result.index = names, index
+        result.names, result.index, result.actuators = names, index, actuators
         return result
+
+    def tracker(self, i: int) -> TrackingResult:
+        """Return what actuator i of a bank gave.
+
+        Parameters
+        ----------
+        i : int
+            Which actuator.
+
+        Returns
+        -------
+        TrackingResult
+        """
+        return TrackingResult(*(column[:, i] for column in self)).labelled(self.names, self.index)
 
     def to_frame(self) -> Any:
         """Return all columns as a pandas DataFrame, a row for each sample.
@@ -171,14 +190,17 @@ class TrackingResult(Pictured, Recorded):
         -------
         pandas.DataFrame
             The parameters by their names, their standard deviations as "a1_std", prediction, residual, weight, guard;
-            on the index of the recording.
+            on the index of the recording. Of a bank columns (actuator, name).
 
         Raises
         ------
         ImportError
             If pandas is not installed.
         """
-        return table(self.columns(), self.index, "sample" if self.index is None else None)
+        columns: dict[Any, Array] = {} if self.actuators else {**self.columns()}
+        for i, actuator in enumerate(self.actuators):
+            columns |= {(actuator, name): column for name, column in self.tracker(i).columns().items()}
+        return table(columns, self.index, "sample" if self.index is None else None)
 
     def columns(self) -> dict[str, Array]:
         """Return the columns by name."""

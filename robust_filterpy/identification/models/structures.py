@@ -11,7 +11,7 @@ where w = B/F u is what the inputs alone do (18), d = A y - w the disturbance, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any, Final, NamedTuple
@@ -189,26 +189,6 @@ class Structure:
         for letter, which, place in (*lettered, ("c", "", places.c), ("d", "", places.d)):
             names[place] = [f"{letter}{j + 1}{which}" for j in range(place.stop - place.start)]
         return tuple(names)
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Return the orders that make the structure again, by scikit-learn's convention.
-
-        Parameters
-        ----------
-        deep : bool, default True
-            No difference; it belongs to the convention.
-
-        Returns
-        -------
-        dict of str
-
-        Examples
-        --------
-        >>> from robust_filterpy.identification import ARX
-        >>> ARX(2, 2).get_params()
-        {'na': 2, 'nb': 2, 'nc': 0, 'nd': 0, 'nf': 0, 'nk': 1, 'form': 'ARX'}
-        """
-        return {place.name: getattr(self, place.name) for place in fields(self) if place.init}
 
     def regressors(
         self, u: ArrayLike | None = None, y: ArrayLike | None = None, residual: ArrayLike | None = None

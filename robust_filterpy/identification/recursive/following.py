@@ -23,9 +23,6 @@ from robust_filterpy.identification.recursive import setup, track
 from robust_filterpy.identification.recursive.recursion import Form, Regressor, State, checked
 from robust_filterpy.identification.recursive.watch import News
 
-# Numbers in phi that are worked on at once.
-_CHUNK = 1_000_000
-
 _Kind = TypeVar("_Kind", bound="Following")
 # What a user sets, by its name in a state, and as the user gave it.
 _BY_HAND = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
@@ -258,27 +255,22 @@ class Following:
             raise
 
     def _recorded(
-        self, axis: TimeAxis, fills: Sequence[FillValues], u: Array, R: Any, progress: bool | None, every: int = 1,
+        self, axis: TimeAxis, fills: Sequence[FillValues], u: Array, R: Any, progress: bool | None,
         names: Sequence[str] = (),
-    ) -> tuple[list[Any], np.ndarray]:  # fmt: skip
-        """Take recordings; return theta, std, .. after every so many samples, axes (K, n, ..), and which these are."""
+    ) -> list[Any]:  # fmt: skip
+        """Take recordings; return theta, std, .. after every sample, axes (N, n, ..)."""
         axis.require_period(self.dt)
-        y = np.column_stack([fill.signal for fill in fills])
-        length, size = len(y), max(1, _CHUNK // (self.n * self.form.layout.n))
+        y, own = np.column_stack([fill.signal for fill in fills]), self.form.own
+        length, time = len(y), self._time_after(axis, len(y))
         variances = None if R is None else setup.variances(R, self.n, length)
-        rows, time = np.arange(every - 1, length, every), self._time_after(axis, length)
-        kept = np.empty((rows.size, self.n, self.form.width))
+        # If somebody has the filter, the last one by itself, which the filter shows.
+        ends, parts = sorted({0, length - self._asked, length}), []
         before = self._held()
         try:
             with stages(self._name, progress):
-                # If somebody has the filter, the last one by itself, which the filter shows.
-                ends = sorted({*range(size, length, size), length - self._asked, length} - {0})
-                for k, stop in zip([0, *ends], ends, strict=False):
-                    part = slice(k, stop)
+                for part in map(slice, ends, ends[1:]):
                     noise = None if variances is None else variances[part].T
-                    out = self._taken(k, y[part].T, u[part].swapaxes(0, 1), noise)
-                    due = np.flatnonzero((rows >= k) & (rows < part.stop))
-                    kept[due] = out[:, rows[due] - k].swapaxes(0, 1)
+                    parts.append(self._taken(part.start, y[part].T, u[part].swapaxes(0, 1), noise))
             self.dt, self._time = axis.dt if self.dt is None else self.dt, time
             filled = [f"{name}{fill.said}" for name, fill in zip(names or [""], fills, strict=True) if fill.values]
             if filled:
@@ -287,9 +279,10 @@ class Following:
         except BaseException:
             self._put_back(before)
             raise
-        own, (*others, guard) = self.form.own, np.ascontiguousarray(np.moveaxis(kept[..., -4:], -1, 0))
-        std = np.sqrt(np.maximum(kept[..., self.form.layout.n + own], 0.0))
-        return [kept[..., own], std, *others, guard.astype(np.int64)], rows
+        out = np.concatenate(parts, axis=1).swapaxes(0, 1)
+        *others, guard = np.ascontiguousarray(np.moveaxis(out[..., -4:], -1, 0))
+        std = np.sqrt(np.maximum(out[..., self.form.layout.n + own], 0.0))
+        return [out[..., own], std, *others, guard.astype(np.int64)]
 
     def _time_after(self, axis: TimeAxis, samples: int) -> tuple[Any, int] | None:
         """Return the time after a recording; warn if samples are missing before it, and raise if it goes back."""

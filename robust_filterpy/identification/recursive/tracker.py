@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import brief, lines_of
+from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
+from robust_filterpy._state import LABEL
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.states import kept_with, moved_shapes
 from robust_filterpy.identification.models import regressor
@@ -20,8 +21,8 @@ from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
-from robust_filterpy.identification.models.results import Recorded, Sample, TrackingResult
-from robust_filterpy.identification.models.signals import filled_output, recorded_input, recording, table
+from robust_filterpy.identification.models.results import Sample, TrackingResult
+from robust_filterpy.identification.models.signals import filled_output, recorded_input, recording
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import recursion, setup, track
 from robust_filterpy.identification.recursive.following import Following, joined
@@ -209,7 +210,7 @@ class ParameterTracker(Following, PolynomialSystem):
         information: Information | None = None,
     ) -> None:  # fmt: skip
         """Set up the filter and a memory at rest; so many arguments, since each is one of a model's or a filter's."""
-        self._given = {name: value for name, value in locals().items() if name != "self"}
+        given = dict(locals())
         model = structure if isinstance(structure, Model) else None
         self.structure = structure = setup.structure_of(structure)
         _checks.option("gradient", gradient, GRADIENTS)
@@ -230,7 +231,7 @@ class ParameterTracker(Following, PolynomialSystem):
         self.form = Form(structure, layout, own, has_offset, cleans, judges, flags)
         choices = {"influence": influence, "scaling": scaling, "information": information}
         kf = setup.make_filter(layout.n, filter, choices)
-        setup.configure(kf, structure, own, self._given)
+        setup.configure(kf, structure, own, given)
         if ready and Q is None:
             setup.warn_of_default_noise(kf)
         self.n, self._filters, self._enabled = 1, [kf], np.array([True])
@@ -260,22 +261,6 @@ class ParameterTracker(Following, PolynomialSystem):
             parts = {name: f"{value:.5g} +- {std:.2g}" for name, value, std in each}
         values = {**parts, "level": float(self.level), "R": float(self.R)}
         return "\n".join([self.kind, *lines_of(values)])
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Return the arguments that the tracker was made with, by scikit-learn's convention.
-
-        Parameters
-        ----------
-        deep : bool, default True
-            Whether the orders of the structure are there too, as "structure__na".
-
-        Returns
-        -------
-        dict of str
-            ``ParameterTracker(**tracker.get_params(deep=False))`` is a tracker that has not seen a sample.
-        """
-        orders = {f"structure__{name}": order for name, order in self.structure.get_params().items()} if deep else {}
-        return self._given | orders
 
     # The model as it stands.
 
@@ -440,7 +425,7 @@ class ParameterTracker(Following, PolynomialSystem):
         axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
         fills = filled_output(y)
         signal = recorded_input(self.structure, u, fills.signal.size)[:, None]
-        columns, _ = self._recorded(axis, [fills], signal, R, progress)
+        columns = self._recorded(axis, [fills], signal, R, progress)
         return TrackingResult(*(column[:, 0] for column in columns)).labelled(self.structure.names, axis.index)
 
     def tuned(
@@ -586,80 +571,13 @@ class ParameterTracker(Following, PolynomialSystem):
             setattr(tracker, name, value)
         settings = setup.settings(tracker._filter)
         changed = {name: settings[name] for name in ("Q", "alpha_sq") if name in settings}
-        tracker._initial, tracker._given = tracker._initial | changed, tracker._given | values
+        tracker._initial = tracker._initial | changed
         return tracker
 
 
 def keeps_spread(tracker: ParameterTracker) -> bool:
     """Return whether a tracker's filter learns how large its innovations usually are."""
     return "spread" in moved_shapes(tracker._filter)
-
-
-class BankResult(Recorded):
-    """What recordings of n actuators gave: the columns of a `TrackingResult` with an axis of actuators.
-
-    A tuple of its first six attributes.
-
-    Attributes
-    ----------
-    theta, std : ndarray, shape (K, n, n_theta)
-        Parameters and their standard deviations, after each of the K samples that were kept.
-    prediction, residual, weights : ndarray, shape (K, n)
-        As in `Sample`.
-    guard : ndarray of int, shape (K, n)
-        As in `Sample`.
-    sample : ndarray of int, shape (K,)
-        Which samples were kept.
-    names : tuple of str, length n_theta
-        Names of the parameters.
-    actuators : tuple, length n
-        The columns of y if it was a pandas DataFrame, otherwise 0, 1, ..
-    index : pandas.Index or None
-        When the samples that were kept were taken, if the recording was a pandas object.
-    """
-
-    names: tuple[str, ...] = ()
-    actuators: tuple[Any, ...] = ()
-    index: Any = None
-    sample: np.ndarray
-
-    __str__ = brief
-
-    def to_frame(self) -> Any:
-        """Return all columns as a pandas DataFrame, a row for each sample that was kept.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns (actuator, quantity), the quantities as in `TrackingResult.to_frame`.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        actuators = self.actuators or tuple(range(self.theta.shape[1]))
-        columns = {
-            (actuator, name): column
-            for i, actuator in enumerate(actuators)
-            for name, column in self.tracker(i).columns().items()
-        }
-        return table(columns, self.sample, "sample") if self.index is None else table(columns, self.index)
-
-    def tracker(self, i: int) -> TrackingResult:
-        """Return what actuator i gave.
-
-        Parameters
-        ----------
-        i : int
-            Which actuator.
-
-        Returns
-        -------
-        TrackingResult
-            A row for each sample that was kept.
-        """
-        return TrackingResult(*(column[:, i] for column in self)).labelled(self.names, self.index)
 
 
 class TrackerBank(Following):
@@ -735,9 +653,9 @@ class TrackerBank(Following):
     ...     y[k] = 0.8 * y[k - 1] + gains * u[k - 1] + 0.1 * rng.normal(size=5)
     >>> y[rng.random(y.shape) < 0.01] = np.nan
     >>> bank = TrackerBank(5, ARX(1, 1), R=0.01)
-    >>> result = bank.run(y, u, keep="last")
+    >>> result = bank.run(y, u)
     >>> result.theta.shape, bool(np.abs(bank.coefficients.b[:, 0] - gains).max() < 0.05)
-    ((1, 5, 2), True)
+    ((400, 5, 2), True)
     """
 
     _name = "TrackerBank"
@@ -757,13 +675,12 @@ class TrackerBank(Following):
         if not isinstance(structure, Structure):
             raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
         # Every actuator is a tracker; one stands for all where they have their options in common.
-        _, self._options = setup.of_each(n, given)
-        trackers = setup.for_each(lambda each: ParameterTracker(**each), self._options)
+        trackers = setup.for_each(lambda each: ParameterTracker(**each), setup.of_each(n, given)[1])
         if len(trackers) < n and keeps_spread(trackers[0]):
             trackers = [copy.deepcopy(trackers[0]) for _ in range(n)]
         vars(self).update({**vars(trackers[0]), "n": len(trackers), **joined(trackers)})
         vars(self).update(vars(self._like(TrackerBank, np.arange(n) % len(trackers))))
-        self._first, self._initial = self._now, self.state()
+        self._initial = self.state()
 
     def __repr__(self) -> str:
         """Show the size and the structure."""
@@ -805,10 +722,8 @@ class TrackerBank(Following):
         if not 0 <= i < self.n:
             raise IndexError(f"actuator: expected 0 to {self.n - 1}, got {i}")
         one = self._like(ParameterTracker, np.array([i]))
-        one._filters, one._given = copy.deepcopy(one._filters), self._options[i % len(self._options)]
-        now, enabled = one._now, one._enabled
-        one._now, one._enabled = self._first.rows(np.array([i])), np.array([True])
-        one._initial, one._now, one._enabled = one.state(), now, enabled
+        one._filters = copy.deepcopy(one._filters)
+        one._initial = {name: value[i] for name, value in self._initial.items() if name != LABEL}
         return one
 
     # The recursion.
@@ -841,15 +756,9 @@ class TrackerBank(Following):
         return Sample(prediction, residual, weight, guard.astype(np.int64))
 
     def run(
-        self,
-        y: ArrayLike,
-        u: ArrayLike | None = None,
-        R: ArrayLike | None = None,
-        *,
-        keep: str | int = "all",
-        progress: bool | None = None,
-    ) -> BankResult:
-        """Take whole recordings; the numbers are those of `update`, sample by sample.
+        self, y: ArrayLike, u: ArrayLike | None = None, R: ArrayLike | None = None, *, progress: bool | None = None
+    ) -> TrackingResult:
+        """Take whole recordings, or parts of them, which go on from each other; the numbers are those of `update`.
 
         Parameters
         ----------
@@ -859,16 +768,13 @@ class TrackerBank(Following):
             Inputs; shape (N,), or (N, n_inputs), for all actuators alike.
         R : array_like, shape (N, n), or (N,) for all actuators alike, or float, optional
             Variances of the noise in each sample. Default: the bank's R.
-        keep : {"all", "last"} or int, default "all"
-            Which samples to return: all, the last, or every keep-th (samples keep - 1, 2 keep - 1, ..), so that
-            memory is bounded.
         progress : bool, optional
             Say on standard error what it is at: True at once, False never, None from 2 s on.
 
         Returns
         -------
-        BankResult
-            theta, std, prediction, residual, weights, guard, with axes (samples kept, n, ..).
+        TrackingResult
+            theta, std, prediction, residual, weights, guard, with axes (N, n, ..); `TrackingResult.tracker` has one.
 
         Raises
         ------
@@ -885,22 +791,11 @@ class TrackerBank(Following):
         names = getattr(y, "columns", range(self.n))
         axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
         fills = [fill_values(column) for column in setup.outputs(y, self.n, True).T]
-        length = fills[0].signal.size
-        signal = setup.inputs(self.structure, u, self.n, length)
-        every = _every(keep, length)
-        columns, rows = self._recorded(axis, fills, signal, R, progress, every, [f"{name}: " for name in names])
-        result = BankResult(*columns)
-        result.sample, result.actuators, result.names = rows, tuple(names), self.structure.names
-        result.index = None if axis.index is None else axis.index[rows]
-        return result
+        signal = setup.inputs(self.structure, u, self.n, fills[0].signal.size)
+        columns = self._recorded(axis, fills, signal, R, progress, [f"{name}: " for name in names])
+        return TrackingResult(*columns).labelled(self.structure.names, axis.index, tuple(names))
 
     def _named(self, which: list[int]) -> str:
         """Return some actuators as a message begins with them."""
         return f"{setup.actuators(np.isin(np.arange(self.n), which))}: "
 
-
-def _every(keep: Any, length: int) -> int:
-    """Return which samples to keep: each of how many."""
-    if isinstance(keep, str):
-        return 1 if _checks.option("keep", keep, ("all", "last")) == "all" else length
-    return _checks.count("keep", keep, 1)
