@@ -20,20 +20,10 @@ _GONE = {
     "check_tracker": "draw('arx', ..), run_tracker(tracker, scenario), assert_tracks and its like test a tracker",
     "mean_square_error": "((x_hat - x) ** 2).sum(axis=2).mean(axis=0), of arrays (runs, steps, n)",
     **dict.fromkeys(
-        [
-            f"assert_{one}"
-            for one in (
-                "bounded_influence",
-                "missing_is_no_information",
-                "recovers_from_jump",
-                "same_filter",
-                "sensor_order_irrelevant",
-                "state_round_trip",
-                "unit_equivariant",
-            )
-        ],
+        ("assert_bounded_influence", "assert_missing_is_no_information", "assert_recovers_from_jump",
+         "assert_same_filter", "assert_sensor_order_irrelevant", "assert_state_round_trip", "assert_unit_equivariant"),
         "check_filter(make) tests it; filter_checks() has each check by name",
-    ),
+    ),  # fmt: skip
     "step_table": 'fleet.step(model, states, table, key="device")',
     "plot_parameters": "plot_states, or plot() of what tracker.run returned",
     "plot_fit": "compare({\"name\": model}, y, u).plot() draws models over what was measured",
@@ -63,7 +53,7 @@ _HOMES = (
     "plotting.models plot_noise_spectrum plot_step",
     "plotting.models plot_comparison plot_structure_selection plot_validation",
     "testing.consistency assert_covariance_stays_one",
-    "testing.contracts assert_refused_call_changes_nothing",
+    "testing.checks assert_refused_call_changes_nothing",
     "testing.drawing Scenario",
     "testing.models StateModel", "testing.plants Plant PlantScenario",
 )  # fmt: skip

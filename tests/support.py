@@ -26,8 +26,8 @@ from robust_filterpy.filters import (
     shell,
 )
 from robust_filterpy.identification import ParameterTracker, TrackerBank
-from robust_filterpy.testing.contracts import assert_unchanged as assert_unchanged
-from robust_filterpy.testing.contracts import visible
+from robust_filterpy.testing.checks import assert_unchanged as assert_unchanged
+from robust_filterpy.testing.checks import visible
 
 # What 1.4.5 lacks, the tests compare with the definition.
 FILTERPY_2 = hasattr(KalmanFilter, "update_sequential")

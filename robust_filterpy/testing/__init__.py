@@ -10,8 +10,7 @@ People who filter with something else can use them too: a filter is whatever has
 * `runs`: what a filter or a tracker makes of a scenario, as arrays.
 * `consistency`: NIS, NEES, bias, whiteness, efficiency, a covariance that stays one; parameters recovered, followed,
   honest intervals.
-* `contracts`: refused calls, copies, and the promises about calls.
-* `checks`: every promise of a filter, tested by name: `check_filter`, a list for pytest.
+* `checks`: every promise of a filter, tested by name: `check_filter`, a list for pytest; the promises about calls.
 * `filter_equations`, `filter_data`: the promises about equations and data.
 * `bench`: names, claims, expected failures, and what makes filters and moves them.
 * `studies`: a trial repeated with other random numbers, and how far its figures can be trusted.

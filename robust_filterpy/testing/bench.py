@@ -99,6 +99,17 @@ class Check:
                 stacklevel=2,
             )
 
+    def result(self, make: Callable[..., Any]) -> CheckResult:
+        """Test the promise and say what became of it."""
+        start, status, message = time.perf_counter(), "passed", ""
+        try:
+            self(make)
+        except unittest.SkipTest as reason:
+            status, message = "skipped", str(reason)
+        except AssertionError as error:
+            status, message = "failed", str(error)
+        return CheckResult(self.name, status, message, time.perf_counter() - start, self.needs)
+
 
 def promise(
     register: list[Check], *needs: str, stochastic: bool = False
@@ -166,18 +177,6 @@ class ChecksFailed(AssertionError):
         if any(result.needs for result in failed):
             lines.append("In brackets: the claim that is tested; not_claimed=(..) takes names that are not claimed")
         super().__init__("\n".join(lines))
-
-
-def result_of(check: Check, make: Callable[..., Any]) -> CheckResult:
-    """Run one check and say what became of it."""
-    start, status, message = time.perf_counter(), "passed", ""
-    try:
-        check(make)
-    except unittest.SkipTest as reason:
-        status, message = "skipped", str(reason)
-    except AssertionError as error:
-        status, message = "failed", str(error)
-    return CheckResult(check.name, status, message, time.perf_counter() - start, check.needs)
 
 
 #: What a filter can claim; `check_filter` tests all of it that is not in not_claimed.

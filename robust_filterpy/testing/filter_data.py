@@ -22,10 +22,9 @@ from robust_filterpy.testing.consistency import (
     assert_unbiased,
 )  # fmt: skip
 from robust_filterpy.testing.contamination import Kinds
-from robust_filterpy.testing.contracts import apart, deviations, furthest
 from robust_filterpy.testing.drawing import Scenario, draw
 from robust_filterpy.testing.models import StateModel
-from robust_filterpy.testing.runs import state
+from robust_filterpy.testing.runs import apart, deviations, furthest, state
 
 #: What is looked at after the equations.
 LATER: list[Check] = []

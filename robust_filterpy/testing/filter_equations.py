@@ -10,9 +10,8 @@ from filterpy.kalman import KalmanFilter
 from robust_filterpy._checks import Array, takes
 from robust_filterpy.testing import runs
 from robust_filterpy.testing.bench import OLD, Check, FilterSubject, promise
-from robust_filterpy.testing.contracts import deviations, furthest
 from robust_filterpy.testing.models import range_bearing
-from robust_filterpy.testing.runs import state
+from robust_filterpy.testing.runs import deviations, furthest, state
 
 _SMALL = 1e-7
 

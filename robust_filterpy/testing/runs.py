@@ -202,6 +202,26 @@ def state(kf: Any) -> tuple[Array, Array]:
     return np.ravel(np.array(kf.x, dtype=float)), np.array(kf.P, dtype=float)
 
 
+def deviations(P: Array) -> Array:
+    """Return standard deviations that can be divided by."""
+    return np.sqrt(np.maximum(np.abs(np.diagonal(P)), np.finfo(float).tiny))
+
+
+def furthest(difference: Array, P: Array) -> float:
+    """Return the largest difference of a state in its standard deviations, infinite if one is not finite."""
+    if not np.isfinite(difference).all():
+        return float("inf")
+    return float(np.abs(difference / deviations(P)).max())
+
+
+def apart(one: tuple[Array, Array], two: tuple[Array, Array]) -> float:
+    """Return how far x and P of one filter are from those of another, in standard deviations of the first."""
+    (x, P), (x2, P2) = one, two
+    sigma = deviations(P)
+    covariances = (P2 - P) / np.outer(sigma, sigma)
+    return max(furthest(x2 - x, P), float(np.abs(covariances).max()) if np.isfinite(covariances).all() else np.inf)
+
+
 def run_filter(kf: Any, scenario: Scenario) -> Run:
     """Run a filter over a scenario.
 

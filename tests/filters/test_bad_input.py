@@ -26,7 +26,7 @@ from robust_filterpy.correction import Scales, SingularInnovationError
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.influence import Linear
-from robust_filterpy.testing.contracts import assert_refused_call_changes_nothing
+from robust_filterpy.testing.checks import assert_refused_call_changes_nothing
 
 pytestmark = pytest.mark.core
 

@@ -22,8 +22,8 @@ from robust_filterpy.testing import (
     run_filter,
     run_tracker,
 )
+from robust_filterpy.testing.checks import assert_refused_call_changes_nothing, assert_unchanged, visible
 from robust_filterpy.testing.consistency import _correlation, assert_covariance_stays_one, ratio_of_errors
-from robust_filterpy.testing.contracts import assert_refused_call_changes_nothing, assert_unchanged, visible
 from robust_filterpy.testing.models import random_stable
 from robust_filterpy.testing.runs import Run, load
 
