@@ -23,7 +23,7 @@ _GONE = {
         ("assert_bounded_influence", "assert_missing_is_no_information", "assert_recovers_from_jump",
          "assert_same_filter", "assert_sensor_order_irrelevant", "assert_state_round_trip", "assert_unit_equivariant"),
         "check_filter(make) tests it; filter_checks() has each check by name",
-    ),  # fmt: skip
+    ),
     "step_table": 'fleet.step(model, states, table, key="device")',
     "plot_parameters": "plot_states, or plot() of what tracker.run returned",
     "plot_fit": "compare({\"name\": model}, y, u).plot() draws models over what was measured",
