@@ -365,7 +365,7 @@ class Mixture:
 
     def standing(self, carried: Carried | None, x: Array, P: Array, memory: Array) -> State:
         """Return where a recording begins, in arrays of its own."""
-        return series.begin_models(self.current(carried, x, P).hypotheses, memory)._replace(x=x.copy(), P=P.copy())
+        return State(*(part.copy() for part in (*self.current(carried, x, P)[:3], memory, x, P)))
 
     def carried_of(self, carried: Carried | None, state: State) -> Carried | None:
         """Return what is kept besides where a recording has come to."""

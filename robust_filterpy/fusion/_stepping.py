@@ -197,23 +197,25 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         used, R = np.where(np.isnan(state.sizes), np.nan, used), covariance(layout, state.sizes)
     readings = used
     if watch is not None:
-        watch = coasted(watch, step.F, seconds)
-        if watch.fault.any():
+        if watch.ill:
             # Nothing is taken from a sensor that lies.
             used = np.where(watch.out[layout.party], np.nan, used)
     xs, Ps, weights = np.empty((2, 1, n)), np.empty((2, 1, n * n)), np.empty((1, layout.size))
     F, Q, drift, H, R = (part[None] for part in (*step, seen.H, R))
     after = series(policy, state, used[None], F, Q, drift, H, R, Rows(xs[0], Ps[0], xs[1], Ps[1], weights))
-    if (watch is None and setup.reacquire is None) or not (readings == readings).any():
-        return Moment(after, watch, seen.failed)
+    if watch is None and setup.reacquire is None:
+        return Moment(after, None, seen.failed)
+    here = np.flatnonzero(readings == readings)
+    if not len(here):
+        return Moment(after, watch and coasted(watch, step.F, seconds), seen.failed)
     y, P = readings - seen.H @ xs[1, 0], Ps[1].reshape(n, n)
     if watch is not None:
-        if watch.fault.any():
+        if watch.ill:
             # Nothing is learned of a sensor on alarm.
             learns = (watch.fault != DEPARTS)[layout.party]
             after = after._replace(memory=np.where(learns[:, None], after.memory, state.memory))
-        now = Looked(z, y, seen.H, P, R[0].diagonal(), weights[0], policy, state)
-        watch = looked_at(watch, now, layout.party)
+        now = Looked(here, z, y, seen.H, P, R[0].diagonal(), weights[0], policy, state)
+        watch = looked_at(watch, step.F, seconds, now, layout.party)
     if setup.reacquire is None:
         return Moment(after, watch, seen.failed)
     spread = ((seen.H @ P) * seen.H).sum(axis=1)

@@ -45,6 +45,8 @@ SLOW, _COUNT, _SIGN, _KEEPS, _REPEATS, _USUAL, _LAST, _NOISE, _CLASSES = range(9
 _ALARM, _QUIET, _PRIOR = -1.0, -6.0, math.log(1e-5)
 # Onsets: how many, and readings after which the first of them begins anew; each next one after twice as many.
 _ONSETS, _SHORTEST = 6, 8
+# How the age of a bias grows, which is 1, and of a drift.
+_GROWS = np.array([[0.0], [1.0]])
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to.
 _SIZE = 4.0
 # How many onsets each of them stands for, as logarithms.
@@ -111,6 +113,18 @@ class Watch(NamedTuple):
     """Key of the moment when what a sensor had said was last taken out of x."""
 
     @property
+    def ill(self) -> bool:
+        """Whether anything is the matter with any sensor."""
+        return self.since.count(None) < len(self.since)
+
+    @property
+    def calm(self) -> bool:
+        """Whether no sensor is ill and no test speaks."""
+        *sensors, model = self.limit.tolist()
+        enough = self.slack <= _SLACK or math.log(self.slack) <= model
+        return enough and not self.ill and max(self.score.tolist()) <= min(sensors)
+
+    @property
     def out(self) -> np.ndarray:
         """Which sensors are left out of x: whose lie is no noise."""
         return (self.fault >= BIASED) & (self.fault <= STUCK)
@@ -131,6 +145,8 @@ def fresh(states: int, components: int, sensors: int, scales: Array) -> Watch:
 class Looked(NamedTuple):
     """What was read at a moment, and what the filter made of it."""
 
+    here: np.ndarray
+    """Components that were read."""
     z: Array
     """(M,), NaN where missing."""
     y: Array
@@ -149,38 +165,38 @@ class Looked(NamedTuple):
 
 
 def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
-    """Return the health some seconds later."""
-    age = watch.age.copy()
-    age[:, 1] += seconds
-    return watch._replace(response=F @ watch.response, age=age)
+    """Return the health some seconds later, with nothing read."""
+    return watch._replace(response=F @ watch.response, age=watch.age + seconds * _GROWS)
 
 
-def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
-    """Return the health after the readings of one moment."""
-    here = np.flatnonzero(~np.isnan(now.y))
-    H, y, statistics, recent, due = now.H[here], now.y[here], watch.statistics.copy(), watch.recent, watch.due.copy()
-    PH, rows, R, slack = now.P @ H.T, statistics[here].tolist(), now.R[here].tolist(), watch.slack
-    S, scales, places, learnt = H @ PH, watch.scales.tolist(), here.tolist(), None
+def looked_at(watch: Watch, F: Array, seconds: float, now: Looked, owner: np.ndarray) -> Watch:
+    """Return the health some seconds later, after the readings of that moment."""
+    here = now.here
+    H, R, before, scales = now.H[here], now.R[here], watch.statistics[here], watch.scales.tolist()
+    recent, due, slack, learnt, ill, PH = watch.recent, watch.due.copy(), watch.slack, None, watch.ill, now.P @ H.T
+    S = H @ PH
+    places, rows, ordinary = here.tolist(), before.tolist(), (before[:, SLOW] * R).tolist()
     if any(row[_COUNT] % _SELDOM == 0.0 for row in rows):
         memory, slack = now.state.memory, now.policy.slack(now.state.carried)
-        learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]]).tolist()
-    said = zip(places, rows, R, now.z[here].tolist(), y.tolist(), S.diagonal().tolist(), strict=True)
-    updated, counts = [], []
-    for k, (c, row, r, z, innovation, spread) in enumerate(said):
+        learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]])[here].tolist()
+    updated, counts, y = [], [], now.y[here].tolist()
+    said = zip(places, rows, ordinary, now.z[here].tolist(), S.diagonal().tolist(), strict=True)
+    for k, (c, row, r, z, spread) in enumerate(said):
         # No reading is farther than the widest class of noise reaches, or one alone would say all there is.
-        far = REACH * math.sqrt(max(spread + row[SLOW] * r * scales[-1], 0.0))
-        y[k] = innovation = min(max(innovation, -far), far)
-        s = owner[c]
+        far = REACH * math.sqrt(max(spread + r * scales[-1], 0.0))
+        y[k] = innovation = min(max(y[k], -far), far)
+        s, quiet = owner[c], watch.score[c] < _QUIET
         due[s] -= 1.0
-        quiet = watch.score[c] < _QUIET
-        if watch.fault[s] > 0.0:
+        if ill and watch.fault[s] > 0.0:
             quiet, recent = False, recent.copy() if recent is watch.recent else recent
-            was = min(max(innovation / math.sqrt(spread + float(watch.before[c]) * r), -_CLIP), _CLIP)
+            was = min(max(innovation / math.sqrt(spread + float(watch.before[c] * R[k])), -_CLIP), _CLIP)
             recent[c, 3] += 1.0
             recent[c, :3] += ([was, was * was, abs(was) >= _CLIP] - recent[c, :3]) / min(recent[c, 3], _RECENT)
-        counts.append(_worth(_colour(row)) if row[_COUNT] >= _FIRST else 0.0)
-        usual = learnt[c] if learnt and quiet and row[_COUNT] % _SELDOM == 0.0 else []
-        updated.append(_after(row, z, innovation, spread, r, scales, usual, quiet))
+        color = _color(row) if row[_COUNT] >= _FIRST else 1.0
+        counts.append(_worth(color))
+        usual = learnt[k] if learnt and quiet and row[_COUNT] % _SELDOM == 0.0 else []
+        updated.append(_after(row, z, innovation, spread, r, scales, usual, quiet, _worth(color * color)))
+    statistics = watch.statistics.copy()
     statistics[here] = updated
     limit = watch.limit + (_ALARM - watch.limit) / _AVERAGED
     if slack > _SLACK:
@@ -188,37 +204,36 @@ def looked_at(watch: Watch, now: Looked, owner: np.ndarray) -> Watch:
         pace = _SOON if watch.model < _SURE else 0.0
         limit[-1] = watch.limit[-1] + pace * (_ALARM - watch.limit[-1])
     for i, w in enumerate(now.weights[here].tolist()):
-        S[i, i] += rows[i][SLOW] * R[i] / (w if w > _LEAST else _LEAST)
-    lasting = _lasting(watch, statistics, places, y, H, PH, S, counts, now.R)
+        S[i, i] += ordinary[i] / (w if w > _LEAST else _LEAST)
+    lasting = _lasting(watch, F, seconds, statistics, places, np.array(y), H, PH, S, counts, now.R)
     return watch._replace(statistics=statistics, recent=recent, due=due, limit=limit, slack=slack, **lasting)
 
 
 def _after(
-    row: list[float], z: float, y: float, spread: float, R: float, scales: list[float], usual: list[float], quiet: bool
-) -> list[float]:
-    """Return a component's memory after a reading; usual: what is learned of its noise, if looked at."""
-    C, old, e2, sign = len(scales), row[_COUNT] >= _FIRST, -0.5 * y * y, math.copysign(1.0, y)
+    row: list[float], z: float, y: float, spread: float, r: float, scales: list[float], usual: list[float],
+    quiet: bool, counts: float,
+) -> list[float]:  # fmt: skip
+    """Return a component's memory after a reading, which counts so much; usual: what is learned, if looked at."""
+    C, e2 = len(scales), -0.5 * y * y
     shares, sums = row[_CLASSES : _CLASSES + C], row[_CLASSES + C :]
     # Nothing is below 0, where what is nearer than a standard deviation leaves it.
-    if old and (-2.0 * e2 > spread + row[SLOW] * R or any(sums)):
-        f = [
-            [math.exp(e2 / v) / math.sqrt(v) + 1e-300 for v in [spread + factor * row[SLOW] * R * s for s in scales]]
-            for factor in _FACTORS
-        ]
-        as_ever, *grown = (sum(p * one for p, one in zip(shares, of, strict=True)) for of in f)
-        more = ((1.0 - _MORE) * as_ever + _MORE * one for one in f[0][1:])
-        phi = _colour(row)
-        counts = _worth(phi * phi)
-        steps = (min(math.log(one / as_ever), _MOST) for one in (*grown, *more))
-        sums = [max(was + counts * step, 0.0) for was, step in zip(sums, steps, strict=True)]
-    same, count = float(z == row[_LAST]), row[_COUNT] + 1.0
+    if counts and (-2.0 * e2 > spread + r or any(sums)):
+        mixed, of = [], []
+        for factor in _FACTORS:
+            v = [spread + factor * r * s for s in scales]
+            of.append([math.exp(e2 / one) / math.sqrt(one) + 1e-300 for one in v])
+            mixed.append(sum([p * one for p, one in zip(shares, of[-1], strict=True)]))
+        others = mixed[1:] + [(1.0 - _MORE) * mixed[0] + _MORE * one for one in of[0][1:]]
+        steps = [counts * min(math.log(one / mixed[0]), _MOST) for one in others]
+        sums = [max(was + step, 0.0) for was, step in zip(sums, steps, strict=True)]
+    same, count, sign = float(z == row[_LAST]), row[_COUNT] + 1.0, math.copysign(1.0, y)
     repeats = row[_REPEATS] + 1.0 if same else 0.0
     # How often it repeats itself when nothing is the matter; a long run counts little.
     often = row[_USUAL] + (0.01 * (same - row[_USUAL]) if repeats <= 2.0 else 0.0)
     run = -repeats * math.log(min(max(often, 0.02), 0.98)) if repeats >= 4.0 else 0.0
     slow, keeps = row[SLOW], row[_KEEPS]
     if usual:
-        pace = _SELDOM / _AVERAGED if old else 1.0
+        pace = _SELDOM / _AVERAGED if count > _FIRST else 1.0
         slow, *shares = (a + pace * (b - a) for a, b in zip([slow, *shares], usual, strict=True))
     if quiet:
         keeps += (sign * row[_SIGN] - keeps) / min(count, _AVERAGED)
@@ -226,11 +241,13 @@ def _after(
 
 
 def _lasting(
-    watch: Watch, statistics: Array, here: list[int], y: Array, H: Array, PH: Array, S: Array, counts: list[float],
-    R: Array,
+    watch: Watch, F: Array, seconds: float, statistics: Array, here: list[int], y: Array, H: Array, PH: Array,
+    S: Array, counts: list[float], R: Array,
 ) -> dict[str, Any]:  # fmt: skip
     """Return what there is to say of biases and drifts after the readings of one moment, each of which counts less."""
-    shape, d, age = watch.age.shape, -(H @ watch.response), watch.age
+    shape, response, evidence = watch.age.shape, F @ watch.response, watch.evidence.copy()
+    age = watch.age + seconds * _GROWS
+    d = -(H @ response)
     own = d.reshape(len(y), *shape)
     for i, c in enumerate(here):
         if counts[i]:
@@ -239,18 +256,18 @@ def _lasting(
     if failed:
         # To rounding these readings are one: they say nothing of what lasts.
         d = said = np.zeros_like(d)
-    response, evidence = watch.response + PH @ said, watch.evidence.copy()
+    response += PH @ said
     if min(counts) < 1.0:
         root = np.sqrt(counts)[:, None]
         said = root * dposv(S, root * d)[1]
     evidence[0] += y @ said
-    evidence[1] += (d * said).sum(axis=0)
+    evidence[1] += np.add.reduce(d * said)
     for c in here:
         count = int(statistics[c, _COUNT])
         j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1
         if 0 <= j < _ONSETS or count == _FIRST:
             # At the first reading that counts all begin.
-            which, age = slice(None) if count == _FIRST else j, age.copy()
+            which = slice(None) if count == _FIRST else j
             age[c, 1, which] = 0.0
             for part in (response, evidence):
                 part.reshape(-1, *shape)[:, c, :, which] = 0.0
@@ -258,7 +275,7 @@ def _lasting(
     precision = (age * age + 1e-300) / (_SIZE**2 * statistics[:, SLOW] * R)[:, None, None]
     whole = information + precision
     lasting = 0.5 * (A * A / whole + np.log(precision / whole)) + _WIDTHS
-    score = np.maximum(lasting.reshape(len(statistics), -1).max(axis=1), statistics[:, _NOISE]) + _PRIOR
+    score = np.maximum(np.maximum.reduce(lasting, (1, 2)), statistics[:, _NOISE]) + _PRIOR
     return {"response": response, "evidence": evidence, "age": age, "score": score}
 
 
@@ -292,10 +309,10 @@ def begun_anew(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
 
 def worths(watch: Watch) -> Array:
     """Return how much a reading of each component counts, by its correlation with the one before, in (0, 1], (M,)."""
-    return np.array([_worth(_colour(row)) for row in watch.statistics.tolist()])
+    return np.array([_worth(_color(row)) for row in watch.statistics.tolist()])
 
 
-def _colour(row: list[float]) -> float:
+def _color(row: list[float]) -> float:
     """Return the correlation of a component's readings with those before, in [0, .95]; what may be chance is 0."""
     # Signs of two normal numbers of correlation phi agree with probability 1/2 + arcsin(phi)/pi.
     phi = math.sin(0.5 * math.pi * row[_KEEPS])

@@ -151,7 +151,7 @@ def run(
     """
     if rule is None or not kernel.available():
         return first
-    given = (None if a is None else plain(a)[None] for a in (*model, None if M is None else M[None]))
+    given = (None if a is None else a[None] for a in (*model, None if M is None else M[None]))
     moving = tuple(a[None] for a in (state.x, state.P, state.learnt, *state[:3]))
     likelihood = np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood
     done = _taken(

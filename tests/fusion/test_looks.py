@@ -55,7 +55,7 @@ def test_wild_readings_hide_no_bias_to_come(wild):
 def test_the_sums_of_a_reading_are_the_odds_of_grown_noise_and_of_more_outliers():
     scales, shares, spread, R, y = [1.0, 100.0], [0.9, 0.1], 0.5, 2.0, 4.0
     row = [1.5, 100.0, 1.0, 0.0, 0.0, 0.0, 9.0, 0.0, *shares, 0.2, 0.0, 0.1]
-    after = _watch._after(row, 3.0, y, spread, R, scales, [], True)
+    after = _watch._after(row, 3.0, y, spread, 1.5 * R, scales, [], True, 1.0)
 
     def densities(factor):
         return norm.pdf(y, scale=np.sqrt(spread + factor * 1.5 * R * np.array(scales)))
@@ -66,9 +66,9 @@ def test_the_sums_of_a_reading_are_the_odds_of_grown_noise_and_of_more_outliers(
     np.testing.assert_allclose(after[-3:], expected, rtol=1e-12)
     assert after[_watch._NOISE] == pytest.approx(max(expected)) and max(expected) > 0.5 and after[1] == 101.0
     # Before the noise is learned nothing is summed; what repeats itself for long is as odd as that is rare.
-    young = _watch._after([*row[:1], 59.0, *row[2:]], 3.0, y, spread, R, scales, [], True)
+    young = _watch._after([*row[:1], 59.0, *row[2:]], 3.0, y, spread, 1.5 * R, scales, [], True, 0.0)
     assert young[-3:] == row[-3:]
-    same = _watch._after([*row[:4], 4.0, 0.1, 3.0, *row[7:]], 3.0, 0.1, spread, R, scales, [], True)
+    same = _watch._after([*row[:4], 4.0, 0.1, 3.0, *row[7:]], 3.0, 0.1, spread, 1.5 * R, scales, [], True, 1.0)
     assert same[_watch._NOISE] == pytest.approx(-5.0 * np.log(0.1)) and same[4:6] == [5.0, 0.1]
 
 
@@ -111,7 +111,9 @@ def test_score_and_information_are_those_of_the_likelihood_of_a_fault_since_each
 def test_readings_that_are_one_to_rounding_say_nothing_of_what_lasts():
     watch, H = _watch.fresh(2, 2, 2, np.ones(1)), np.tile([1.0, 0.0], (2, 1))
     watch, statistics = watch._replace(age=np.ones(watch.age.shape)), np.ones(watch.statistics.shape)
-    after = _watch._lasting(watch, statistics, [0, 1], np.ones(2), H, H.T, np.ones((2, 2)), [1.0, 1.0], np.ones(2))
+    after = _watch._lasting(
+        watch, np.eye(2), 0.0, statistics, [0, 1], np.ones(2), H, H.T, np.ones((2, 2)), [1.0, 1.0], np.ones(2)
+    )
     assert (after["evidence"] == 0.0).all() and np.isfinite(after["score"]).all()
 
 
