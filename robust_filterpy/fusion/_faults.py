@@ -23,6 +23,7 @@ one (`_watch.worth`).
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,9 @@ _STILL = 0.01
 # Stamps after which hypotheses go that are so far behind the healthy one, or so far below the best and not ahead of the
 # healthy one by more than this; logarithms of odds.
 _EVERY, _BEHIND, _HOPELESS, _AHEAD = 8, 10.0, 25.0, 2.0
+# Numbers of covariances that a stamp advances at once, as many as one call costs, and stamps among which all are
+# shared at most; how much of a stamp's share it is to begin.
+_AT_ONCE, _CALL, _STAMPS, _BEGINS = 2e5, 5e3, 100, 0.5
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
 _FINE, _FIRST = 16, 5
 
@@ -103,14 +107,18 @@ class _Bank(NamedTuple):
     """Logarithm."""
 
 
-def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> list[Found]:
-    """Return what may explain a stretch, each fault of each suspected component once, the most probable first."""
+def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> Generator[float, None, list[Found]]:
+    """Return what may explain a stretch, each fault of each suspected component once, the most probable first.
+
+    After each part of the work it yields how much of what is to be done at once that is.
+    """
     bank = _hypotheses(stretch, suspects)
-    logs, b = _run(stretch, bank, left_out)
-    calm = np.flatnonzero((bank.fault == HEALTHY) & (bank.component < 0))
-    as_calm = bank.factor[calm[np.argmax((logs + bank.prior)[calm])]]
-    if as_calm != 1.0:
-        logs, b = _run(stretch._replace(Q=stretch.Q * as_calm), bank, left_out)
+    yield _BEGINS
+    calm = np.flatnonzero(bank.fault == HEALTHY)
+    healthy = _Bank(*(part[calm] for part in bank))
+    logs, _ = yield from _run(stretch, healthy, left_out, len(stretch.z))
+    as_calm = healthy.factor[np.argmax(logs + healthy.prior)]
+    logs, b = yield from _run(stretch._replace(Q=stretch.Q * as_calm), bank, left_out, _EVERY)
     logs[calm[1:]] = -np.inf
     logs = logs + bank.prior
     p = np.exp(logs - logs.max())
@@ -137,7 +145,8 @@ def _hypotheses(stretch: Stretch, suspects: np.ndarray) -> _Bank:
         for fault, factors in kinds.items():
             (k, width), factor = np.repeat(onsets, len(factors), axis=0).T, np.tile(factors, len(onsets))
             parts.append(np.column_stack([np.full((len(k), 2), (c, fault)), k, factor, chance * width / len(factors)]))
-    rows = np.array(sorted(np.concatenate(parts).tolist(), key=lambda row: row[2]))
+    rows = np.concatenate(parts)
+    rows = rows[np.argsort(rows[:, 2], kind="stable")]
     return _Bank(*rows.T)._replace(prior=np.log(rows[:, 4]))
 
 
@@ -152,21 +161,26 @@ def _onsets(moments: np.ndarray) -> list[tuple[int, int]]:
     return onsets[::-1]
 
 
-def _run(stretch: Stretch, bank: _Bank, left_out: np.ndarray) -> tuple[Array, Array]:
+def _run(
+    stretch: Stretch, bank: _Bank, left_out: np.ndarray, every: int
+) -> Generator[float, None, tuple[Array, Array]]:
     """Return the log-density of all readings under each hypothesis, in the order of onsets, and b at the end."""
     (n,), K, N = stretch.x.shape, len(stretch.z), len(bank.fault)
     logs, b, numbers = np.full(N, -np.inf), np.zeros(N), _numbers(stretch, bank)
+    at_once = max(_AT_ONCE, N * K * (n + 1) ** 2 / _STAMPS)
     able = stretch._replace(z=np.where(left_out, np.nan, stretch.z))
     shared = tuple(np.array(part, dtype=float) for part in able[2:])
     # Before its onset a hypothesis is the healthy one, which comes first.
     who, x, P, sums = np.arange(1), np.append(stretch.x, 0.0)[None], np.zeros((1, n + 1, n + 1)), np.zeros(1)
     P[0, :n, :n] = stretch.P
-    for first in range(0, K, _EVERY):
-        new = np.flatnonzero(bank.onset[1:] // _EVERY == first // _EVERY) + 1
+    ends = np.searchsorted(bank.onset, np.arange(every, K + every, every)).tolist()
+    for first, begun, end in zip(range(0, K, every), [1, *ends], ends, strict=False):
+        new = np.arange(begun, end)
         stays = np.flatnonzero(_hopeful(sums, bank, who))
         copies = np.append(stays, np.zeros(len(new), dtype=int))
         who, x, P, sums = np.append(who[stays], new), x[copies], P[copies], sums[copies]
-        _advance(numbers[who], (x, P, sums), shared, (first, min(first + _EVERY, K)))
+        _advance(numbers[who], (x, P, sums), shared, (first, min(first + every, K)))
+        yield (P.size * every + _CALL) / at_once
     logs[who], b[who] = sums, x[:, n]
     return logs, b / np.sqrt(stretch.r[np.maximum(bank.component.astype(int), 0)])
 
@@ -222,4 +236,3 @@ def _hopeful(sums: Array, bank: _Bank, who: np.ndarray) -> np.ndarray:
     better, worth = sums - sums[0], sums + bank.prior[who]
     lost = (better < -_BEHIND) | ((worth < worth.max() - _HOPELESS) & (better < _AHEAD))
     return np.asarray(~lost | (bank.fault[who] == HEALTHY))
-

@@ -223,6 +223,50 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
     return Moment(after, watch, seen.failed, None, int(layout.owner[np.argmax(e)]) if e.max() > FAR else -1)
 
 
+# Stamps that are taken together: so many F and Q fit a cache, and need no room to speak of.
+_TOGETHER = 20_000
+
+
+def through(
+    setup: Setup, moment: Moment, dts: Array, zs: Array, inputs: Array, into: tuple[Array, Array, Array]
+) -> tuple[Moment, list[tuple[str, int, str]]]:
+    """Return the moment after many stamps, with the control inputs from each on, and who failed at which, and why.
+
+    x, P and weights of each are written into rows.
+    """
+    layout, (x, P, weights), done, K = setup.layout, into, 0, len(zs)
+    failed: list[tuple[str, int, str]] = []
+    while done < K:
+        # Step by step goes what the kernel cannot: what is not linear, first readings of sensors whose R nobody gave.
+        straight = setup.motion.is_linear and not layout.curved
+        stop = _next_first(moment, zs, done) if straight else done
+        if stop == done:
+            moment = advanced(setup, moment, dts[done].item(), zs[done], inputs[done])
+            failed.extend((who, done, why) for who, why in moment.failed)
+            x[done], P[done], done = moment.state.x, moment.state.P, done + 1
+            continue
+        part = slice(done, min(done + _TOGETHER, stop))
+        us = np.concatenate([moment.state.u[None], inputs[part][:-1]])
+        F, Q, drift = setup.motion.over_each(dts[part], x[part], us)
+        rows = Rows(x[part], P[part].reshape(len(us), -1), weights=weights[part])
+        R = covariance(layout, moment.state.sizes)[None]
+        state = series(setup.policy, moment.state, zs[part], F, Q, drift, layout.H[None], R, rows)
+        state = aged(state, float(dts[part].sum()), np.full(layout.size, np.nan))
+        moment, done = moment._replace(state=state._replace(u=inputs[part.stop - 1])), part.stop
+    return moment, failed
+
+
+def _next_first(moment: Moment, zs: Array, done: int) -> int:
+    """Return the next row with a reading of a component whose noise is not estimated, the number of rows if none."""
+    unknown = np.isnan(moment.state.sizes)
+    # A look at some rows after the other: the next one is near.
+    for low in range(done, len(zs) if unknown.any() else 0, 1000):
+        there = (~np.isnan(zs[low : low + 1000, unknown])).any(axis=1)
+        if there.any():
+            return low + int(np.argmax(there))
+    return len(zs)
+
+
 def aged(state: State, seconds: float, values: Array) -> State:
     """Return the state that has the first readings of sensors whose R nobody gave."""
     trial, sizes = compared(state.trial, state.sizes, seconds, values)

@@ -22,7 +22,7 @@ from robust_filterpy.fusion._table import Clock
 from robust_filterpy.fusion._watch import Watch
 from robust_filterpy.fusion.reacquisition import Doubt, doubted
 from robust_filterpy.fusion.sensors import Layout
-from robust_filterpy.fusion.verdicts import watched
+from robust_filterpy.fusion.verdicts import Look, watched
 
 #: Entries that are kept, however long the window is: one late reading makes all after it be judged anew, and to look
 #: back at sensors costs the more, the more there are.
@@ -56,6 +56,8 @@ class Timeline:
         #: Entries before this one have their moments.
         self.clean = 0
         self.judging = False
+        #: A look back that is under way (`verdicts.Look`), or was the last.
+        self.look: Look | None = None
         #: When each sensor has spoken last, of entries that are no longer kept.
         self.earlier: dict[str, float | int] = {}
         #: How many readings of each sensor could not be used, of entries that are no longer kept.
@@ -81,6 +83,8 @@ class Timeline:
         self.require_rest()
         i = bisect_left(self.keys, key)
         self.clean = min(self.clean, i)
+        if self.look is not None and key <= self.look.key:
+            self.look = None
         if i == len(self.keys) or self.keys[i] != key:
             self.entries.insert(i, Entry(key, self.setup.layout.size))
             self.keys.insert(i, key)
@@ -197,7 +201,7 @@ _LISTS = ("base", "keys", "z", "controls", "controlled", "spoke", "moments", "do
 # As `arrays` gives them.
 _ARRAYS = ("means", "covariances", "belief", "memory", "x", "P", "sizes", "u", "trial")
 # Fields of a `Watch` that are stamps.
-_STAMPS = ("since", "model_since", "mended")
+_STAMPS = ("since", "model_since", "mended", "asked")
 
 
 def state_of(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ...]) -> dict[str, Array]:
@@ -242,7 +246,7 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         if name in given and name not in needed:
             raise _state.StateError(f"state: expected one of a fusion {otherwise}")
     if "moments" in needed and "moments" in given:
-        given = {**given, "moments": _of_now(given["moments"], like)}
+        given = {**given, "moments": _of_now(given, like)}
     got = _state.checked(given, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
     entries, stamps = len(got["keys"]), np.vstack([got["keys"], got["base"], got["earlier"]])
     for good, expected in (
@@ -292,7 +296,8 @@ def _parts(setup: Setup, moment: Moment) -> list[Any]:
     """Return the parts of a moment that is watched; what a function of a sensor said when it failed is not in it."""
     watch, failed = moment.watch, {name for name, _ in moment.failed}
     numbers = [value for name, value in zip(Watch._fields, watch, strict=True) if name not in _STAMPS]
-    stamps = [[at is not None, *_split([at or 0])[0]] for at in (*watch.since, watch.model_since, watch.mended)]
+    keys = (*watch.since, *(getattr(watch, name) for name in _STAMPS[1:]))
+    stamps = [[at is not None, *_split([at or 0])[0]] for at in keys]
     flags = [*(name in failed for name in setup.layout.names), moment.far, moment.anew]
     doubt = _of_doubt(moment.doubt)
     room = doubt if len(doubt) else np.zeros(sum(map(math.prod, _shapes_of_doubt(setup.layout))))
@@ -300,15 +305,18 @@ def _parts(setup: Setup, moment: Moment) -> list[Any]:
     return [*arrays(setup.policy, moment.state), *numbers, stamps, flags, *in_doubt]
 
 
-def _of_now(rows: Any, like: Timeline) -> Any:
-    """Return moments as they are stored now: what is learned of a sensor had a number more once."""
+def _of_now(given: Any, like: Timeline) -> Any:
+    """Return moments as they are stored now: once sensors had a number more, and no stamp asked for a look back."""
     sizes = [np.shape(part) for part in _parts(like.setup, begun(like.setup, like.base.state.x, like.base.state.P))]
-    place, rows = _ARRAYS.index("memory"), np.asarray(rows)
+    place, rows, whole = _ARRAYS.index("memory"), np.asarray(given["moments"]), sum(map(math.prod, sizes))
     (sensors, width), before = sizes[place], sum(map(math.prod, sizes[:place]))
-    if rows.ndim != 2 or rows.shape[1] != sum(map(math.prod, sizes)) + sensors:
+    wide = np.shape(given.get("memory"))[-1:] == (width + 1,)
+    if rows.ndim != 2 or rows.shape[1] != whole - 3 + sensors * wide:
         return rows
-    first, memory, rest = np.split(rows, [before, before + sensors * (width + 1)], axis=1)
-    memory = _state.widened("memory", memory.reshape(-1, sensors, width + 1), width)
+    behind = sum(map(math.prod, sizes[len(_ARRAYS) + len(Watch._fields) - len(_STAMPS) + 1 :]))
+    rows = np.insert(rows, [rows.shape[1] - behind] * 3, 0.0, axis=1)
+    first, memory, rest = np.split(rows, [before, before + sensors * (width + wide)], axis=1)
+    memory = _state.widened("memory", memory.reshape(-1, sensors, width + wide), width)
     return np.hstack((first, memory.reshape(len(rows), -1), rest))
 
 
@@ -335,10 +343,10 @@ def _moment_of(row: Array, like: Timeline, kind: str) -> Moment:
     if not all(np.isfinite(part).all() for part in finite):
         raise _state.StateError("state: expected finite numbers in moments, got NaN")
     numbers["due"][numbers["due"] == np.finfo(float).max] = np.inf
-    *since, model_since, mended = [_joined(pair[1:][None], kind)[0] if pair[0] else None for pair in stamps]
+    *since, model_since, mended, asked = [_joined(pair[1:][None], kind)[0] if pair[0] else None for pair in stamps]
     *failed, far, anew = flags.tolist()
     why = tuple((name, "as it was when the state was kept") for name, bad in zip(names, failed, strict=True) if bad)
-    watch = Watch(**numbers, since=tuple(since), model_since=model_since, mended=mended)
+    watch = Watch(**numbers, since=tuple(since), model_since=model_since, mended=mended, asked=asked)
     in_doubt = _doubt_of(doubt[1], like, kind) if doubt and doubt[0] else None
     return Moment(of_arrays(setup.policy, state), watch, why, in_doubt, int(far), bool(anew))
 

@@ -111,6 +111,8 @@ class Watch(NamedTuple):
     """Key of the onset."""
     mended: Any
     """Key of the moment when what a sensor had said was last taken out of x."""
+    asked: Any
+    """Key of the stamp that has asked for a look back which is under way."""
 
     @property
     def ill(self) -> bool:
@@ -138,7 +140,7 @@ def fresh(states: int, components: int, sensors: int, scales: Array) -> Watch:
         statistics, np.zeros((states, age.size)), np.zeros((2, age.size)), age, scales,
         np.full(components, _PRIOR),
         np.zeros((components, 4)), np.ones(components), np.zeros(sensors), np.ones(sensors), np.zeros(sensors),
-        (None,) * sensors, np.zeros(sensors), np.full(sensors + 1, _ALARM), 1.0, 0.0, None, None,
+        (None,) * sensors, np.zeros(sensors), np.full(sensors + 1, _ALARM), 1.0, 0.0, None, None, None,
     )  # fmt: skip
 
 
@@ -304,7 +306,8 @@ def begun_anew(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
     statistics, age = watch.statistics.copy(), watch.age * [[1.0], [0.0]]
     sums = slice(_CLASSES + (statistics.shape[1] - _CLASSES) // 2, None)
     statistics[sensors[owner], _NOISE], statistics[sensors[owner], sums] = 0.0, 0.0
-    return watch._replace(statistics=statistics, response=0.0 * watch.response, evidence=0.0 * watch.evidence, age=age)
+    response, evidence = 0.0 * watch.response, 0.0 * watch.evidence
+    return watch._replace(statistics=statistics, response=response, evidence=evidence, age=age, asked=None)
 
 
 def worths(watch: Watch) -> Array:

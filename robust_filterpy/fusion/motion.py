@@ -117,6 +117,28 @@ class Motion:
         F = _checks.finite("jacobian(x, dt)", self.jacobian(*given), (n, n))
         return Moved(F, Q, to - F @ x)
 
+    def over_each(self, dts: Array, xs: Array, us: Array) -> Moved:
+        """Return what happens during stretches of time, as `over`, a row for each.
+
+        Parameters
+        ----------
+        dts : ndarray, shape (K,)
+            Seconds, >= 0.
+        xs : ndarray, shape (K, n)
+            States at the beginning of each; what they are plays no part in a linear motion.
+        us : ndarray, shape (K, dim_u)
+            Control inputs during each.
+
+        Returns
+        -------
+        Moved
+            F and Q of shape (K, n, n), drift (K, n).
+        """
+        if self.is_linear:
+            F, Q, B = self.stacks(dts)
+            return Moved(F, Q, np.asarray((B @ us[:, :, None])[:, :, 0]))
+        return Moved(*map(np.array, zip(*map(self.over, dts.tolist(), xs, us), strict=True)))
+
 
 def constant_velocity(dim: int = 1, q: ArrayLike = 1.0) -> Motion:
     """Return the motion of a point whose velocity is driven by white noise.

@@ -17,16 +17,13 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.kalman import RobustKalmanFilter
-from robust_filterpy.fusion._stepping import Moment, Setup, advanced, aged, covariance, series
+from robust_filterpy.fusion._stepping import Moment, Setup, covariance, through
 from robust_filterpy.fusion._table import Clock, Readings, written
 from robust_filterpy.fusion._timeline import Timeline
 from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.fusion.verdicts import LONGEST, Verdict, described, of_all
-from robust_filterpy.kernel.series import Rows
 from robust_filterpy.smoothing.smoother import smooth
 
-# Stamps that are taken together: so many F and Q fit a cache, and need no room to speak of.
-_TOGETHER = 20_000
 # How much less certain than the recording shows the smoother begins, in variance: more is rounding.
 _WIDER = 1e6
 
@@ -107,33 +104,17 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Readings, smoothed: boo
         raise ValueError(f"table: expected stamps from t0, {Clock.stamp(start)}, on, got {Clock.stamp(rows.keys[0])}")
     dts = np.concatenate([[Clock.between(start, rows.keys[0].item())], Clock.seconds(rows.keys)]).astype(float)
     x, P = np.empty((K, motion.dim_x)), np.empty((K, motion.dim_x, motion.dim_x))
-    weights, moment, done = np.full((K, layout.size), np.nan), begin, 0
-    straight = motion.is_linear and not layout.curved
+    weights = np.full((K, layout.size), np.nan)
     if smoothed and layout.grouping != "component":
         raise ValueError("smoothed: expected sensors without group, since the smoother takes each component; leave one")
     if smoothed and setup.reacquire is not None:
         raise ValueError("smoothed: expected a fusion without reacquire, since the smoother decides nothing; leave one")
-    failed: list[tuple[str, int, str]] = []
     said: list[tuple[int, str, Verdict]] = []
     if setup.watches or setup.reacquire is not None:
         with stages("Fusion.run", None):
             moment, failed, said = _watched(setup, (begin, start), rows, (x, P))
-        done = K
-    while done < K:
-        # Step by step goes what the kernel cannot: what is not linear, first readings of sensors whose R nobody gave.
-        stop = _next_first(moment, rows.zs, done) if straight else done
-        if stop == done:
-            moment = advanced(setup, moment, dts[done].item(), rows.zs[done], rows.inputs[done])
-            failed.extend((who, done, why) for who, why in moment.failed)
-            x[done], P[done], done = moment.state.x, moment.state.P, done + 1
-            continue
-        to = min(done + _TOGETHER, stop)
-        F, Q, drift = _model(setup, moment, dts[done:to], rows.inputs[done:to])
-        R = covariance(layout, moment.state.sizes)[None]
-        into = Rows(x[done:to], P[done:to].reshape(to - done, -1), weights=weights[done:to])
-        state = series(setup.policy, moment.state, rows.zs[done:to], F, Q, drift, layout.H[None], R, into)
-        state = aged(state, float(dts[done:to].sum()), np.full(layout.size, np.nan))
-        moment, done = moment._replace(state=state._replace(u=rows.inputs[to - 1])), to
+    else:
+        moment, failed = through(setup, begin, dts, rows.zs, rows.inputs, (x, P, weights))
     if failed:
         who, at, why = failed[0]
         warn(
@@ -207,26 +188,6 @@ def _without_lies(layout: Layout, rows: Readings, said: list[tuple[int, str, Ver
     return zs
 
 
-def _next_first(moment: Moment, zs: Array, done: int) -> int:
-    """Return the next row with a reading of a component whose noise is not estimated, the number of rows if none."""
-    unknown = np.isnan(moment.state.sizes)
-    # A look at some rows after the other: the next one is near.
-    for low in range(done, len(zs) if unknown.any() else 0, 1000):
-        there = (~np.isnan(zs[low : low + 1000, unknown])).any(axis=1)
-        if there.any():
-            return low + int(np.argmax(there))
-    return len(zs)
-
-
-def _model(setup: Setup, moment: Moment, dts: Array, inputs: Array) -> tuple[Array, Array, Array]:
-    """Return F, Q and B u of stretches of time."""
-    F, Q, B = setup.motion.stacks(dts)
-    if not setup.motion.dim_u:
-        return F, Q, np.zeros((1, setup.motion.dim_x))
-    before = np.concatenate([moment.state.u[None], inputs[:-1]])
-    return F, Q, np.asarray((B @ before[:, :, None])[:, :, 0])
-
-
 def _smoothed(
     setup: Setup, begin: Moment, last: Moment, dts: Array, rows: Readings, filtered: tuple[Array, Array]
 ) -> tuple[Array, Array, Array]:
@@ -234,7 +195,7 @@ def _smoothed(
     layout, motion = setup.layout, setup.motion
     if not motion.is_linear or layout.curved:
         raise ValueError("smoothed: expected a linear motion and linear sensors, got a function of the state")
-    F, Q, drift = _model(setup, begin, dts, rows.inputs)
+    F, Q, drift = motion.over_each(dts, filtered[0], np.concatenate([begin.state.u[None], rows.inputs[:-1]]))
     kf = RobustKalmanFilter(motion.dim_x, layout.size, motion.dim_x)
     (x, P), start = filtered, begin.state
     shown = ((x - start.x) ** 2).max(axis=0) + P[-1].diagonal()

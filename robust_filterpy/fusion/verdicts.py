@@ -9,8 +9,10 @@ are again as they were.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Generator, Sequence
+from functools import partial
 from itertools import compress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion import _faults, _watch
 from robust_filterpy.fusion._faults import Found, Stretch
-from robust_filterpy.fusion._stepping import Moment, covariance
+from robust_filterpy.fusion._stepping import Moment, covariance, through
 from robust_filterpy.fusion._table import Clock, written
 from robust_filterpy.fusion._watch import BIASED, DEPARTS, DRIFTING, FAULTS, HEALTHY, MODEL, SLOW, Watch
 from robust_filterpy.fusion.reacquisition import doubted
@@ -26,6 +28,8 @@ from robust_filterpy.fusion.sensors import Layout
 
 __all__ = ["LONGEST", "Verdict", "described", "of_all", "watched", "words"]
 
+# What has become of the verdicts after a look back.
+_Conclusion: TypeAlias = Callable[[Watch], Watch]
 #: Stamps that are judged anew after an alarm, and at most while a sensor departs.
 STRETCH, LONGEST = 300, 600
 # A verdict is wrong once in twenty times at most; and what is said before that.
@@ -88,23 +92,54 @@ def silent(since: Any, refused: int) -> Verdict:
     return verdict._replace(remedy=f"{refused} of its readings were refused: {clocks}")
 
 
+class Look:
+    """A look back of which each stamp does a share; neither copied nor stored, since it can be begun again."""
+
+    def __init__(self, key: Any, shares: Generator[float, None, _Conclusion]) -> None:
+        """Begin, asked for at a stamp."""
+        self.key, self._shares, self._stamps = key, shares, 0
+        self._says: _Conclusion | None = None
+
+    def __reduce__(self) -> tuple[Any, tuple[()]]:
+        """Leave nothing in its place."""
+        return type(None), ()
+
+    def by(self, stamps: int) -> _Conclusion | None:
+        """Return what it says once so many stamps have done their share, None if that is not all."""
+        while self._stamps < stamps and self._says is None:
+            self._stamps, done = self._stamps + 1, 0.0
+            try:
+                while done < 1.0:
+                    done += next(self._shares)
+            except StopIteration as end:
+                self._says = end.value
+        return self._says if self._stamps <= stamps else None
+
+
 def watched(line: Any, i: int, moment: Moment) -> Moment:
     """Return the moment of an entry with what its readings say about the sensors."""
-    owner, before = line.setup.layout.party, moment.watch
+    owner, before, key = line.setup.layout.party, moment.watch, moment.watch.asked
     # As at nearly every stamp; lists of a few numbers are faster than arrays.
-    if before.calm and min(before.odds.tolist()) >= 1.0 - _DOUBTED:
+    if key is None and before.calm and min(before.odds.tolist()) >= 1.0 - _DOUBTED:
         return moment
     if moment.doubt is not None and moment.doubt.served >= 0 and not moment.doubt.sure:
         # First it is decided whether a sensor or the state was wrong.
         return moment
-    well = _watch.recovered(before, owner)
-    watch = _watch.begun_anew(_set_free(before, well, owner), well, owner) if well.any() else before
-    alarm = _watch.alarmed(watch, owner)
-    alarm[:-1] &= watch.fault == HEALTHY
-    followed = ((watch.fault > HEALTHY) | (watch.odds < 1.0 - _DOUBTED)) & (watch.due <= 0.0)
-    if alarm.any() or followed.any():
-        seen = alarm | np.append(followed, False)
-        watch = _after_a_look(line, i, _watch.cleared(watch, seen, owner), alarm, followed)
+    watch = before
+    if key is None:
+        well = _watch.recovered(before, owner)
+        watch = _watch.begun_anew(_set_free(before, well, owner), well, owner) if well.any() else before
+        alarm, followed = _asking(watch, owner)
+        key = line.keys[i] if alarm.any() or followed.any() else None
+    if key is not None:
+        at = bisect_left(line.keys, key)
+        # One that Ctrl-C has interrupted is begun again.
+        look, line.look = line.look, None
+        if look is None or look.key != key:
+            look = Look(key, _look(line, key, watch if at == i else line.entries[at].moment.watch))
+        says = look.by(i - at + 1)
+        line.look = look
+        watch = watch._replace(asked=key) if says is None else says(watch)
     if watch is before:
         return moment
     left = watch.out
@@ -124,9 +159,17 @@ def _set_free(watch: Watch, sensors: np.ndarray, owner: np.ndarray) -> Watch:
     return watch._replace(fault=fault, odds=odds, since=since, recent=recent)
 
 
-def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: np.ndarray) -> Watch:
-    """Return the verdicts once the last stamps have been judged anew."""
-    party, departs = line.setup.layout.party, watch.fault == DEPARTS
+def _asking(watch: Watch, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return for whom there is an alarm, the model last, (S + 1,), and who is to be looked at again, (S,)."""
+    alarm = _watch.alarmed(watch, owner)
+    alarm[:-1] &= watch.fault == HEALTHY
+    return alarm, ((watch.fault > HEALTHY) | (watch.odds < 1.0 - _DOUBTED)) & (watch.due <= 0.0)
+
+
+def _look(line: Any, key: Any, watch: Watch) -> Generator[float, None, _Conclusion]:
+    """Judge the stamps up to one anew; yield after each part how much it is of what one stamp should do."""
+    party, departs, i = line.setup.layout.party, watch.fault == DEPARTS, bisect_left(line.keys, key)
+    alarm, followed = _asking(watch, party)
     # Who has a verdict stays where he is, and says nothing, when another is in doubt, or if he had it before the
     # stretch begins. How fast one drifts is seen the better the longer.
     faulty = watch.fault > DEPARTS
@@ -135,33 +178,49 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
         one and not (alone and at >= _early(line, i, LONGEST if fault in _SLOW else STRETCH))
         for one, fault, at in zip(faulty, watch.fault, watch.since, strict=True)
     ])  # fmt: skip
-    watch = watch._replace(due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
+    says = partial(_after_a_look, party=party, alarm=alarm, followed=followed, gone=gone)
     if not (alarm.any() or (followed & ~gone).any()):
-        return watch
+        return says
     # A drift whose beginning is no longer seen looks like a bias: before one is named both are looked at from long ago.
-    began = min((bisect_left(line.keys, at) for at in compress(watch.since, departs)), default=i + 1)
-    for first in (min(i + 1, began + STRETCH // 2) - STRETCH, i + 1 - LONGEST)[: 1 if departs.any() else 2]:
-        first = max(first, i + 1 - LONGEST, 0)
+    began = min((bisect_left(line.keys, at) for at in compress(watch.since, departs)), default=i + 1) - i
+    for back in (min(1, began + STRETCH // 2) - STRETCH, 1 - LONGEST)[: 1 if departs.any() else 2]:
+        # Others may have been let go meanwhile.
+        i = bisect_left(line.keys, key)
+        first = max(i + back, i + 1 - LONGEST, 0)
         # It begins with a state that took nothing of those.
         if any(at < line.keys[first] for at in compress(watch.since, gone & watch.out)):
             first = max(first, bisect_right(line.keys, watch.mended))
         # A stretch has one state, in which no doubt was decided.
         first = next((k + 1 for k in range(i - 1, first - 1, -1) if line.entries[k].moment.anew), first)
         if first >= i:
-            return watch
+            return partial(says, causes=())
         suspects = _watch.suspected(watch, (alarm[:-1] | followed | departs) & ~gone, party) & ~gone[party]
-        causes = _faults.judged(_stretch(line, first, i, _watch.worths(watch)), gone[party], suspects)
-        best = _by_sensor(causes, party)
-        (who, fault), probability = max(best.items(), key=lambda one: one[1])
-        doubts = [sum(p for (s, _), p in best.items() if s == one) for one in range(len(departs))]
-        if who < 0 or doubts[who] <= _LIKELY or fault not in _SLOW:
+        keys, usual = line.keys[first : i + 1], line.stands(first)[0].watch.statistics[:, SLOW]
+        causes = yield from _faults.judged(_stretch(line, first, i, _watch.worths(watch)), gone[party], suspects)
+        says = partial(says, causes=causes, keys=keys, usual=usual)
+        who, fault, probability, _ = _most_likely(causes, party)
+        if who < 0 or probability < _SURE or fault not in _SLOW:
             break
+    return says
+
+
+def _after_a_look(
+    watch: Watch, party: np.ndarray, alarm: np.ndarray, followed: np.ndarray, gone: np.ndarray,
+    causes: Sequence[Found] = (), keys: Sequence[Any] = (), usual: Any = None,
+) -> Watch:  # fmt: skip
+    """Return the verdicts once stamps have been judged anew; usual: factors of the components' noise before them."""
+    departs = watch.fault == DEPARTS
+    watch = _watch.cleared(watch, alarm | np.append(followed, False), party)
+    watch = watch._replace(asked=None, due=np.where(followed, np.where(gone, np.inf, float(_LATER)), watch.due))
+    if not causes:
+        return watch
+    who, fault, probability, doubts = _most_likely(causes, party)
     # What is sure stays until the sensor has recovered; what was only likely does not.
     if who < 0:
         watch = _doubted(_set_free(watch, departs, party), doubts)
         if fault == MODEL and probability >= _SURE:
             onset = next(one.onset for one in causes if one.fault == fault)
-            watch = watch._replace(model=probability, model_since=line.keys[first + onset])
+            watch = watch._replace(model=probability, model_since=keys[onset])
         return watch
     if doubts[who] <= _LIKELY:
         return _doubted(watch, doubts)
@@ -173,8 +232,7 @@ def _after_a_look(line: Any, i: int, watch: Watch, alarm: np.ndarray, followed: 
     if watch.fault[who] > DEPARTS and not sure:
         return watch
     shown = (fault, probability) if sure else (DEPARTS, doubts[who])
-    return _with(watch, who, *shown, top, line.keys[first + top.onset],
-                 line.stands(first)[0].watch.statistics[:, SLOW], party)  # fmt: skip
+    return _with(watch, who, *shown, top, keys[top.onset], usual, party)
 
 
 def _early(line: Any, i: int, length: int) -> Any:
@@ -208,51 +266,58 @@ def _with(
     )  # fmt: skip
 
 
-def _by_sensor(causes: list[Found], owner: np.ndarray) -> dict[tuple[int, int], float]:
-    """Return the probability of each fault of each sensor; -1 is no sensor."""
+def _most_likely(causes: Sequence[Found], owner: np.ndarray) -> tuple[int, int, float, list[float]]:
+    """Return the most probable fault of a sensor, whose (-1: nobody's) and how surely, and what is doubted of each."""
     sums: dict[tuple[int, int], float] = {}
     for one in causes:
         key = (-1 if one.component < 0 else int(owner[one.component]), one.fault)
         sums[key] = sums.get(key, 0.0) + one.probability
-    return sums
+    (who, fault), probability = max(sums.items(), key=lambda one: one[1])
+    return who, fault, probability, [sum(p for (s, _), p in sums.items() if s == i) for i in range(max(owner) + 1)]
 
 
 def _stretch(line: Any, first: int, last: int, worth: Array) -> Stretch:
     """Return the readings of some entries, with the model as it was about the states then."""
-    setup, rows = line.setup, []
-    before, key = line.stands(first)
-    start = line.keys[first]
-    for entry in line.entries[first : last + 1]:
-        seconds = Clock.between(key, entry.key)
-        moved = setup.motion.over(seconds, before.state.x, before.state.u)
-        z = entry.z if before.doubt is None else np.where(setup.layout.owner == before.doubt.off, np.nan, entry.z)
-        seen = setup.layout.seen_from(moved.F @ before.state.x + moved.drift, z)
-        rows.append((*moved, Clock.between(start, entry.key), seen.z, seen.H))
-        before, key = entry.moment or before, entry.key
-    F, Q, drift, seconds_, z, H = (np.array(column) for column in zip(*rows, strict=True))
-    state = line.stands(first)[0].state
-    R = covariance(setup.layout, state.sizes).diagonal()
+    setup, layout, (dts, zs, befores) = line.setup, line.setup.layout, _between(line, first, last)
+    xs, us = (np.array([getattr(moment.state, name) for moment in befores]) for name in "xu")
+    off = np.array([-1 if moment.doubt is None else moment.doubt.off for moment in befores])
+    z, H = np.where(layout.owner == off[:, None], np.nan, zs), np.tile(layout.H, (len(zs), 1, 1))
+    F, Q, drift = setup.motion.over_each(dts, xs, us)
+    for k in range(len(z) if layout.curved else 0):
+        z[k], H[k], _ = layout.seen_from(F[k] @ xs[k] + drift[k], z[k])
+    state, watch = befores[0].state, befores[0].watch
     scales, shares = setup.policy.shares(state.memory)
-    z = np.where(np.isnan(state.sizes), np.nan, z)
     return Stretch(
-        state.x, state.P, F, Q * setup.policy.slack(state.carried), drift, seconds_, z, H,
-        line.stands(first)[0].watch.statistics[:, SLOW] * R, scales, shares, worth,
+        state.x, state.P, F, Q * setup.policy.slack(state.carried), drift, np.cumsum(dts) - dts[0],
+        np.where(np.isnan(state.sizes), np.nan, z), H,
+        watch.statistics[:, SLOW] * covariance(layout, state.sizes).diagonal(), scales, shares, worth,
     )  # fmt: skip
+
+
+def _between(line: Any, first: int, last: int) -> tuple[Array, Array, list[Moment]]:
+    """Return the seconds to each of some entries, what was read there, and the moments before."""
+    stood, entries = [line.stands(k) for k in range(first, last + 1)], line.entries[first : last + 1]
+    dts = [Clock.between(key, entry.key) for (_, key), entry in zip(stood, entries, strict=True)]
+    return np.array(dts), np.array([entry.z for entry in entries]), [moment for moment, _ in stood]
 
 
 def _mended(line: Any, i: int, watch: Watch) -> Moment:
     """Return the moment whose state never took what sensors have said since they lie."""
-    owner, out = line.setup.layout.party, watch.out
-    onsets = [at for at, left in zip(watch.since, out, strict=True) if left]
-    first = next((k for k in range(i + 1) if line.keys[k] >= min(onsets)), i)
-    first = max(first, i + 1 - LONGEST)
-    moment, key = line.stands(first)
-    for entry in line.entries[first : i + 1]:
-        lies = np.array([left and at <= entry.key for at, left in zip(watch.since, out, strict=True)])
-        seconds = Clock.between(key, entry.key)
-        z = np.where(lies[owner], np.nan, entry.z)
-        moment = doubted(line.setup, moment._replace(watch=None), seconds, entry.key, z, entry.control)
-        key = entry.key
+    setup, out = line.setup, watch.out[line.setup.layout.party]
+    onsets = [at for at, left in zip(watch.since, watch.out, strict=True) if left]
+    first = max(bisect_left(line.keys, min(onsets), 0, i), i + 1 - LONGEST)
+    dts, zs, (moment, *_) = _between(line, first, i)
+    entries, (K, n) = line.entries[first : i + 1], (len(zs), setup.layout.n)
+    for c in np.flatnonzero(out):
+        zs[[entry.key >= watch.since[setup.layout.party[c]] for entry in entries], c] = np.nan
+    if setup.reacquire is None:
+        us = [moment.state.u]
+        for entry in entries:
+            us.append(us[-1] if entry.control is None else entry.control)
+        rows = np.empty((K, n)), np.empty((K, n, n)), np.empty(zs.shape)
+        return through(setup, moment._replace(watch=None), dts, zs, np.array(us[1:]), rows)[0]
+    for seconds, z, entry in zip(dts.tolist(), zs, entries, strict=True):
+        moment = doubted(setup, moment._replace(watch=None), seconds, entry.key, z, entry.control)
     return moment
 
 

@@ -8,7 +8,7 @@ from fusion.worlds import fed, table
 from support import by_night
 
 from robust_filterpy.fleet import pack, unpack
-from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, constant_velocity
+from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, _faults, constant_velocity
 from robust_filterpy.fusion.verdicts import described, words
 
 RATES = {"a": 10.0, "b": 5.0, "c": 20.0}
@@ -186,6 +186,38 @@ def test_a_copy_and_a_state_go_on_to_the_last_bit_verdicts_included(epoch, cut):
     copied = copy.deepcopy(fusion)
     rest = readings[cut : cut + 300]
     assert later(other, rest) == later(fusion, rest) == later(copied, rest)
+
+
+@pytest.mark.parametrize("back", [10, 1])
+def test_a_look_back_that_is_under_way_goes_on_after_a_copy_a_state_and_a_late_reading(monkeypatch, back):
+    readings, fusion, work = recording(3, FAULTS["biased"][0])[0], made(), []
+    advance = _faults._advance
+
+    def counted(numbers, rows, shared, stamps):
+        work.append(rows[1].size * (stamps[1] - stamps[0]))
+        advance(numbers, rows, shared, stamps)
+
+    monkeypatch.setattr(_faults, "_advance", counted)
+    under_way, most = [], 0
+    for k, one in enumerate(readings):
+        work.clear()
+        fusion.observe(*one)
+        moment, most = fusion._until()[0], max(most, sum(work))
+        under_way += [k + 1] if moment.watch.asked is not None else []
+    # Each stamp does a share, and a part more at most.
+    assert most < 1.5 * _faults._AT_ONCE and len(under_way) > 5
+    for cut in [k for k in under_way if k - 1 in under_way and readings[k][1] > 30.0][:2]:
+        # One that came late: before the look was asked for, or while it is under way.
+        fusion, other, late = made(), made(), made()
+        assert fed(fusion, readings[:cut])._until()[0].watch.asked is not None
+        other.restore(unpack(pack(fusion.state())))
+        fed(late, [one for k, one in enumerate(readings[:cut]) if k != cut - back])
+        late.estimate()
+        late.observe(*readings[cut - back])
+        copied = copy.deepcopy(fusion)
+        for one in readings[cut : cut + 20]:
+            said = later(fusion, [one])
+            assert later(other, [one]) == later(copied, [one]) == said and later(late, [one])[:2] == said[:2]
 
 
 def test_a_state_is_not_taken_by_a_fusion_that_watches_otherwise():
