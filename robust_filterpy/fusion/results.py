@@ -38,9 +38,7 @@ class Estimate(NamedTuple):
     undecided: bool = False
     """Whether it is open if a sensor or the state is wrong (``reacquire``): P covers both."""
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
 
 class Forecast(NamedTuple):
@@ -55,9 +53,7 @@ class Forecast(NamedTuple):
     signal: dict[str, Array]
     """Lower and upper end of the band of what is measured, noise apart, (K, m, 2)."""
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
 
 class SensorNoise(NamedTuple):
@@ -68,9 +64,7 @@ class SensorNoise(NamedTuple):
     contamination: Array
     """Share of outliers, (m,); NaN where it is not learnt."""
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
 
 # Stamps at the very beginning whose bands say nothing, and how many scores the learned mixture is worth.

@@ -73,9 +73,7 @@ class Verdict(NamedTuple):
     remedy: str
     """What helps, in words."""
 
-    def __str__(self) -> str:
-        """Return a line for each part."""
-        return brief(self)
+    __str__ = brief
 
 
 def described(fault: str, since: Any = None, probability: float = 1.0, size: float = float("nan")) -> Verdict:
