@@ -63,11 +63,11 @@ def noise_policy(value: Any) -> Contaminated | Learnt | None:
 
 
 def process_policy(value: Any) -> Contaminated | Scales | None:
-    """Return what ``process=`` says, "scales" for `Scales` with its defaults, or raise."""
-    if isinstance(value, str) and _checks.option("process", value, ("scales",)):
-        return Scales()
+    """Return what ``process=`` says, "scales" for `Scales`, "given" for `Contaminated` without outliers, or raise."""
+    if isinstance(value, str) and _checks.option("process", value, ("scales", "given")):
+        return Scales() if value == "scales" else Contaminated(0.0)
     if value is not None and not isinstance(value, (Contaminated, Scales)):
-        raise TypeError(f"process: expected None (Q as given), Contaminated(..), Scales(..) or 'scales', got {value!r}")
+        raise TypeError(f"process: expected None, 'given', 'scales', Contaminated(..) or Scales(..), got {value!r}")
     _require_unit("process", "Q", value)
     return value
 

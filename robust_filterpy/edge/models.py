@@ -57,6 +57,11 @@ def described_filter(kf: RobustKalmanFilter | RobustExtendedKalmanFilter, name: 
     """Return what the C of a filter is made of, or raise."""
     mixed, extended = mixes(kf), isinstance(kf, RobustExtendedKalmanFilter)
     require_own(kf, "model") if mixed else require_plain(kf, "model")
+    if extended and mixed and kf._kept is not None:
+        raise ValueError(
+            f"process: expected 'given' for an extended filter, of whose models there is no C, got {kf.process!r}; set "
+            f"process='given', which trusts Q and the start, before the export"
+        )
     x, P = state_of(kf)
     n, m = len(x), kf.dim_z
     model = _matrices(kf)
@@ -222,8 +227,8 @@ def require_plain(kf: Any, name: str) -> None:
         off = ", ".join(f"{word}=None" for word in ("noise", "process") if getattr(kf, word) is not None)
         raise ValueError(
             f"{name}: expected bounded influence, or, of a linear filter, noise given or learned sensor by sensor with "
-            f"process=None or Scales, of which there is C, got noise={kf.noise!r}, process={kf.process!r}; set {off} "
-            f"before the export"
+            f"process='given' or Scales, of which there is C, got noise={kf.noise!r}, process={kf.process!r}; "
+            f"set {off} before the export"
         )
     if kf.choices.kernel_psi is None:
         raise ValueError(

@@ -117,7 +117,7 @@ def _empty(theirs: Any, ours: Any) -> Any:
 class AdaptiveKalmanFilter(RobustKalmanFilter):
     """Filter like `filterpy.kalman.KalmanFilter`, and learn the noises while filtering.
 
-    `RobustKalmanFilter` with ``noise=Learnt()`` and ``process=Scales()``, which stand there, and nothing else.
+    `RobustKalmanFilter` with ``noise="learnt"``, and nothing else.
 
     Parameters
     ----------
@@ -125,9 +125,9 @@ class AdaptiveKalmanFilter(RobustKalmanFilter):
         Lengths of the state, the measurement and the control input.
     noise : Learnt or Contaminated, default Learnt()
         How measurements fail.
-    process : Scales, Contaminated or None, default Scales()
-        What the process noise may be. None trusts Q: the state's own motion then looks like noise where Q is far too
-        small, R grows, and the filter stops following.
+    process : Scales, Contaminated or "given", default Scales()
+        What the process noise may be. "given" trusts Q: the state's own motion then looks like noise where Q is far
+        too small, R grows, and the filter stops following.
     grouping : {"component", "joint"} or tuple of tuple of int
         Whether each sensor has a noise of its own and fails on its own, or all together, as one sensor that reports a
         vector; or which fail together, each with a noise of its own, such as ``((0, 1), (2,))``.

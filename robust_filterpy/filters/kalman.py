@@ -78,10 +78,11 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         How measurements fail, instead of a bound: psi is then the score of what is given, or learned online, and
         influence, scaling and information follow from it. R is the covariance of ordinary noise, given or, under
         `Learnt`, a guess that may be wrong by a factor of 1000 either way. Default: psi bounds what an innovation does.
-    process : Scales, Contaminated or "scales", optional
+    process : "given", "scales", Scales or Contaminated, optional
         What the process noise may be, with `noise`: models of the filter that take it for s Q run side by side and are
-        weighed by their likelihood. `Scales` keep their scale for long and know jumps, `Contaminated` draws anew in
-        each step. Default: Q as given.
+        weighed by their likelihood. `Scales` keep their scale for long and know jumps and wrong starts, `Contaminated`
+        draws anew in each step, "given" trusts Q, the start and the model: where one of them is wrong, R grows and the
+        filter lags. Default: "scales" where the noise is learned, else "given".
     patience : int, optional
         Under "learnt", after how many readings of a sensor in a row that are far off and agree the state has jumped,
         >= 2: a run of outliers that is shorter is bounded, or left out by a redescending psi such as `TukeyBiweight`.
@@ -583,7 +584,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             of psi, the filter is as it was before the call; what the saver has kept by then it keeps.
         """
         zs = _checks.entries("zs", zs)
-        scales = np.empty((len(zs), self.dim_x)) if self.process is not None and hasattr(zs, "__len__") else None
+        scales = np.empty((len(zs), self.dim_x)) if self._kept is not None and hasattr(zs, "__len__") else None
         by_kernel = saver is None and self._steps_are_own()
         if Qs is None and self.dim_x > 1 and np.ndim(self.Q) == 0 and hasattr(zs, "__len__"):
             # As filterpy passes it to each prediction: a number means times I there, an array without axes does not.

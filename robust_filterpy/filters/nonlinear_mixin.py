@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter, unscented_transform
 
-from robust_filterpy._arrays import measured, process_noise, state_of
+from robust_filterpy._arrays import measured, state_of
 from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy.correction.definition import Innovation, innovation_moments
 from robust_filterpy.filters.driver import columns_of, take_steps, without_rounding
@@ -100,12 +100,11 @@ class NonlinearFilterMixin(Shell):
         x, P = state_of(self)
         return None if self._kept is None else self._policy.current(self._kept, x.ravel(), P)
 
-    def _move(self, before: Any, dx: Array, moved: Array, weights: Array, x: Array, P: Array) -> None:
+    def _move(self, before: Any, dx: Array, moved: Array, weights: Array, x: Array, P: Array, Q: Array) -> None:
         """Predict the models by sigma points, dx and moved from the mean, (points, n), which have moved to x and P."""
         cross = covariance(dx, moved, weights)
         self.x, self.P = x, before.P.copy()
         if before is not self._kept or not self._predict_extended(None, cross, P):
-            Q = process_noise(self.Q, None, self.dim_x)
             F, curvature = regressed(before.P, cross, P - Q)
             self._kept = self._policy.predicted_to(before, x.ravel(), F, Q, curvature)
             self.x, self.P = self._kept.x.reshape(x.shape).copy(), self._kept.P.copy()

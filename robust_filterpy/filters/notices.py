@@ -135,8 +135,8 @@ def _judge_signs(kf: Any, window: Array, where: str) -> None:
         same = np.count_nonzero(signs[1:] == signs[:-1])
         if same < _KEPT:
             continue
-        # A filter that has `process` doubts Q already.
-        doubt = ', or process="scales", which learns it' if getattr(kf, "process", None) is None else ""
+        # One with models doubts Q already.
+        doubt = ', or process="scales", which learns it' if getattr(kf, "_kept", None) is None else ""
         warn(
             f"{kind[0]}{where}: {same} of {len(signs) - 1} innovations of sensor {sensor} have the sign of the one "
             f"before (half is usual): the estimate lags behind, since the state moves as neither the model nor Q "

@@ -543,9 +543,9 @@ def policy_of(
     """Return the policy that a filter's arguments ask for, or raise where they make no sense together."""
     fails, moves = noise_policy(noise), process_policy(process)
     if fails is None:
-        if moves is not None:
+        if isinstance(moves, Scales) or (moves is not None and not moves.is_ordinary):
             raise ValueError(
-                f"process: expected None without noise=, got {moves!r}; how likely a measurement is under each "
+                f"process: expected None or 'given' without noise=, got {moves!r}; how likely a reading is under each "
                 "process follows from its noise: say noise='learnt' or noise=Contaminated(..), Contaminated(0) for "
                 "noise without outliers"
             )
@@ -562,6 +562,9 @@ def policy_of(
     ):
         if value not in usual_ones:
             raise ValueError(f"{name}: expected none with noise=, got {value!r}; psi follows from the noise there")
+    if moves is None and isinstance(fails, Learnt):
+        # Whose R is a guess has a Q, a start and a model that are guesses too.
+        moves = Scales()
     return Mixture(fails, moves, grouping)
 
 

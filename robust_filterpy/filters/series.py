@@ -326,11 +326,11 @@ def filter_series(
     >>> rng, scales = np.random.default_rng(0), np.array([1.0, 5.0])
     >>> zs = (scales * np.where(rng.random((400, 2)) < 0.1, 10.0, 1.0) * rng.normal(size=(400, 2))).T[:, :, None]
     >>> model = [[1.0]], [[1.0]], [[1e-4]], [[1.0]]
-    >>> result = filter_series(zs, *model, [0.0], [[1.0]], noise="learnt", process="scales")
+    >>> result = filter_series(zs, *model, [0.0], [[1.0]], noise="learnt")
     >>> bool(np.abs(np.log(result.state["learnt"][:, 0, 0] ** 0.5 / scales)).max() < 0.4)
     True
     >>> more = rng.normal(size=(2, 1, 1))
-    >>> filter_series(more, *model, noise="learnt", process="scales", state=result.state).x.shape
+    >>> filter_series(more, *model, noise="learnt", state=result.state).x.shape
     (2, 1, 1)
     """
     if state is not None:

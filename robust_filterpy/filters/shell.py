@@ -412,7 +412,7 @@ def _judgement(kf: Any) -> dict[str, Any]:
         parts["variances of ordinary noise, learned"] = np.diag(kf.R_learnt)
         parts["share of outliers, learned"] = kf.noise_learnt.contamination
         parts["their size over ordinary noise"] = kf.noise_learnt.scale_ratio
-    if kf.process is not None:
+    if kf._kept is not None:
         parts["factor of Q, learned"] = kf.process_scale
     return parts
 

@@ -187,8 +187,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
         LinAlgError
             If P is not positive definite; nothing has changed then.
         """
-        process_noise(self.Q, None, self.dim_x)
-        before = self._current()
+        Q, before = process_noise(self.Q, None, self.dim_x), self._current()
         self.compute_process_sigmas(self._dt if dt is None else dt, fx, **fx_args)
         make = transformed if UT is None else UT
         x, P = make(self.sigmas_f, self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x)
@@ -201,7 +200,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
                 np.array([self.residual_x(point, mean) for point in points])
                 for points, mean in ((drawn(self.points_fn, before.x, before.P), before.x), (self.sigmas_f, x))
             )
-            self._move(before, dx, moved, self.Wc, x, P)
+            self._move(before, dx, moved, self.Wc, x, P, Q)
         if REDRAWS:
             self.sigmas_f = drawn(self.points_fn, self.x, self.P)
         self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
@@ -406,15 +405,14 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
             If P is not positive definite; nothing has changed then.
         """
         with unchanged_if_refused(self):
-            process_noise(self.Q, None, self.dim_x)
-            before = self._current()
+            Q, before = process_noise(self.Q, None, self.dim_x), self._current()
             super().predict(dt, fx_args)
             require_finite(x=self.x, P=self.P)
             if before is not None:
                 dx = spherical_radial_sigmas(before.x, before.P) - before.x
                 moved = self.sigmas_f - np.ravel(self.x)
                 weights = np.full(len(dx), 1.0 / len(dx))
-                self._move(before, dx, moved, weights, self.x, self.P)
+                self._move(before, dx, moved, weights, self.x, self.P, Q)
 
     def update(self, z: ArrayLike | None, R: Any = None, hx_args: Any = (), *, sensor: str | int | None = None) -> None:
         """Correct the state by a measurement whose influence is bounded.

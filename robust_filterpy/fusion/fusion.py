@@ -59,8 +59,8 @@ class Fusion:
         When the state was x0; by default at the earliest reading.
     noise : Contaminated, Learnt or "learnt", default "learnt"
         How measurements fail, as in `RobustKalmanFilter`: given, or learned for each component of each sensor.
-    process : Scales, Contaminated or "scales", default "scales"
-        What the process may be, as there. Dwell and jump of `Scales` are in stamps. ``Scales((1.0,), jump=0.0)`` trusts
+    process : Scales, Contaminated, "scales" or "given", default "scales"
+        What the process may be, as there. Dwell and jump of `Scales` are in stamps. ``"given"`` trusts
         Q and the start.
     influence : Influence, optional
         Instead of noise and process: a bounded influence function as in `RobustKalmanFilter`, or ``Linear()`` for the

@@ -52,7 +52,7 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
         The lag in steps, >= 1; not needed for `smooth_batch`.
     influence, scaling, information, grouping, noise, process, patience
         As in `robust_filterpy.RobustKalmanFilter`, but where none of them says how measurements fail, R, its outliers
-        and the scale of Q are learned as by `AdaptiveKalmanFilter`: ``noise="learnt", process="scales"``.
+        and the scale of Q are learned as by `AdaptiveKalmanFilter`: ``noise="learnt"``.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class FixedLagSmoother(RobustKalmanFilter, _filterpy.FixedLagSmoother):
         """Set up the filter and an empty window."""
         self.N = None if N is None else _checks.count("N", N, 1)
         if not options.keys() - {"grouping"}:
-            options["noise"], options["process"] = "learnt", "scales"
+            options["noise"] = "learnt"
         super().__init__(dim_x, dim_z, **options)
         self._empty()
 

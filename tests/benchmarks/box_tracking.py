@@ -32,7 +32,7 @@ FILTERS: dict[str, Callable[[], Any]] = {
     'grouping="joint"': lambda: RobustKalmanFilter(7, 4, grouping="joint"),
     "StudentT()": lambda: RobustKalmanFilter(7, 4, influence=StudentT()),
     "TukeyBiweight()": lambda: RobustKalmanFilter(7, 4, influence=TukeyBiweight()),
-    'noise="learnt"': lambda: RobustKalmanFilter(7, 4, noise="learnt"),
+    'process="given"': lambda: AdaptiveKalmanFilter(7, 4, process="given"),
     "AdaptiveKalmanFilter": lambda: AdaptiveKalmanFilter(7, 4),
 }
 

@@ -22,7 +22,7 @@ from robust_filterpy.influence.functions import Hampel, Linear, TukeyBiweight
 from robust_filterpy.kalman import FixedLagSmoother
 
 N = 80
-LEARNT, TOLD = {"noise": "learnt"}, {"noise": Contaminated(0.1, 8.0)}
+LEARNT, TOLD = {"noise": "learnt", "process": "given"}, {"noise": Contaminated(0.1, 8.0)}
 OPTIONS = {
     "default": {},
     "linear": {"influence": Linear()},

@@ -22,8 +22,10 @@ from joblib import Parallel, delayed
 from robust_filterpy import RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 
 PAGE = Path(__file__).parents[2] / "docs" / "learnt_noise.md"
-ADAPTIVE = {"noise": "learnt", "process": "scales"}
-WAYS: dict[str, dict[str, Any]] = {"default": {}, '`noise="learnt"`': {"noise": "learnt"}, "adaptive": ADAPTIVE}
+ADAPTIVE = {"noise": "learnt"}
+WAYS: dict[str, dict[str, Any]] = {
+    "default": {}, '`process="given"`': {**ADAPTIVE, "process": "given"}, '`noise="learnt"`': ADAPTIVE,
+}  # fmt: skip
 EAST = np.array([100.0, 3.0, 200.0, -1.0])
 
 

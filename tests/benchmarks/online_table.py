@@ -28,8 +28,8 @@ from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.influence.functions import StudentT, TukeyBiweight
 
-LEARNT, GIVEN, JOINT = {"noise": "learnt"}, {"noise": Contaminated(0.1, 10.0)}, {"grouping": "joint"}
-ADAPTIVE = {**LEARNT, "process": "scales"}
+GIVEN, JOINT, ADAPTIVE = {"noise": Contaminated(0.1, 10.0)}, {"grouping": "joint"}, {"noise": "learnt"}
+LEARNT = {**ADAPTIVE, "process": "given"}
 F, ROWS = np.eye(4) + 0.1 * np.eye(4, k=2), np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
 STEPS, TURNS = 200, 5
 

@@ -182,7 +182,7 @@ MIXED = {"learnt": Learnt(), "learnt, two classes": Learnt((1.0, 50.0), 100.0, 2
 @pytest.mark.parametrize("noise", MIXED.values(), ids=MIXED)
 def test_noise_that_is_learnt_or_given_is_weighed_as_python_does(cls, noise, tmp_path):
     needs_kernel()
-    kf = made(cls, noise=noise)
+    kf = made(cls, noise=noise, process="given")
     in_c, hit = in_c_of(kf, tmp_path), 0
     # Noise that is given is the definition's, which differs in the last bits.
     close = {"rtol": 1e-9, "atol": 1e-12} if isinstance(noise, Contaminated) else {"rtol": 0.0, "atol": 0.0}
@@ -197,7 +197,7 @@ def test_noise_that_is_learnt_or_given_is_weighed_as_python_does(cls, noise, tmp
 
 
 def test_a_sensor_that_sees_nothing_of_the_state_changes_nothing(tmp_path):
-    kf = made(noise=Learnt())
+    kf = made(noise=Learnt(), process="given")
     in_c = in_c_of(kf, tmp_path, UNDEFINED)
     before = list(in_c.state)
     assert in_c.update([np.nan, np.nan], "radar") == in_c.update([3.0, 4.0], "blind") == c_programs.OK

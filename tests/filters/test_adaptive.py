@@ -144,6 +144,28 @@ def test_sensors_may_join_and_another_grouping_starts_to_learn_anew(form):
     through(kf, zs)
 
 
+def test_where_the_noise_is_learned_the_process_is_doubted_unless_it_is_given():
+    problem = random_problem(4, 2, 1)
+    zs = simulate(problem, 60, 4, contamination=0.1)[0]
+    short, adaptive, given, none = (
+        make(cls, problem, 1, **options)
+        for cls, options in (
+            (RobustKalmanFilter, {"noise": "learnt"}), (AdaptiveKalmanFilter, {}),
+            (RobustKalmanFilter, {"noise": "learnt", "process": "given"}), (RobustKalmanFilter, {"process": "given"}),
+        )
+    )  # fmt: skip
+    for kf in (short, adaptive, given, none):
+        through(kf, zs)
+    np.testing.assert_array_equal(short.x, adaptive.x)
+    assert short.process == adaptive.process == Scales() and given.process == Contaminated(0.0)
+    # One that is made with what another shows goes on like it.
+    again = make(RobustKalmanFilter, problem, 1, noise=given.noise, process=given.process)
+    through(again, zs)
+    np.testing.assert_array_equal(given.x, again.x)
+    assert given.process_probabilities.shape[0] == 1 and not np.array_equal(given.x, short.x)
+    assert none.noise is None and none.process is None
+
+
 @pytest.mark.filterwarnings("ignore:overflow")
 @pytest.mark.parametrize("grouping", ["joint", "component"])
 def test_what_was_learnt_can_be_handed_on(grouping):

@@ -43,7 +43,7 @@ def lists(case, problem, rng):
 
 
 POLICIES = {
-    "default": {}, "recovering": support.RECOVERING, "learnt": {"noise": "learnt"},
+    "default": {}, "recovering": support.RECOVERING, "learnt": {"noise": "learnt", "process": "given"},
     "given": {"noise": Contaminated(0.1, 10)},
     "learnt, with scales of the process": {"noise": "learnt", "process": "scales"},
 }  # fmt: skip

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.core
 
 
 by_S = partial(RobustKalmanFilter, scaling="innovation")
-learnt = partial(RobustKalmanFilter, noise="learnt")
+learnt = partial(RobustKalmanFilter, noise="learnt", process="given")
 #: Factory, what it does not claim. Under scaling "learnt", the default, what is typical of a sensor is remembered with
 #: x and P, and a psi that is nowhere linear bends what is ordinary for a sensor, however small that is.
 FILTERS = {
@@ -51,7 +51,7 @@ FILTERS = {
     "adaptive": (AdaptiveKalmanFilter, ("linear", "prediction", "memoryless")),
     "adaptive, joint": (partial(AdaptiveKalmanFilter, grouping="joint"), ("linear", "prediction", "memoryless")),
     "learnt": (learnt, ("linear", "memoryless", "recovers")),
-    "learnt, process given": (
+    "learnt, process drawn": (
         partial(learnt, process=Contaminated(0.01, 10.0)), ("linear", "prediction", "memoryless", "recovers")
     ),
 }  # fmt: skip
@@ -73,8 +73,8 @@ for name, kind, own in (
         name: (make(kind), own),
         f"recovering {name}": (make(kind, **RECOVERING), ("likelihood", "linear", *own)),
         f"{name} given": (make(kind, **GIVEN), ("linear", "recovers", *(SIGMA if own is SIGMA else ()))),
-        f"{name} learnt": (make(kind, noise="learnt"), ("linear", "recovers", *own)),
-        f"{name} adaptive": (make(kind, noise="learnt", process="scales"), ("linear", "prediction", *own)),
+        f"{name} learnt": (make(kind, noise="learnt", process="given"), ("linear", "recovers", *own)),
+        f"{name} adaptive": (make(kind, noise="learnt"), ("linear", "prediction", *own)),
     }
 #: A policy of each kind on the linear filter and a shell keep every promise on every commit; of the
 #: others each name keeps a sixth of them then, another sixth than the name before.

@@ -45,8 +45,8 @@ PLAIN = {
     RobustCubatureKalmanFilter: CubatureKalmanFilter,
 }
 EVERY_CLASS = pytest.mark.parametrize("cls", PLAIN)
-ADAPTIVE = {"noise": "learnt", "process": "scales"}
-POLICIES = {"bounded": {}, "recovering": RECOVERING, "learnt": {"noise": "learnt"}, "adaptive": ADAPTIVE}
+ADAPTIVE, TRUSTING = {"noise": "learnt"}, {"noise": "learnt", "process": "given"}
+POLICIES = {"bounded": {}, "recovering": RECOVERING, "learnt": TRUSTING, "adaptive": ADAPTIVE}
 EVERY = ("x", "P", "x_prior", "P_prior", "x_post", "P_post", "y", "S", "SI", "K", "log_likelihood", "mahalanobis")
 
 
@@ -138,8 +138,8 @@ LINEAR = {
     "bounded scaling": {"scaling": "bounded", "information": "weight", "grouping": "joint"},
     "recovering": SOON, "recovering, joint": {**SOON, "grouping": "joint"},
     "recovering, weight": {**SOON, "information": "weight"},
-    "learnt": {"noise": "learnt"}, "learnt, joint": {"noise": "learnt", "grouping": "joint"},
-    "learnt, groups": {"noise": "learnt", "grouping": ((0, 1),)}, "adaptive": ADAPTIVE,
+    "learnt": TRUSTING, "learnt, joint": {**TRUSTING, "grouping": "joint"},
+    "learnt, groups": {**TRUSTING, "grouping": ((0, 1),)}, "adaptive": ADAPTIVE,
 }  # fmt: skip
 
 
@@ -224,7 +224,7 @@ def test_a_copy_and_a_batch_go_on_alike_and_what_is_refused_changes_nothing(cls,
 ], ids=["start", "Q", "P, Q, R"])  # fmt: skip
 @pytest.mark.parametrize("cls", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter])
 def test_a_wrong_start_and_wrong_covariances_are_learned(cls, wrong, most):
-    # With noise="learnt" alone a filter is off by 2 to 27 m.
+    # With process="given" a filter is off by 2 to 27 m.
     right = run(radar(PLAIN[cls]), returns(250, 3))
     for contamination in (0.0, 0.1):
         kf = radar(cls, **ADAPTIVE)
@@ -244,7 +244,7 @@ def test_models_that_do_not_differ_are_one_where_motion_and_sensor_bend(cls):
 
     filters = [
         made(cls, 2, 1, swung, seen, noise="learnt", process=process)
-        for process in (None, Scales((1.0, 1.0), jump=0.0))
+        for process in ("given", Scales((1.0, 1.0), jump=0.0))
     ]
     for kf in filters:
         kf.x, kf.P, kf.Q, kf.R = np.array([0.9, 0.0]), 0.2 * np.eye(2), 0.001 * np.eye(2), 0.01 * np.eye(1)

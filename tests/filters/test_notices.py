@@ -164,7 +164,8 @@ def test_a_filter_that_lags_says_so_at_the_users_line_once_for_each_kind(way):
         (other,) = said(lambda: WAYS[way](SLOPE + [[0.0, 0.1]]), CorrelatedInnovationsWarning)
         assert "of sensor 0" in str(other.message) or "of sensor 1" in str(other.message)
         # One that takes Q as given is shown what doubts it.
-        (trusting,) = said(lambda: through(level(cls=RobustKalmanFilter, noise="learnt"), SLOPE), type(other.message))
+        trusting_one = level(cls=RobustKalmanFilter, noise="learnt", process="given")
+        (trusting,) = said(lambda: through(trusting_one, SLOPE), type(other.message))
         assert ['process="scales"' in str(each.message) for each in (one, other, trusting)] == [False, False, True]
 
 

@@ -16,7 +16,7 @@ H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]])
 LINEAR = {
     "default": RobustKalmanFilter, "innovation": partial(RobustKalmanFilter, scaling="innovation"),
     "recovering": recovering, "given": noise_given, "two_sided": two_sided,
-    "learnt": partial(RobustKalmanFilter, noise="learnt"), "adaptive": AdaptiveKalmanFilter,
+    "learnt": partial(RobustKalmanFilter, noise="learnt", process="given"), "adaptive": AdaptiveKalmanFilter,
 }  # fmt: skip
 MAKERS = {
     **{name: partial(of_matrices, cls, F, H, dim_u=1) for name, cls in LINEAR.items()},

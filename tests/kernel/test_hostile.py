@@ -109,7 +109,7 @@ def test_no_arguments_crash(calls, name):
 
 POLICIES = (
     {}, {"influence": Huber(), "scaling": "innovation"}, {"scaling": "bounded"}, {"noise": "learnt"},
-    {"noise": "learnt", "process": "scales"},
+    {"noise": "learnt", "process": "given"},
 )  # fmt: skip
 NAMES = (
     "x", "P", "F", "Q", "H", "R", "B", "_alpha_sq", "dim_x", "dim_z", "inv", "_memory", "_kept", "_policy", "u",

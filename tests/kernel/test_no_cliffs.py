@@ -18,7 +18,7 @@ from robust_filterpy.influence import Hampel, Linear, StudentT, TukeyBiweight
 GIVEN, ADAPTIVE = {"noise": Contaminated(0.1, 8.0)}, {"noise": "learnt", "process": "scales"}
 OPTIONS = {
     "default": {},
-    "learnt, joint": {"noise": "learnt", "grouping": "joint"},
+    "learnt, joint": {"noise": "learnt", "process": "given", "grouping": "joint"},
     "adaptive": ADAPTIVE,
     "adaptive, joint": {**ADAPTIVE, "grouping": "joint"},
     "adaptive, groups": {**ADAPTIVE, "grouping": ((0, 1),)},
@@ -152,7 +152,7 @@ def bent(x, dt=1.0):
 @pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("residual", [np.subtract, angle], ids=["plain", "angle"])
 @pytest.mark.parametrize("options", [
-    {"noise": "learnt"}, {"noise": "learnt", "grouping": "joint"}, GIVEN, {"patience": 3}, {}, ADAPTIVE,
+    {"noise": "learnt", "process": "given"}, {**ADAPTIVE, "grouping": "joint"}, GIVEN, {"patience": 3}, {}, ADAPTIVE,
     {**GIVEN, "process": Contaminated(0.05, 10.0)},
     {"grouping": "joint"}, {"influence": Linear()}, {"influence": TukeyBiweight(), "grouping": "joint"},
     {"influence": Hampel(), "scaling": "bounded"}, {"influence": StudentT(), "scaling": "innovation"},
