@@ -20,7 +20,6 @@ from robust_filterpy.plants.servo.linearization import (
     operating_point,
     position_gains,
 )
-from robust_filterpy.plants.servo.position_loop import simulate_actuator
 
 P = PneumaticParameters()
 #: The paper's own plant: no overlap of the spool, no leakage.
@@ -158,12 +157,15 @@ def test_opening_beyond_the_dead_band_grows_to_full():
 
 
 def test_end_stops_hold_the_piston():
-    end = P.stroke / 2
+    end, t, point = P.stroke / 2, np.linspace(0.0, 1.0, 200), operating_point(velocity=0.0)
+    start = [0.0, 0.0, point.P_a, point.P_b]
     for sign, area in ((1.0, P.area_a), (-1.0, P.area_b)):
-        recording = simulate_actuator(np.full(200, sign), 0.005)
-        assert (sign * recording.position).max() < end + P.dead_length
-        assert sign * recording.position[-1] == pytest.approx(end + area * 4e5 / P.stop_stiffness, abs=2e-6)
-        assert abs(recording.velocity[-1]) < 1e-6
+        inputs = np.array([np.full(t.size, sign), np.zeros(t.size)])
+        moved = control.input_output_response(pneumatic_servo(), t, inputs, start, solve_ivp_method="LSODA")
+        position, velocity = moved.states[:2]
+        assert (sign * position).max() < end + P.dead_length
+        assert sign * position[-1] == pytest.approx(end + area * 4e5 / P.stop_stiffness, abs=2e-6)
+        assert abs(velocity[-1]) < 1e-6
 
 
 def test_end_stops_never_pull_and_never_return_more_than_they_took():
@@ -189,12 +191,12 @@ def reference(n, seed=0):
 
 def test_fast_path_agrees_with_python_control():
     dt, n = 0.01, 40
-    valve = 0.03 * np.sign(np.sin(0.5 * np.arange(n) + 0.1))
-    got = simulate_actuator(valve, dt, load=1.0, alpha=1.1, beta=0.3, supply=4.5e5)
+    reference = 0.02 * np.sign(np.sin(0.2 * np.arange(n) + 0.1))
+    got = simulate_servo(reference, dt, load=1.0, alpha=1.1, beta=0.3, supply=4.5e5)
     servo, x = pneumatic_servo(alpha=1.1, beta=0.3, supply=4.5e5), np.array([0, 0, got.P_a[0], got.P_b[0]])
     for k in range(n):
         assert np.array(got[3:7])[:, k] == pytest.approx(x, rel=1e-5, abs=1e-5)
-        inputs = np.array([[valve[k]] * 2, [1.0] * 2])
+        inputs = np.array([[got.valve[k]] * 2, [1.0] * 2])
         x = control.input_output_response(
             servo, [0, dt], inputs, x, solve_ivp_method="LSODA", solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-8}
         ).states[:, -1]
@@ -329,10 +331,10 @@ def drive(noise, **options):
 
 def test_readings_are_the_truth_with_the_noise_that_was_given():
     noise = sensor_noise(40, 0.2, 1)
-    for recording in (drive(noise), simulate_actuator(np.full(40, 0.02), DT, noise=noise)):
-        assert recording.position_measured == pytest.approx(recording.position + noise[:, 0], abs=1e-15)
-        assert recording.P_a_measured == pytest.approx(recording.P_a + noise[:, 1])
-        assert recording.P_b_measured == pytest.approx(recording.P_b + noise[:, 2])
+    recording = drive(noise)
+    assert recording.position_measured == pytest.approx(recording.position + noise[:, 0], abs=1e-15)
+    assert recording.P_a_measured == pytest.approx(recording.P_a + noise[:, 1])
+    assert recording.P_b_measured == pytest.approx(recording.P_b + noise[:, 2])
     # Without an observer the sensors are not in the loop.
     assert np.array_equal(drive(noise).position, drive(np.zeros((40, 3))).position)
 
@@ -357,15 +359,13 @@ def test_the_loop_runs_on_what_the_observer_says():
 
 
 def test_files_hold_every_signal_with_its_unit(tmp_path):
-    for recording in (drive(sensor_noise(30, 0.1, 5), load=2.0), simulate_actuator([0.0, 0.1], DT)):
-        recording.to_csv(tmp_path / "x.csv")
-        table = pandas.read_csv(tmp_path / "x.csv")
-        names, units = zip(*(column[:-1].split(" [") for column in table.columns), strict=True)
-        assert names == recording._fields
-        assert dict(zip(names, units, strict=True))["P_a"] == "Pa" and units[0] == "s" and units[2] == "1"
-        for signal, column in zip(recording, table.columns, strict=True):
-            # To the last digit, so that another tool identifies the same data.
-            assert np.array_equal(table[column], signal, equal_nan=True)
-    # Without a loop there is no reference, nor an estimate.
-    assert table["reference [m]"].isna().all() and table["position_estimate [m]"].isna().all()
-    assert table["position [m]"].notna().all()
+    recording = drive(sensor_noise(30, 0.1, 5), load=2.0)
+    recording.to_csv(tmp_path / "x.csv")
+    table = pandas.read_csv(tmp_path / "x.csv")
+    names, units = zip(*(column[:-1].split(" [") for column in table.columns), strict=True)
+    assert names == recording._fields
+    assert dict(zip(names, units, strict=True))["P_a"] == "Pa" and units[0] == "s" and units[2] == "1"
+    for signal, column in zip(recording, table.columns, strict=True):
+        # To the last digit, so that another tool identifies the same data.
+        assert np.array_equal(table[column], signal, equal_nan=True)
+    assert table.notna().all(axis=None)

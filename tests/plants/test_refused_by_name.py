@@ -20,7 +20,6 @@ from robust_filterpy.plants.linear import random_walk, stable
 from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo, simulate_servo
 from robust_filterpy.plants.servo.equations import valve_opening
 from robust_filterpy.plants.servo.linearization import linearize_servo
-from robust_filterpy.plants.servo.position_loop import simulate_actuator
 
 NAN, INF = math.nan, math.inf
 G = control.tf([1.0, 0.5], [1.0, -1.5, 0.7], dt=1)
@@ -85,14 +84,12 @@ REFUSED = [
         "damping": [INF],
         "alpha": [1.5, [1.1, 1.2]],
         "beta": [lambda t: 0.3 - 10 * t],
-        "compensation": [1.1],
         "supply": [0.5e5, [5e5, 5e5]],
         "noise": [np.zeros(5), np.full((5, 3), NAN)],
         "observer": [lambda z, u: (NAN, 0.0)],
         "load": [NAN, INF, 1e4],
         "initial": [[0.0, 0.0], [0.0, 0.0, 0.0, 3e5], [1.0, 0.0, 3e5, 3e5]],
     }),
-    (simulate_actuator, {"valve": [0.1], "dt": 0.01}, {"valve": [[0.0, 1.1], [NAN], [], 0.1]}),
     (linearize_servo, {"dt": 0.01}, {
         "velocity": [10.0, 1e-6, NAN],
         "position": [0.05],

@@ -1,4 +1,4 @@
-"""The pneumatic servo simulated, in a position loop or without one, and its recording."""
+"""The pneumatic servo simulated in a position loop, and its recording."""
 
 from __future__ import annotations
 
@@ -25,33 +25,9 @@ from .equations import (
     coefficient_function,
     servo_derivatives,
 )
-from .linearization import check_loop, chosen_gains, operating_point
+from .linearization import PositionGains, check_loop, chosen_gains, operating_point
 
 Signal: TypeAlias = "Coefficient | ArrayLike"
-
-
-class ServoInputs:
-    """What drives the plant besides its valve, checked and sampled."""
-
-    def __init__(
-        self, n: int, dt: float, rtol: float, p: PneumaticParameters, alpha: Signal, beta: Signal | None,
-        load: Signal, supply: Signal | None, noise: ArrayLike | None, initial: ArrayLike | None,
-    ) -> None:  # fmt: skip
-        """Bring every signal to one value a sample."""
-        for name, value in (("dt", dt), ("rtol", rtol)):
-            positive(name, value)
-        self.dt, self.rtol = dt, rtol
-        self.t = t = dt * np.arange(n, dtype=np.float64)
-        self.alpha = _samples(alpha, t, "alpha", ALPHA_RANGE)
-        if beta is None:
-            self.beta = checked(self.alpha * p.discharge_coefficient, "beta", BETA_RANGE)
-        else:
-            self.beta = _samples(beta, t, "beta", BETA_RANGE)
-        self.load = _samples(load, t, "load", (-math.inf, math.inf))
-        pressure = p.supply_pressure if supply is None else supply
-        self.supply = _samples(pressure, t, "supply", (p.atmospheric_pressure, math.inf))
-        self.noise = np.zeros((n, 3)) if noise is None else finite("noise", noise, (n, 3))
-        self.x0 = _initial_state(initial, p, float(self.load[0]))
 
 
 def _samples(value: Signal, t: Array, name: str, limits: tuple[float, float]) -> Array:
@@ -89,7 +65,7 @@ class ServoRecording(NamedTuple):
     t : numpy.ndarray, shape (N,)
         Times, in s.
     reference : numpy.ndarray, shape (N,)
-        Reference position, in m (NaN without a loop).
+        Reference position, in m.
     valve : numpy.ndarray, shape (N,)
         Command to the valve, a fraction of the spool's stroke, in [-1, 1]; `valve_opening` makes an opening of it.
     position, velocity : numpy.ndarray, shape (N,)
@@ -105,7 +81,7 @@ class ServoRecording(NamedTuple):
     position_measured, P_a_measured, P_b_measured : numpy.ndarray, shape (N,)
         What the sensors said, in m, Pa, Pa.
     position_estimate, acceleration_estimate : numpy.ndarray, shape (N,)
-        What the controller took for the motion, in m and m/s^2 (NaN without a loop).
+        What the controller took for the motion, in m and m/s^2.
     """
 
     t: Array
@@ -147,23 +123,22 @@ UNITS = dict(zip(ServoRecording._fields, "s m 1 m m/s Pa Pa 1 1 N Pa m Pa Pa m m
 
 #: Readings (position, P_a, P_b) and the command of the period before; estimated position and acceleration.
 Observer: TypeAlias = Callable[[Array, float], "tuple[float, float]"]
-#: Sample number, true motion (position, acceleration), readings and the command before; estimate and command.
-_Controller: TypeAlias = Callable[[int, "tuple[float, float]", Array, float], "tuple[tuple[float, float], float]"]
-
 #: Absolute tolerance of each state where the relative one is 1: m, m/s, Pa, Pa.
 _TOLERANCES = np.array([1e-3, 1e-2, 1e4, 1e4])
+#: Share of the parameters' dead band that the controller knows of, and steps over: our choice.
+_COMPENSATION = 0.9
 
 
 def simulate_servo(
     reference: ArrayLike, dt: float, parameters: PneumaticParameters | None = None, *, gain: float | None = None,
-    damping: float | None = None, compensation: float = 0.9, alpha: Signal = NOMINAL_ALPHA,
-    beta: Signal | None = None, load: Signal = 0.0, supply: Signal | None = None, noise: ArrayLike | None = None,
-    observer: Observer | None = None, initial: ArrayLike | None = None, rtol: float = 1e-6,
+    damping: float | None = None, alpha: Signal = NOMINAL_ALPHA, beta: Signal | None = None, load: Signal = 0.0,
+    supply: Signal | None = None, noise: ArrayLike | None = None, observer: Observer | None = None,
+    initial: ArrayLike | None = None, rtol: float = 1e-6,
 ) -> ServoRecording:  # fmt: skip
     """Simulate the pneumatic servo in a position loop, sampled to identification data.
 
     A digital controller samples the motion and holds the valve between samples. It asks for the opening
-    ``o(k) = gain (r(k) - y(k)) - damping y''(k)`` and steps over the valve's dead band, as far as it knows it,
+    ``o(k) = gain (r(k) - y(k)) - damping y''(k)`` and steps over nine tenths d of the valve's dead band,
     ``u = sgn(o) (d + (1 - d) |o|)``, limited to [-1, 1]. Hence y(k) depends on u(k-1) and r(k-1) at the latest: the
     delay of a model is nk = 1.
 
@@ -178,8 +153,6 @@ def simulate_servo(
         Valve opening per position error, in 1/m. By default that of `position_gains`.
     damping : float, optional
         Valve opening per acceleration, in s^2/m. By default that of `position_gains`.
-    compensation : float
-        Share of the parameters' dead band that the controller steps over, in [0, 1].
     alpha, beta : float, callable or array_like, shape (N,)
         Coefficients of eq (2) as in `pneumatic_servo`, or one value a sample. They are held from sample to sample.
     load : float, callable or array_like, shape (N,)
@@ -237,73 +210,35 @@ def simulate_servo(
             f"reference: expected positions within the stroke, +-{p.stroke / 2:g} m, got {r[np.argmax(np.abs(r))]:g}"
         )
     gains = chosen_gains(p, gain, damping)
-    if not 0 <= compensation <= 1:
-        raise ValueError(f"compensation: expected a share of the dead band in [0, 1], got {compensation}")
-    inputs = ServoInputs(r.size, dt, rtol, p, alpha, beta, load, supply, noise, initial)
-    check_loop(p, dt, gains, {float(inputs.beta.min()), float(inputs.beta.max())})
-    targets, step = r.tolist(), compensation * p.dead_band
-
-    def controller(
-        k: int, motion: tuple[float, float], readings: Array, valve: float
-    ) -> tuple[tuple[float, float], float]:
-        estimate = motion if observer is None else observer(readings, valve)
-        opening = gains.gain * (targets[k] - estimate[0]) - gains.damping * estimate[1]
-        if not math.isfinite(opening):
-            raise ValueError(f"observer: expected a finite position and acceleration, got {estimate} at sample {k}")
-        command = math.copysign(step + (1 - step) * abs(opening), opening) if opening else 0.0
-        return estimate, min(1.0, max(-1.0, command))
-
-    return _simulate(controller, r, p, inputs)
-
-
-def simulate_actuator(
-    valve: ArrayLike, dt: float, parameters: PneumaticParameters | None = None, *, alpha: Signal = NOMINAL_ALPHA,
-    beta: Signal | None = None, load: Signal = 0.0, supply: Signal | None = None, noise: ArrayLike | None = None,
-    initial: ArrayLike | None = None, rtol: float = 1e-6,
-) -> ServoRecording:  # fmt: skip
-    """Simulate the pneumatic actuator without a loop, for a given command to the valve.
-
-    Parameters
-    ----------
-    valve : array_like, shape (N,)
-        Command to the valve, a fraction of the spool's stroke, in [-1, 1], held from sample to sample.
-    dt, parameters, alpha, beta, load, supply, noise, initial, rtol
-        As in `simulate_servo`.
-
-    Returns
-    -------
-    ServoRecording
-        Its reference and its estimates are NaN.
-
-    Raises
-    ------
-    ValueError
-        If the command leaves [-1, 1], and as `simulate_servo`.
-    TypeError, RuntimeError
-        As `simulate_servo`.
-
-    Examples
-    --------
-    >>> recording = simulate_actuator([0.02] * 50, 0.01)
-    >>> print(f"{recording.position[-1]:.3f}")
-    0.026
-    """
-    u = finite_vector("valve", valve)
-    commands = checked(u, "valve", (-1.0, 1.0)).tolist()
-    p = as_parameters(parameters)
-    inputs = ServoInputs(u.size, dt, rtol, p, alpha, beta, load, supply, noise, initial)
-    nothing = (math.nan, math.nan)
-    return _simulate(lambda k, motion, readings, before: (nothing, commands[k]), np.full(u.size, np.nan), p, inputs)
+    for name, value in (("dt", dt), ("rtol", rtol)):
+        positive(name, value)
+    t = dt * np.arange(r.size, dtype=np.float64)
+    alpha = _samples(alpha, t, "alpha", ALPHA_RANGE)
+    if beta is None:
+        beta = checked(alpha * p.discharge_coefficient, "beta", BETA_RANGE)
+    else:
+        beta = _samples(beta, t, "beta", BETA_RANGE)
+    load = _samples(load, t, "load", (-math.inf, math.inf))
+    supply = _samples(p.supply_pressure if supply is None else supply, t, "supply", (p.atmospheric_pressure, math.inf))
+    noise = np.zeros((r.size, 3)) if noise is None else finite("noise", noise, (r.size, 3))
+    x = _initial_state(initial, p, float(load[0]))
+    check_loop(p, dt, gains, {float(beta.min()), float(beta.max())})
+    inputs = np.column_stack([load, alpha, beta, supply])
+    states, readings, commands, estimates = _driven(r, dt, p, gains, inputs, noise, x, observer, rtol)
+    truth, measured, taken = states.T.copy(), readings.T.copy(), estimates.T.copy()
+    signals = t, r, commands, *truth, alpha, beta, load, supply, *measured, *taken
+    return ServoRecording(*signals)
 
 
-def _simulate(controller: _Controller, reference: Array, p: PneumaticParameters, inputs: ServoInputs) -> ServoRecording:
-    """Integrate sample by sample, every input held."""
-    derivatives, n, t = servo_derivatives(p), reference.size, inputs.t
-    held = np.column_stack([inputs.load, inputs.alpha, inputs.beta, inputs.supply]).tolist()
-    rtol, atol = inputs.rtol, inputs.rtol * _TOLERANCES
-    states, valve, estimates = np.empty((n, 4)), np.empty(n), np.empty((n, 2))
-    readings = np.empty((n, 3))
-    x, command = inputs.x0, 0.0
+def _driven(
+    reference: Array, dt: float, p: PneumaticParameters, gains: PositionGains, inputs: Array, noise: Array, x: Array,
+    observer: Observer | None, rtol: float,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Integrate the loop sample by sample, inputs held; return states, readings, commands and estimates."""
+    derivatives, n, held = servo_derivatives(p), reference.size, inputs.tolist()
+    targets, step = reference.tolist(), _COMPENSATION * p.dead_band
+    states, readings, commands, estimates = np.empty((n, 4)), np.empty((n, 3)), np.empty(n), np.empty((n, 2))
+    command = 0.0
 
     def right_hand_side(x: Any, t: float, *held: Any) -> tuple[float, float, float, float]:
         y, v, p_a, p_b = x.tolist()
@@ -311,23 +246,25 @@ def _simulate(controller: _Controller, reference: Array, p: PneumaticParameters,
 
     for k in range(n):
         states[k] = x
-        readings[k] = x[[0, 2, 3]] + inputs.noise[k]
+        readings[k] = x[[0, 2, 3]] + noise[k]
         # The opening changes the flow, not the forces: 0 stands for the one still to be found.
         motion = x[0], right_hand_side(x, 0.0, 0.0, *held[k])[1]
-        estimates[k], command = controller(k, motion, readings[k], command)
-        valve[k] = command
+        estimates[k] = estimate = motion if observer is None else observer(readings[k], command)
+        opening = gains.gain * (targets[k] - estimate[0]) - gains.damping * estimate[1]
+        if not math.isfinite(opening):
+            raise ValueError(f"observer: expected a finite position and acceleration, got {estimate} at sample {k}")
+        command = math.copysign(step + (1 - step) * abs(opening), opening) if opening else 0.0
+        commands[k] = command = min(1.0, max(-1.0, command))
         if k == n - 1:
             break
         path, info = odeint(
-            right_hand_side, x, (0.0, inputs.dt), args=(command, *held[k]), rtol=rtol, atol=atol, mxstep=5000,
+            right_hand_side, x, (0.0, dt), args=(command, *held[k]), rtol=rtol, atol=rtol * _TOLERANCES, mxstep=5000,
             full_output=True,
         )  # fmt: skip
         x = path[1]
         if info["message"] != "Integration successful." or not np.all(np.isfinite(x)):
             raise RuntimeError(
-                f"simulation: the ODE solver failed between {t[k]:g} and {t[k + 1]:g} s from {STATES} = "
+                f"simulation: the ODE solver failed between {k * dt:g} and {(k + 1) * dt:g} s from {STATES} = "
                 f"{states[k].tolist()}: {info['message']}; a smaller dt or other parameters may help"
             )
-    truth, measured, taken = states.T.copy(), readings.T.copy(), estimates.T.copy()
-    signals = (t, reference, valve, *truth, inputs.alpha, inputs.beta, inputs.load, inputs.supply, *measured, *taken)
-    return ServoRecording(*signals)
+    return states, readings, commands, estimates
