@@ -31,25 +31,18 @@ from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.disturbances import PRICE, Settled
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.estimation.missing import THRESHOLDS
+from robust_filterpy.identification.models import structures
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.results import Report, said
 from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording
-from robust_filterpy.identification.models.structures import (
-    AR,
-    ARMA,
-    ARMAX,
-    ARX,
-    FIR,
-    FORMS,
-    BoxJenkins,
-    OutputError,
-    Structure,
-)
+from robust_filterpy.identification.models.structures import FORMS, Structure
 
 Kind = Callable[..., Structure]
-_KINDS: Final[tuple[Kind, ...]] = (OutputError, ARX, ARMAX, FIR, BoxJenkins, ARMA, AR)
+_KINDS: Final[dict[str, Kind]] = {
+    name: getattr(structures, name) for name in ("OutputError", "ARX", "ARMAX", "FIR", "BoxJenkins", "ARMA", "AR")
+}
 Orders = tuple[int, ...]
 # Arguments that each input has its own of.
 _OF_INPUTS: Final = ("nb", "nk")
@@ -68,15 +61,14 @@ class Grid(NamedTuple):
     @classmethod
     def of(cls, kind: Kind, given: dict[str, Any], count: int) -> Grid:
         """Return checked orders, of so many inputs a number of b's and a delay each; no b's and one delay of none."""
-        if kind not in _KINDS:
-            names = ", ".join(one.__name__ for one in _KINDS)
-            raise ValueError(f"kind: expected one of {names}, got {_checks.shown(kind)}")
+        if kind not in _KINDS.values():
+            raise ValueError(f"kind: expected one of {', '.join(_KINDS)}, got {_checks.shown(kind)}")
         arguments = FORMS[kind.__name__]
         for name, values in given.items():
             if values is not None and name not in arguments:
                 raise ValueError(f"{name}: expected none for {kind.__name__}, which has {', '.join(arguments)}")
         first = next(name for name in ("na", "nf", "nb") if name in arguments)
-        usual = {first: range(1, 5), "nk": range(9), "nd": range(3)} | ({"nc": range(3)} if kind is BoxJenkins else {})
+        usual = {first: range(1, 5), "nk": range(9), "nd": range(3)} | ({"nc": range(3)} if "nd" in arguments else {})
         ranges: dict[str, tuple[int, ...] | None] = {}
         for name in (first, *(other for other in arguments if other != first)):
             values = usual.get(name) if given[name] is None else given[name]
@@ -84,7 +76,7 @@ class Grid(NamedTuple):
             ranges[name] = (0,) if absent else None if values is None else _range(name, values, name == "nb")
         if count and "nb" not in arguments:
             raise ValueError(f"u: expected None for {kind.__name__}, which has no input; take ARX or ARMAX")
-        if not count and "nb" in arguments and kind not in (ARX, ARMAX):
+        if not count and "nb" in arguments and kind not in (structures.ARX, structures.ARMAX):
             raise ValueError(f"u: expected an input for {kind.__name__}, got None; without one take ARX or ARMAX")
         if "nb" in ranges and ranges["nb"] is None and 0 in (ranges[first] or ()):
             raise ValueError(
@@ -299,7 +291,7 @@ _BEHIND: Final = 1.0
 
 
 def select_structure(
-    y: ArrayLike, u: ArrayLike | None, kind: Kind = OutputError, *, na: Iterable[int] | None = None,
+    y: ArrayLike, u: ArrayLike | None, kind: Kind = structures.OutputError, *, na: Iterable[int] | None = None,
     nb: Iterable[int] | None = None, nc: Iterable[int] | None = None, nd: Iterable[int] | None = None,
     nf: Iterable[int] | None = None, nk: Iterable[int] | None = None, criterion: str = "bic",
     held_out: Literal[0] | None = None, progress: bool | None = None,
@@ -573,7 +565,7 @@ def _inputs(u: Any, length: int) -> Array:
     """Return recorded inputs, shape (N, n_inputs), or raise."""
     signal = np.asarray(u)
     count = signal.shape[1] if signal.ndim == 2 and 1 not in signal.shape else 1
-    return recorded_input(FIR((1,) * count), u, length)
+    return recorded_input(structures.FIR((1,) * count), u, length)
 
 
 def _impulse_responses(y: Array, u: Array, grid: Grid) -> tuple[ImpulseResponse, ...]:
@@ -584,7 +576,8 @@ def _impulse_responses(y: Array, u: Array, grid: Grid) -> tuple[ImpulseResponse,
     if length < last - start + 1:
         return ()
     try:
-        model = identify(y, u, FIR((length,) * count if count > 1 else length, start), progress=False)
+        long = structures.FIR((length,) * count if count > 1 else length, start)
+        model = identify(y, u, long, progress=False)
     except ValueError:
         # The input does not excite so many samples, or y is not good for any model, which the first of them will say.
         return ()

@@ -728,7 +728,7 @@ def compare(
         raise ValueError("models: expected at least one model, got none")
     candidates = {str(name): any_model(f"models[{name!r}]", model, y, u) for name, model in models.items()}
     given = np.shape(y)
-    counts, asked = {name: _n_outputs(model) for name, model in candidates.items()}, given[1] if len(given) == 2 else 1
+    counts, asked = {name: np.size(model.R) for name, model in candidates.items()}, given[1] if len(given) == 2 else 1
     if set(counts.values()) != {asked} and given[:1] != (1,):
         each = ", ".join(f"models[{name!r}] of {count}" for name, count in counts.items())
         raise ValueError(
@@ -761,11 +761,6 @@ def compare(
     shown = {row.name: outputs[row.name][:, 0] if one else outputs[row.name] for row in rows}
     measured = measured[:, 0] if one else measured
     return Comparison(tuple(rows), measured, shown, int(shared.sum()), int(ordinary.sum()), index)
-
-
-def _n_outputs(model: Any) -> int:
-    """Return how many outputs a model has."""
-    return 1 if isinstance(model, Model) else len(model.noise)
 
 
 def _columns(signal: Any) -> Array:

@@ -362,7 +362,7 @@ class Model(PolynomialSystem, Identified):
         y = regressor.simulate(self.structure, layout, self._memory_at(start, layout), self.theta, signal)
         integrates = self.level == 0.0 != self.offset
         rest = lfilter([self.offset], self.parts.a, np.ones(y.size)) if integrates else self.level
-        return axis.series(y + (rest + at_point), "simulated")
+        return axis.labelled(y + (rest + at_point), "simulated")
 
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return the time axis, the measured output, and that so many steps ahead, or with 0 from inputs alone."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy._fill_values import FillValues, fill_values
+from robust_filterpy._fill_values import fill_values
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.regressor import LARGEST
 from robust_filterpy.identification.models.structures import input_columns
@@ -25,12 +25,7 @@ from robust_filterpy.identification.models.structures import input_columns
 
 def recorded_output(y: Any) -> Array:
     """Return a recorded output, shape (N,), NaN where it is missing or has a fill value, or raise."""
-    return filled_output(y).signal
-
-
-def filled_output(y: Any) -> FillValues:
-    """Return a recorded output without its fill values, shape (N,), and which these were; or raise."""
-    return fill_values(measured_output(y))
+    return fill_values(measured_output(y)).signal
 
 
 def measured_output(y: Any) -> Array:
@@ -214,14 +209,11 @@ class TimeAxis(NamedTuple):
     index: Any = None
     dt: float | None = None
 
-    def series(self, values: Any, name: str) -> Any:
-        """Return values as a pandas Series on this axis, or as they are if there is no index."""
-        return values if self.index is None else sys.modules["pandas"].Series(values, index=self.index, name=name)
-
     def labelled(self, values: Any, name: str) -> Any:
-        """Return values of one signal or of several, as columns by number, on this axis."""
-        several = np.ndim(values) == 2 and self.index is not None
-        return table(dict(enumerate(values.T)), self.index) if several else self.series(values, name)
+        """Return values of one signal as a pandas Series, of several as columns by number; as they are if no index."""
+        if self.index is None or np.ndim(values) == 2:
+            return values if self.index is None else table(dict(enumerate(values.T)), self.index)
+        return sys.modules["pandas"].Series(values, index=self.index, name=name)
 
     @property
     def last(self) -> Any:

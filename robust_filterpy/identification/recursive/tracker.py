@@ -22,7 +22,7 @@ from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import Sample, TrackingResult
-from robust_filterpy.identification.models.signals import filled_output, recorded_input, recording
+from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import recursion, setup, track
 from robust_filterpy.identification.recursive.following import Following, joined
@@ -344,7 +344,7 @@ class ParameterTracker(Following, PolynomialSystem):
             layout = Layout(self.structure)
             x, memory, level = self.theta, Memory.at_rest(layout), self.level
         y = regressor.simulate(self.structure, layout, memory, x, signal) + level
-        return axis.series(y, "simulated")
+        return axis.labelled(y, "simulated")
 
     fit = staticmethod(fit_percent)
 
@@ -423,7 +423,7 @@ class ParameterTracker(Following, PolynomialSystem):
         `update` to the last bit.
         """
         axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
-        fills = filled_output(y)
+        fills = fill_values(measured_output(y))
         signal = recorded_input(self.structure, u, fills.signal.size)[:, None]
         columns = self._recorded(axis, [fills], signal, R, progress)
         return TrackingResult(*(column[:, 0] for column in columns)).labelled(self.structure.names, axis.index)
