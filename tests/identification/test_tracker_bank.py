@@ -13,7 +13,7 @@ from recordings import assert_refused, same, unchanged, unheard
 from scipy.signal import lfilter
 from statsmodels.robust import norms
 
-from robust_filterpy import ARX, Contaminated, Huber, OutputError, ParameterTracker
+from robust_filterpy import ARX, Contaminated, Huber, OutputError, ParameterTracker, identify
 from robust_filterpy.filters import StuckSensorWarning
 from robust_filterpy.identification import ARMAX, FIR, BoxJenkins, LinearRegression, LostTrackerWarning, TrackerBank
 from robust_filterpy.identification.models.regressor import GUARDS
@@ -209,6 +209,16 @@ def test_tracker_goes_on_where_the_bank_is():
     for wrong in (N, -1, "a", True, 1.0, None):
         with pytest.raises((IndexError, TypeError), match=r"actuator: expected .*0 to 4"):
             bank.tracker(wrong)
+
+
+def test_a_bank_of_a_model_goes_on_from_it_and_resets_to_it():
+    y, u = recording(ARX(2, 2))
+    model = identify(y[:60, 0], u[:60, 0, 0], ARX(2, 2))
+    bank, tracker = TrackerBank(2, model), ParameterTracker(model)
+    expected = tracker.run(y[60:, 0], u[60:, 0, 0])
+    same(bank.run(y[60:, [0, 0]], u[60:, 0, 0]).tracker(1), expected)
+    bank.reset()
+    same(bank.theta, [model.theta] * 2)
 
 
 # Freezing, interruption

@@ -82,7 +82,7 @@ SHOWN = {
     ),
     "labels": (lambda: LABELED, f"is_outlier   shape (300, 2), {LABELED.is_outlier.sum()} of 600 true"),
     "intervals": (lambda: identify(Y, U, ARX(2, 2)).confidence_intervals(), "upper"),
-    "response": (lambda: identify(Y, U, ARX(2, 2)).frequency_response(np.linspace(0.1, 3.0, 40)), "95 % bands"),
+    "response": (lambda: identify(Y, U, ARX(2, 2)).frequency_response(np.linspace(0.1, 3.0, 40)), "magnitude_lower"),
     "poles": (lambda: identify(Y, U, ARX(2, 2)).poles(), "+-"),
     "step": (lambda: identify(Y, U, ARX(2, 2)).step_response(), " ("),
     "spectrum": (lambda: identify(Y, U, ARX(2, 2)).noise_spectrum(np.linspace(0.1, 3.0, 40)), "density"),

@@ -40,8 +40,7 @@ from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model, as_model
 from robust_filterpy.identification.models.noise import Noise, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.recording import ANY_TIMES
-from robust_filterpy.identification.models.responses import probability
-from robust_filterpy.identification.models.results import Report, signals_of
+from robust_filterpy.identification.models.results import Report, probability, signals_of
 from robust_filterpy.identification.models.signals import recorded_output, recording, table
 from robust_filterpy.identification.models.state_space import StateSpaceModel
 from robust_filterpy.influence.regression import mad_scale

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,11 +24,11 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import Pictured, brief, wrapped
+from robust_filterpy._brief import Pictured, brief
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.regressor import are_stable
-from robust_filterpy.identification.models.results import Estimated
+from robust_filterpy.identification.models.results import Estimated, probability
 from robust_filterpy.identification.models.signals import table
 from robust_filterpy.identification.models.structures import Structure
 
@@ -129,8 +129,37 @@ class Regions:
         return np.array([_distance(*one) for one in each]) <= self.radius
 
 
+class Response(Pictured):
+    """What a system does at frequencies or times, with bands: prints its parts, and is a table of some."""
+
+    #: Fields that are columns of the table, and that which is its index.
+    columns: ClassVar[tuple[str, ...]] = ("response", "lower", "upper")
+    against: ClassVar[str] = "omega"
+
+    __str__ = __repr__ = brief
+
+    def to_frame(self) -> Any:
+        """Return the response and its bands as a pandas DataFrame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each frequency or time: what is shown, and its band; of several inputs each by its number.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        columns: dict[str, Array] = {}
+        for name in self.columns:
+            rows = np.atleast_2d(getattr(self, name))
+            columns |= {name if len(rows) == 1 else f"{name}[{i}]": row for i, row in enumerate(rows)}
+        return table(columns, getattr(self, self.against), self.against)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyResponse(Pictured):
+class FrequencyResponse(Response):
     """Frequency response from each input to y, with pointwise bands.
 
     Attributes
@@ -152,6 +181,7 @@ class FrequencyResponse(Pictured):
     """
 
     picture = "models.plot_bode"
+    columns = ("magnitude", "magnitude_lower", "magnitude_upper", "phase", "phase_lower", "phase_upper")
 
     omega: Array
     response: Any
@@ -164,36 +194,6 @@ class FrequencyResponse(Pictured):
     level: float
     dt: float
     sampled: Any
-
-    def __repr__(self) -> str:
-        """Show the ends of the response, each magnitude with its band."""
-        size, low, high = (np.atleast_2d(a) for a in (self.magnitude, self.magnitude_lower, self.magnitude_upper))
-        ends = [
-            f"|G| = {size[i, k]:.3g} ({low[i, k]:.3g} .. {high[i, k]:.3g}) at {self.omega[k]:.3g} rad/s"
-            for i in range(len(size))
-            for k in sorted({0, self.omega.size - 1})
-        ]
-        return f"FrequencyResponse({self.omega.size} frequencies, {_percent(self.level)} bands: {', '.join(ends)})"
-
-    def __str__(self) -> str:
-        """Return the same on lines that a screen holds."""
-        return wrapped(repr(self))
-
-    def to_frame(self) -> Any:
-        """Return the response and its bands as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each frequency: magnitude and phase with their bands; of several inputs each by its number.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        names = ("magnitude", "magnitude_lower", "magnitude_upper", "phase", "phase_lower", "phase_upper")
-        return _frame(self, names, self.omega, "omega")
 
     def to_control(self) -> control.FrequencyResponseData:
         """Return the response for python-control.
@@ -209,7 +209,7 @@ class FrequencyResponse(Pictured):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StepResponse(Pictured):
+class StepResponse(Response):
     """What y does after a unit step of each input, with pointwise bands.
 
     Attributes
@@ -224,7 +224,7 @@ class StepResponse(Pictured):
         Where the bands are those of sampled parameters.
     """
 
-    picture = "models.plot_step"
+    picture, against = "models.plot_step", "time"
 
     time: Array
     response: Array
@@ -233,30 +233,9 @@ class StepResponse(Pictured):
     level: float
     sampled: Any
 
-    def __repr__(self) -> str:
-        """Show where the response ends, with its band."""
-        ends = [np.atleast_2d(a)[:, -1] for a in (self.response, self.lower, self.upper)]
-        text = ", ".join(f"{value:.3g} ({low:.3g} .. {high:.3g})" for value, low, high in zip(*ends, strict=True))
-        return f"StepResponse({self.time.size} samples, {_percent(self.level)} bands: {text} at {self.time[-1]:.3g} s)"
 
-    def to_frame(self) -> Any:
-        """Return the response and its band as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each time: response, lower, upper; of several inputs each by its number.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        return _frame(self, ("response", "lower", "upper"), self.time, "time")
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseSpectrum(Pictured):
+@dataclass(frozen=True, eq=False, repr=False)
+class NoiseSpectrum(Response):
     """Power spectral density of what the noise does to y, with pointwise bands.
 
     Attributes
@@ -273,7 +252,7 @@ class NoiseSpectrum(Pictured):
         Where the bands are those of sampled parameters.
     """
 
-    picture = "models.plot_noise_spectrum"
+    picture, columns = "models.plot_noise_spectrum", ("density", "lower", "upper")
 
     omega: Array
     density: Array
@@ -282,37 +261,6 @@ class NoiseSpectrum(Pictured):
     level: float
     dt: float
     sampled: Any
-
-    __str__ = brief
-
-    def to_frame(self) -> Any:
-        """Return the density and its band as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each frequency: density, lower, upper.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        return _frame(self, ("density", "lower", "upper"), self.omega, "omega")
-
-
-def _frame(response: Any, names: tuple[str, ...], index: Array, label: str) -> Any:
-    """Return fields of a response as a table; those of several inputs with the number of each."""
-    columns: dict[str, Array] = {}
-    for name in names:
-        rows = np.atleast_2d(getattr(response, name))
-        columns |= {name if len(rows) == 1 else f"{name}[{i}]": row for i, row in enumerate(rows)}
-    return table(columns, index, label)
-
-
-def _percent(level: float) -> str:
-    """Return a probability as a message shows it."""
-    return f"{100.0 * level:.4g} %"
 
 
 def bands(
@@ -406,14 +354,6 @@ def _distance(difference: complex, covariance: Array, size: float) -> float:
     if (np.abs(along[thin]) > 10.0 * _THIN * max(size, 1.0)).any():
         return float("inf")
     return float(np.sqrt(np.sum(along[~thin] ** 2 / sizes[~thin])))
-
-
-def probability(level: Any) -> float:
-    """Return a probability of a band or a test, checked."""
-    value = _checks.real("level", level)
-    if not 0.0 < value < 1.0:
-        raise ValueError(f"level: expected a probability in (0, 1), got {_checks.shown(level)}")
-    return value
 
 
 # A pole this near to the negative real axis, or to 0, is on it.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from robust_filterpy._brief import Pictured, brief, lines_of, wrapped
-from robust_filterpy._checks import Array, count, numbers, real
+from robust_filterpy._checks import Array, count, numbers, real, shown
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.signals import TimeAxis, are_equal, recording, table
@@ -213,10 +213,16 @@ class TrackingResult(Pictured, Recorded):
 
 def intervals(theta: Array, std: Array, level: float) -> Intervals:
     """Return normal confidence intervals or raise if the level is no probability."""
-    if not 0.0 < real("level", level) < 1.0:
-        raise ValueError(f"level: expected a number in (0, 1), got {level!r}")
-    half = float(ndtri(0.5 * (1.0 + level))) * std
+    half = float(ndtri(0.5 * (1.0 + probability(level)))) * std
     return Intervals(theta - half, theta + half)
+
+
+def probability(level: Any) -> float:
+    """Return a probability of an interval, a band or a test, checked."""
+    value = real("level", level)
+    if not 0.0 < value < 1.0:
+        raise ValueError(f"level: expected a probability in (0, 1), got {shown(level)}")
+    return value
 
 
 class Report:

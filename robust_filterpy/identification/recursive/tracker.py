@@ -587,8 +587,9 @@ class TrackerBank(Following):
     ----------
     n : int
         Number of actuators, >= 1.
-    structure : Structure
-        What phi is made of: ARX(..), OutputError(..) ..
+    structure : Structure or Model
+        What phi is made of: ARX(..), OutputError(..) .., or the model from which all of them go on, as in
+        `ParameterTracker`.
     theta : array_like, shape (n_theta,) or (n, n_theta), or float, optional
         Parameters to start from. Default: found by the start; 0 with ``start=0``.
     P : array_like, shape (n_theta, n_theta) or (n, n_theta, n_theta), or float, or shape (n,), optional
@@ -661,7 +662,7 @@ class TrackerBank(Following):
     _name = "TrackerBank"
 
     def __init__(
-        self, n: int, structure: Structure, *, theta: ArrayLike | None = None, P: ArrayLike | None = None,
+        self, n: int, structure: Structure | Model, *, theta: ArrayLike | None = None, P: ArrayLike | None = None,
         Q: ArrayLike | None = None, R: ArrayLike | None = None, F: ArrayLike | None = None,
         forgetting: ArrayLike | None = None, start: int | None = None, offset: bool | None = None,
         regressor: Regressor | None = None, R_memory: int = 150,
@@ -672,8 +673,6 @@ class TrackerBank(Following):
         """Set up n filters and a memory at rest; so many arguments, since they are those of a `ParameterTracker`."""
         given = {name: value for name, value in locals().items() if name not in ("self", "n")}
         n = _checks.count("n", n, 1)
-        if not isinstance(structure, Structure):
-            raise TypeError(f"structure: expected ARX(..), OutputError(..) or another structure, got {structure!r}")
         # Every actuator is a tracker; one stands for all where they have their options in common.
         trackers = setup.for_each(lambda each: ParameterTracker(**each), setup.of_each(n, given)[1])
         if len(trackers) < n and keeps_spread(trackers[0]):
