@@ -167,4 +167,4 @@ def test_a_prediction_of_what_is_missing_has_the_level_too():
     with pytest.warns(UserWarning, match="the level of y steps by"):
         model = identify(y, u, box, t=0.5 * np.arange(240))
     assert [one.kind for one in model.findings] == ["step"] and np.abs(model.theta - [3.0, 2.0]).max() < 0.05
-    assert np.abs(model.predict(y, u, 0.5 * np.arange(240))[:, 0] - truth).max() < 0.3
+    assert np.abs(model.predict(y, u, t=0.5 * np.arange(240))[:, 0] - truth).max() < 0.3

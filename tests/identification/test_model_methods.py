@@ -103,9 +103,9 @@ def test_each_kind_of_model_has_the_same_table_and_predicts(square):
         np.testing.assert_array_equal(frame["estimate"].iloc[: model.theta.size], model.theta)
         assert (model.to_frame(0.5)["upper"] <= frame["upper"]).all()
     # A physical model has no noise between samples: it predicts from inputs alone.
-    np.testing.assert_array_equal(grey.predict(first, u[:, 0], t, 5), grey.free_run(first, u[:, 0], t))
+    np.testing.assert_array_equal(grey.predict(first, u[:, 0], 5, t), grey.free_run(first, u[:, 0], t))
     with pytest.raises(ValueError, match="steps"):
-        grey.predict(first, u[:, 0], t, 0)
+        grey.predict(first, u[:, 0], 0, t)
 
 
 def test_pictures_of_states(driven, square):

@@ -365,29 +365,6 @@ class GreyBoxModel(Identified):
             raise ValueError(_UNSETTLED)
         return model.simulated(self.theta)
 
-    def predict(  # type: ignore[override]
-        self, y: ArrayLike, u: ArrayLike | None, t: ArrayLike | None = None, steps: int = 1
-    ) -> Any:
-        """Predict each output of a recording: from inputs alone, however far ahead, since equations have no noise.
-
-        Parameters
-        ----------
-        y, u, t
-            As in `free_run`.
-        steps : int, default 1
-            How many samples ahead, which is all the same.
-
-        Returns
-        -------
-        ndarray, shape (N, n_outputs)
-
-        Raises
-        ------
-        ValueError, TypeError
-            If they do not fit, the equations overflow, or steps is no positive integer.
-        """
-        return super().predict(y, u, steps, t)
-
     def _run(self, y: Any, u: Any, t: Any, steps: int) -> tuple[TimeAxis, Any, Any]:
         """Return no time axis, measured outputs, and those from inputs alone, however far ahead."""
         measured, _, model, z = self.started(y, u, t)

@@ -40,7 +40,7 @@ from robust_filterpy.identification.models.polynomial_model import Parts, Polyno
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
-from robust_filterpy.identification.models.results import Identified, coloured, said, signals_of
+from robust_filterpy.identification.models.results import Identified, coloured, signals_of
 from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber
@@ -262,9 +262,8 @@ class Model(PolynomialSystem, Identified):
 
     def __repr__(self) -> str:
         """Show the parameters with their standard deviations."""
-        text = self._valued(self.structure.names)
-        findings = f"; found: {said(self.findings)}" if self.findings else ""
-        return f"Model({self.structure}, {text}, offset={self.offset:.4g}, R={self.R:.4g}){findings}"
+        text = f"{self._valued(self.structure.names)}, offset={self.offset:.4g}, R={self.R:.4g}"
+        return f"Model({self.structure}, {text}){self._remarks}"
 
     # The model.
 
@@ -453,11 +452,6 @@ class Model(PolynomialSystem, Identified):
         if np.isnan(self.weights).all():
             raise ValueError('start: expected a model that has seen a recording for "continued", got one that has none')
         return self.memory
-
-    @property
-    def _noise_samples(self) -> float:
-        """How many samples R stands on."""
-        return max(float(np.nansum(self.weights)), 1.0)
 
     def _equation_error(self, model: PolynomialModel, seen: Any) -> Array:
         """Return A y - B/F u - d from the first sample that has a regressor on."""

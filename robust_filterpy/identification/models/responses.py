@@ -387,11 +387,6 @@ class System(Estimated):
         raise NotImplementedError
 
     @property
-    def _noise_samples(self) -> Any:
-        """How many samples R stands on."""
-        return np.inf
-
-    @property
     def _of_poles(self) -> slice:
         """The parameters that the poles depend on."""
         return slice(None)

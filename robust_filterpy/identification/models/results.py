@@ -441,6 +441,11 @@ class Estimated:
         return self.summary(level).to_frame()
 
     @property
+    def _noise_samples(self) -> Any:
+        """How many samples R stands on."""
+        return np.inf
+
+    @property
     def _rows(self) -> tuple[tuple[str, ...], Array, Array]:
         """Names of what is estimated, values and standard deviations."""
         return self.structure.names, self.theta, self.std
@@ -513,7 +518,7 @@ class Identified(Estimated):
         steps : int, default 1
             How many samples ahead. Inputs are taken as known.
         t : array_like, shape (N,), optional
-            Times in s, in equal steps. Default: those of the index.
+            Times in s, in equal steps but of a `GreyBoxModel`. Default: those of the index.
 
         Returns
         -------
@@ -527,9 +532,10 @@ class Identified(Estimated):
 
         Notes
         -----
-        An OutputError, FIR or LinearRegression, and states without disturbance, predict from inputs alone, whatever
-        ``steps``; only what was in motion when the recording began is estimated from all of y. For ARX and ARMAX an
-        outlier in y is replaced, by the model and the samples before it, in the regressor of the samples after it.
+        An OutputError, FIR or LinearRegression, states without disturbance, and physics, predict from inputs alone,
+        whatever ``steps``; only what was in motion when the recording began is estimated from all of y. For ARX and
+        ARMAX an outlier in y is replaced, by the model and the samples before it, in the regressor of the samples after
+        it.
         """
         axis, _, output = self._run(y, u, t, count("steps", steps, 1))
         return axis.labelled(output, "prediction")
@@ -599,6 +605,11 @@ class Identified(Estimated):
         return fit_percent(np.where(np.isnan(output), np.nan, measured), np.nan_to_num(output))
 
     @property
+    def _noise_samples(self) -> Any:
+        """How many samples R of each output stands on."""
+        return np.maximum(np.nansum(self.weights, axis=0), 1.0)
+
+    @property
     def _facts(self) -> dict[str, str]:
         """What the table says of a model whose outputs have each a noise."""
         count = int((~np.isnan(self.weights)).sum())
@@ -616,7 +627,7 @@ class Identified(Estimated):
         return "".join(f"; {name}: {text}" for name, text in remarks.items() if text)
 
 
-def signals_of(model: Identified, y: Any, u: Any, t: Any = None) -> tuple[TimeAxis, Any, Any]:
+def signals_of(model: Estimated, y: Any, u: Any, t: Any = None) -> tuple[TimeAxis, Any, Any]:
     """Return the time axis of a recording, and its signals without index; or raise if the axis does not fit."""
     if t is not None:
         steps = np.diff(numbers("t", t))

@@ -334,11 +334,6 @@ class StateSpaceModel(System, Identified):
         return self.D.shape[0], self.D.shape[1]
 
     @property
-    def _noise_samples(self) -> Any:
-        """How many samples R of each output stands on."""
-        return np.maximum(np.nansum(self.weights, axis=0), 1.0)
-
-    @property
     def _of_poles(self) -> slice:
         """The entries of A."""
         return slice(0, self.A.size)

@@ -20,7 +20,7 @@ from robust_filterpy.filters.states import go_on_with, kept_with
 from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import setup, track
-from robust_filterpy.identification.recursive.recursion import Form, Regressor, State, checked
+from robust_filterpy.identification.recursive.recursion import REGRESSORS, Form, Regressor, State, checked
 from robust_filterpy.identification.recursive.watch import News
 
 _Kind = TypeVar("_Kind", bound="Following")
@@ -64,7 +64,6 @@ class Following:
     _filters: list[Any]
     _now: State
     _enabled: np.ndarray
-    _regressor: Regressor
     _initial: dict[str, Array]
     #: Whether somebody has the filter, who may read and write in it without asking.
     _asked: bool
@@ -112,7 +111,7 @@ class Following:
     @property
     def regressor(self) -> Regressor:
         """Which outputs phi holds: "measured" or "cleaned"."""
-        return self._regressor
+        return REGRESSORS[self.form.judges]
 
     @property
     def kind(self) -> str:
@@ -428,15 +427,6 @@ class Following:
             said[one.actuator] += 1
         for (_, text, category), which in sorted(alike.items(), key=lambda item: item[0][0]):
             warn(f"{self._name}: {self._named(sorted(which))}{text}", category)
-
-
-def joined(trackers: Sequence[Any]) -> dict[str, Any]:
-    """Return form, state and filters of trackers, each of one actuator, as attributes of as many."""
-    forms = [tracker.form for tracker in trackers]
-    flags = np.concatenate([form.flags for form in forms])
-    filters, now = [tracker._filters[0] for tracker in trackers], State.joined([tracker.now for tracker in trackers])
-    enabled = np.ones(len(forms), dtype=bool)
-    return {"form": forms[0]._replace(flags=flags), "_now": now, "_filters": filters, "_enabled": enabled}
 
 
 def _over(constant: Array, gain: Array) -> Array:

@@ -10,7 +10,7 @@ replaced, correct theta along the gradient, restrain an unstable step, follow R,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -211,13 +211,6 @@ class State(NamedTuple):
         """Return the state of some actuators."""
         starts = {j: self.starts[i] for j, i in enumerate(which.tolist()) if i in self.starts}
         return State(self.moved[which], self.record, starts, Watch(*(values[which] for values in self.watch)))
-
-    @classmethod
-    def joined(cls, states: Sequence[State]) -> State:
-        """Return the states of several actuators, of one each, as one."""
-        starts = {i: state.starts[0] for i, state in enumerate(states) if state.starts}
-        watch = Watch(*map(np.concatenate, zip(*(state.watch for state in states), strict=True)))
-        return State(np.concatenate([one.moved for one in states]), states[0].record, starts, watch)
 
     def arrays(self) -> dict[str, Array]:
         """Return it as plain arrays with a leading axis, what was warned of not among them."""

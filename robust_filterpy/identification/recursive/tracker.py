@@ -21,11 +21,11 @@ from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
-from robust_filterpy.identification.models.results import Sample, TrackingResult
+from robust_filterpy.identification.models.results import Sample, TrackingResult, signals_of
 from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import recursion, setup, track
-from robust_filterpy.identification.recursive.following import Following, joined
+from robust_filterpy.identification.recursive.following import Following
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Form, Gradient, Regressor, State
 from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
 from robust_filterpy.identification.recursive.watch import SPAN
@@ -221,10 +221,10 @@ class ParameterTracker(Following, PolynomialSystem):
         if samples and warm:
             raise ValueError(f"start: expected 0 with theta, P or a filter object or model to begin with, got {start}")
         default: Regressor = "cleaned" if samples or model is not None else "measured"
-        self._regressor = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
+        kind = default if regressor is None else _checks.option("regressor", regressor, REGRESSORS)
         has_offset = setup.has_offset(offset, structure, model, bool(samples))
         layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
-        judges = self._regressor == "cleaned"
+        judges = kind == "cleaned"
         cleans = judges and structure.na + structure.nd > 0
         own = np.delete(np.arange(layout.n), [structure.constant_place] if has_offset else [])
         flags = np.array([[gradient == "filtered", GUARDS.index(guard), cleans, True, judges]], dtype=np.intp)
@@ -333,8 +333,7 @@ class ParameterTracker(Following, PolynomialSystem):
         ValueError
             If u does not fit or is not finite, or the output of an unstable model overflows.
         """
-        axis, u = recording(self.structure, u=u)
-        axis.require_period(self.dt)
+        axis, _, u = signals_of(self, None, u)
         signal = recorded_input(self.structure, u, None)
         if continued:
             layout, signal = self.form.layout, self.form.with_constant(signal)
@@ -677,8 +676,12 @@ class TrackerBank(Following):
         trackers = setup.for_each(lambda each: ParameterTracker(**each), setup.of_each(n, given)[1])
         if len(trackers) < n and keeps_spread(trackers[0]):
             trackers = [copy.deepcopy(trackers[0]) for _ in range(n)]
-        vars(self).update({**vars(trackers[0]), "n": len(trackers), **joined(trackers)})
-        vars(self).update(vars(self._like(TrackerBank, np.arange(n) % len(trackers))))
+        vars(self).update(vars(trackers[0]._like(TrackerBank, np.zeros(n, dtype=int))))
+        if len(trackers) > 1:
+            states = [one.state() for one in trackers]
+            self.form = self.form._replace(flags=np.concatenate([one.form.flags for one in trackers]))
+            self._filters = [one._filters[0] for one in trackers]
+            self._go_back({name: np.stack([one[name] for one in states]) for name in states[0] if name != LABEL})
         self._initial = self.state()
 
     def __repr__(self) -> str:

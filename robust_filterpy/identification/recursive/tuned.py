@@ -19,7 +19,8 @@ from robust_filterpy import _checks
 from robust_filterpy._brief import tabulated
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.models.noise import likelihood_of_mixture
-from robust_filterpy.identification.models.signals import recorded_input, recorded_output, recording, table
+from robust_filterpy.identification.models.results import signals_of
+from robust_filterpy.identification.models.signals import recorded_input, recorded_output, table
 from robust_filterpy.influence.regression import mad_scale
 
 if TYPE_CHECKING:
@@ -115,8 +116,7 @@ class TunedTracker(NamedTuple):
 def tuned(tracker: ParameterTracker, y: Any, u: Any, over: Any, leave_out: int | None) -> TunedTracker:
     """Choose Q or the forgetting factor of a tracker."""
     candidates = _candidates(tracker, over)
-    axis, y, u = recording(tracker.structure, y=y, u=u)
-    axis.require_period(tracker.dt)
+    _, y, u = signals_of(tracker, y, u)
     output = recorded_output(y)
     signal = recorded_input(tracker.structure, u, output.size)
     if not tracker.enabled:
