@@ -192,7 +192,7 @@ def of_states():
         model = identify(z, v, box, t=t)
         told = of_model(model, pd.Series(z, t), pd.DataFrame({"v": v}, index=t))
         return told | {
-            "by times": [model.predict(z, v, t), model.free_run(z, v, t), model.residuals(z, v, t), model.fit(z, v, t)],
+            "by times": [one(z, v, t=t) for one in (model.predict, model.free_run, model.residuals, model.fit)],
             "run": model.simulate(v, t), "from": model.simulate(v, t, x0=[1.0]),
             "validated": shown(validate(model, z, v, t=t)), "compared": shown(compare({"m": model}, z, v, t=t)),
         }  # fmt: skip
