@@ -26,10 +26,12 @@ __all__ = ["START", "Contaminated", "LabelledSample", "maximised"]
 # What is believed before the residuals have spoken, as ten samples of it.
 _PRIOR_OUTLIERS: Final = 0.5
 _PRIOR_RATIO: Final = 8.0
-_PRIOR_RATIO_SAMPLES: Final = 2.0
+#: How many outliers it is as if they had told the ratio before.
+START_SAMPLES: Final = 2.0
 
 # Beyond these limits the two distributions cannot be distinguished, or exchange their roles.
-_CONTAMINATIONS: Final = (1e-3, 0.45)
+MOST_OUTLIERS: Final = 0.45
+_CONTAMINATIONS: Final = (1e-3, MOST_OUTLIERS)
 _RATIOS: Final = (FAR, 1e12)
 
 # Beyond three standard deviations of the wider distribution psi goes on as for Huber's least favorable one, or a
@@ -318,7 +320,7 @@ def maximised(
 ) -> tuple[float, float, float]:
     """Return contamination, scale ratio and R after some steps of expectation-maximization."""
     square, mixture = residual * residual, start
-    prior = _PRIOR_RATIO_SAMPLES * _PRIOR_RATIO**2
+    prior = START_SAMPLES * _PRIOR_RATIO**2
     for _ in range(steps):
         p, ratio = mixture.ordinary(residual / math.sqrt(R)), mixture.scale_ratio
         outlying = 1.0 - p
@@ -328,7 +330,7 @@ def maximised(
         contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + FEW)
         mixture = Contaminated(
             float(np.clip(contamination, *_CONTAMINATIONS)),
-            float(np.clip(math.sqrt((energy / R + prior) / (outliers + _PRIOR_RATIO_SAMPLES)), *_RATIOS)),
+            float(np.clip(math.sqrt((energy / R + prior) / (outliers + START_SAMPLES)), *_RATIOS)),
         )
     return mixture.contamination, mixture.scale_ratio, R
 

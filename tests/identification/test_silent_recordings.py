@@ -123,12 +123,29 @@ def ordinary(seed):
     yield (y > 0.5) * 1.0 + 0.01 * np.round(20.0 * noise), u
 
 
+@pytest.mark.parametrize("structure", [ARX(2, 2), OutputError(2, 2)], ids=str)
+def test_a_sensor_that_is_read_less_often_or_ends_at_its_limit_is_said(structure):
+    rng, u = recordings.binary(96, 600)
+    noise = 0.1 * rng.normal(size=600)
+    y = lfilter(B, A, u) + (noise if structure.nf else lfilter([1.0], A, noise))
+    stored, limit = y.copy(), np.quantile(y, 0.95)
+    for k in np.flatnonzero(rng.random(600) < 0.05):
+        stored[k : k + 4] = stored[k]
+    for kind, one in (
+        ("held", np.repeat(y[::2], 2)), ("held", np.repeat(np.round(y[::2], 2), 2)), ("held", stored),
+        ("stuck", np.minimum(y, limit)), ("none", y), ("none", np.round(y, 2)), ("none", np.round(y)),
+    ):  # fmt: skip
+        with unheard():
+            kinds = {finding.kind for finding in identify(one, u, structure).findings}
+        assert kinds & {"held", "stuck"} == {kind} - {"none"}, kind
+
+
 @support.draws(1, 4)
 def test_outputs_that_rest_or_are_rounded_are_not_stuck(draws):
     for seed in range(draws):
         for y, u in ordinary(seed):
             with unheard():
-                assert not {"stuck", "copy"} & {one.kind for one in identify(y, u, FIR(3)).findings}
+                assert not {"stuck", "held", "copy"} & {one.kind for one in identify(y, u, FIR(3)).findings}
 
 
 @pytest.mark.parametrize("name", support.by_night(STRUCTURES, "states", "ARX"))

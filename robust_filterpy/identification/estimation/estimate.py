@@ -16,7 +16,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.missing import THRESHOLDS, response
+from robust_filterpy.identification.estimation.drawn import drawn
+from robust_filterpy.identification.estimation.missing import response
 from robust_filterpy.identification.estimation.prediction_error import Limits, evidence, one_thread, sandwich
 from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
 from robust_filterpy.identification.estimation.starts import in_directions, require_informative
@@ -175,6 +176,20 @@ class Problem(NamedTuple):
         """The samples of each recording."""
         return spans_of(self.begins, len(self.u))
 
+    @property
+    def centre(self) -> Array:
+        """Where inputs have their zero in the search: in their mean, where that is a matter of the constant alone."""
+        alone = self.offset and not (self.structure.nf or self.structure.takes_phi)
+        return self.u.mean(axis=0) if alone else self.rest
+
+    def of_zero(self, p: Array, moved: Array) -> Array:
+        """Return free parameters for inputs whose zero has moved by so much, of a model without F."""
+        p, n = p.copy(), self.structure.n_theta
+        if moved.any():
+            gains = [p[place].sum() for place in self.structure.polynomials.b]
+            p[n : n + len(self.begins)] += moved @ gains
+        return p
+
     def of_inputs(self, u: Array) -> Problem:
         """Return the problem with other values of the inputs in some samples."""
         if u is self.u:
@@ -207,7 +222,8 @@ class Estimated(NamedTuple):
 def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: Array | None = None) -> Estimated:
     """Find the model of an output; its ``warning`` says what is doubtful."""
     structure, offset, variance = problem.structure, problem.offset, problem.R
-    signal, missing = problem.u - problem.rest, np.isnan(y)
+    centre = problem.centre
+    signal, missing = problem.u - centre, np.isnan(y)
     units = Units.of(y[:, None], signal, problem.spans, offset)
     units = units._replace(y=np.where(units.y > 0.0, units.y, 1.0))
     unit = float(units.y[0])
@@ -218,11 +234,11 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         given = problem.limits
         limits = None if given is None else given.times(1.0 / units.factor(model)[: structure.n_theta])
         R, least = None if variance is None else variance / unit**2, least_variance(y, unit)
-        at = None if begin is None else units.forth(model, begin)
+        at = None if begin is None else units.forth(model, problem.of_zero(begin, centre - problem.rest))
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
-    best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))
-    output = _output(model, best)
+        best = drawn(model, _exact(ranked[0].end, least_variance(y, unit, in_steps=False)), missing, limits)
+    output = _output(model, ranked[0].end)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
     # What the noise makes of the output of any model with so many parameters.
     unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
@@ -237,18 +253,19 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         p = given.inside(p)
         held = limits.held(best.p, model.jacobian(best.p)[best.rows].T @ best.noise.psi(best.residual[best.rows]))
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
-    estimate = _as_model(problem, recorded, best._replace(p=p), unit, missing, replaced, held)
-    estimate = replace(estimate, dt=problem.dt, endings=endings, warning=doubt)
-    estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), problem.rest)
-    split = p.size - recorded.columns.shape[1]
+    P = None if best.P is None else best.P * np.outer(units.factor(model), units.factor(model))
+    estimate = _as_model(problem, recorded, best._replace(p=p, P=P), unit, missing, replaced, held)
+    estimate = replace(estimate, dt=problem.dt, endings=endings, warning=doubt, operating_point=problem.rest)
+    estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), centre)
+    split, own = p.size - recorded.columns.shape[1], problem.of_zero(p, problem.rest - centre)
     if len(recorded.spans) == 1:
-        return Estimated(estimate, p[:split], p[split:])
+        return Estimated(estimate, own[:split], own[split:])
     each = (recorded.of(i, p) for i in range(len(problem.begins)))
     levels = np.array([resting_level(one.parts(q)) for one, q in each])
-    own = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
-    known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, own, strict=True))
+    apart = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
+    known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, apart, strict=True))
     estimate = replace(estimate, levels=levels + (estimate.level - levels[-1]), trends=known_again)
-    return Estimated(estimate, p[:split], p[split:])
+    return Estimated(estimate, own[:split], own[split:])
 
 
 def _with_levels(
@@ -331,9 +348,9 @@ def _as_model(
     jacobian[:, held] = 0.0
     P, colour = sandwich(jacobian, shown, noise, n)
     P, bent = np.where(held | held[:, None], 0.0, P), False
-    if end.outliers.wrong.any() and response(model, p).size > 1:
-        P = P * end.outliers.unsure if replaced.any() else P
-    else:
+    if end.P is not None:
+        P = end.P * colour**2
+    elif not (end.outliers.wrong.any() and response(model, p).size > 1):
         P, bent = profiled(model, p, noise, rows, P, held, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
@@ -375,11 +392,11 @@ def _require_samples(problem: Problem, missing: Any, first: int) -> None:
 
 
 def _with_inputs_from_zero(model: Model, recorded: PolynomialModel, p: Array, rest: Array) -> Model:
-    """Return a model of inputs from their operating point for inputs as they were measured."""
+    """Return a model of inputs from some zero for inputs as they were measured."""
     if not rest.any():
-        return replace(model, operating_point=rest)
+        return model
     places, parts, n = recorded.structure.polynomials, recorded.parts(p), recorded.structure.n_theta
-    # What an input at its operating point adds to the constant, and its derivatives: gain = B(1)/F(1).
+    # What an input at that zero adds to the constant, and its derivatives: gain = B(1)/F(1).
     slope, total, F = np.zeros(n), 0.0, float(parts.f.sum())
     for acting, b in zip(recorded.inputs, parts.b, strict=True):
         at = float(rest[recorded.structure.polynomials.b.index(acting.place)])
@@ -389,7 +406,7 @@ def _with_inputs_from_zero(model: Model, recorded: PolynomialModel, p: Array, re
     q = np.concatenate((p[: n + 1], np.zeros(recorded.nf)))
     q[n + 1 : p.size] = p[n + 1 :]
     q[n] -= total
-    # In the first samples 1/F has not yet brought the input to its operating point.
+    # In the first samples 1/F has not yet brought the input there.
     q[n + 1 :] += total * (np.cumsum(parts.f)[: recorded.nf] - F)
     P, cross = model.P, model.offset_covariance
     variance = model.offset_std**2 - 2.0 * slope @ cross + slope @ P @ slope
@@ -400,7 +417,6 @@ def _with_inputs_from_zero(model: Model, recorded: PolynomialModel, p: Array, re
         offset_std=float(np.sqrt(max(float(variance), 0.0))),
         offset_covariance=cross - P @ slope,
         memory=filled_memory(whole, q),
-        operating_point=rest,
     )
 
 
@@ -466,11 +482,6 @@ def _doubt(best: End, endings: tuple[Ending, ...], apart: float) -> str:
                 f"outputs differ by {difference:.0f} %; a longer recording, a more exciting input or a smaller "
                 f"structure would decide. The other was found from: {', '.join(starts)}"
             )
-    if best.outliers.threshold <= THRESHOLDS[0]:
-        return (
-            "outliers of y are so many and so small that some are missed, and ordinary samples taken for them: std is "
-            "too small, by half where they have one size; the regressor of an OutputError has none"
-        )
     if not (best.converged or best.noise.is_rounding):
         return "the search did not settle; the structure may have more parameters than the recording tells of"
     return ""

@@ -95,6 +95,8 @@ class End(NamedTuple):
         Residuals of ``y``.
     converged : bool
         Whether the search ended by itself.
+    P : ndarray, shape (n, n), or None
+        Covariance of the parameters, where outliers were drawn.
     """
 
     starts: tuple[str, ...]
@@ -105,6 +107,7 @@ class End(NamedTuple):
     rows: Any
     residual: Array
     converged: bool
+    P: Array | None = None
 
 
 class Ranked(NamedTuple):
@@ -146,7 +149,9 @@ def ends(
         same, hopeless = max(same, _NEAR * (model.n / model.y.size) ** 0.5), _HOPELESS
     rough = [end for end, excess in _best_first(model, missing, results, limits, same) if not excess > hopeless]
     learnt = [end._replace(noise=replace(end.noise, influence=loss)) for end in rough]
-    followed = [_searched(model, end.p, end.noise, missing, end.starts, _FULL, limits) for end in learnt]
+    followed = [
+        _searched(model, end.p, end.noise, missing, end.starts, _FULL, limits, sure=end.outliers) for end in learnt
+    ]
     return _best_first(model, missing, followed, limits)
 
 
@@ -184,24 +189,32 @@ def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
 
 def _searched(
     model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], effort: _Effort,
-    limits: Limits | None = None, before: Outliers | None = None,
+    limits: Limits | None = None, before: Outliers | None = None, sure: Outliers | None = None,
 ) -> End:  # fmt: skip
     """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
     stage(f"search from: {starts[0]}")
     p = p if limits is None else limits.start(model, p)
+    sure = previous = sure or Outliers(missing, np.ones(model.y.size - model.first, dtype=bool))
     outliers = found_outliers(model, p, missing, noise, before)
     for turn in range(effort.cleanings):
         if turn:
             stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
         optimum, _ = _maximised(model, p, noise, outliers, 1, effort, limits)
+        if np.isnan(optimum.noise.R):
+            # Outliers are in every residual, and nothing shows the noise: there were too many.
+            outliers = previous
+            break
         moved = np.inf if before is None else mad_scale(model.residuals(optimum.p) - model.residuals(p))
         p, noise = optimum.p, optimum.noise
-        if np.isnan(noise.R) or moved < _UNMOVED * noise.R**0.5:
+        if moved < _UNMOVED * noise.R**0.5:
             break
         previous, outliers = outliers, found_outliers(model, p, missing, noise, outliers)
         if np.array_equal(outliers.wrong, previous.wrong):
             break
     optimum, full = _maximised(model, p, noise, outliers, effort.turns, effort, limits)
+    if np.isnan(optimum.noise.R):
+        outliers = sure
+        optimum, full = _maximised(model, p, noise, sure, effort.turns, effort, limits, anyhow=True)
     rows = _counting(full, full is model, outliers.wrong)
     y = full.output(optimum.p) if isinstance(full, CompletedModel) else full.y
     return End(starts, optimum.p, optimum.noise, y, outliers, rows, optimum.residual, optimum.converged)
@@ -209,7 +222,7 @@ def _searched(
 
 def _maximised(
     model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, effort: _Effort,
-    limits: Limits | None = None,
+    limits: Limits | None = None, anyhow: bool = False,
 ) -> tuple[Optimum, PolynomialModel | CompletedModel]:  # fmt: skip
     """Minimise the loss with outliers in the regressor as unknowns; weights of residuals take turns with the rest."""
     if not (outliers.wrong.any() and response(model, p).size > 1):
@@ -220,8 +233,10 @@ def _maximised(
     for _ in range(turns):
         full = CompletedModel(model, outliers.wrong, weights)
         clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
+        if anyhow and not clear.any():
+            clear = full.conditioned
         if not (clear.any() or (noise.given and not isinstance(noise.influence, Contaminated))):
-            # Outliers are in every residual: nothing shows the noise, and the search from another start goes on.
+            # Outliers are in every residual: nothing shows the noise.
             return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
         before = full.residuals(p)
         optimum = minimised(full, p, noise, full.conditioned, clear, effort.steps, limits, _NEAR if turns == 1 else 0.0)
@@ -247,9 +262,9 @@ def _best_first(
     # A start that takes many good samples for outliers may end where the noise cannot be computed.
     ends = [end for end in ends if np.isfinite(end.noise.R) and np.isfinite(end.residual).all()]
     if not ends:
-        raise np.linalg.LinAlgError(
-            f"identify: from every start the search for {model.structure!r} ended in numbers that are not finite; "
-            "take fewer parameters, or look for values in the recording that are no measurements and make them NaN"
+        raise ValueError(
+            f"y: expected a recording that {model.structure!r} explains, got numbers that are not finite from every "
+            "start of the search; take fewer parameters, or make NaN of values that are no measurements"
         )
     # Where unknown outputs enter nearly every residual, they explain what they like, and the noise looks small.
     shown = [_showing(model, end) for end in ends]

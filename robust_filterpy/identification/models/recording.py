@@ -6,7 +6,8 @@ input is held at the value before, which is said. Equations of physics hold it a
 
 A measured output has noise, and hardly ever the same number twice. A number that many samples have, or a stretch of
 them, while the others are all different, is no rounding; and if inputs moved as much then as at other times, it is no
-rest of the plant. A robust estimate takes the majority for the plant, so such samples are taken for missing.
+rest of the plant. A robust estimate takes the majority for the plant, so such samples are taken for missing. Readings
+that repeat the one before are said.
 """
 
 from __future__ import annotations
@@ -53,15 +54,14 @@ def measurements(y: Array, u: Array) -> tuple[Array, tuple[Finding, ...]]:
     for j, column in enumerate(y.reshape(len(y), -1).T):
         fills = fill_values(column)
         signal, wild = _without_wild(fills.signal)
-        signal, held = _without_held(signal, u)
+        signal, stuck = _without_held(signal, u)
         columns.append(signal)
-        findings += [
-            one._replace(text=f"output {j}: " * several + one.text) for one in (*of_fill_values(fills), *wild, *held)
-        ]
+        own = (*of_fill_values(fills), *wild, *stuck, *_repeated(signal, u))
+        findings += [one._replace(text=f"output {j}: " * several + one.text) for one in own]
     for j, column in enumerate(columns):
         others = [*((f"output {i}", one) for i, one in enumerate(columns[:j])), *_named(u)]
-        own = f"output {j}" if several else "y"
-        findings += [one for name, other in others for one in _copied(own, column, name, other)]
+        this = f"output {j}" if several else "y"
+        findings += [one for name, other in others for one in _copied(this, column, name, other)]
     return np.column_stack(columns).reshape(y.shape), tuple(findings)
 
 
@@ -127,22 +127,68 @@ def _held(y: Array, u: Array) -> tuple[Array, int]:
     begins = np.flatnonzero(np.diff(which, prepend=-1))
     # Not from the first sample on: until its dead time is over, a plant without noise has not moved yet.
     often[which[begins[1:][np.diff(begins[1:], append=which.size) >= _OFTEN]]] = True
+    # At its limits a sensor is for a few samples at a time; there too not from the first sample on.
+    ends, later = np.append(values[:1], values[-1:]), which[begins[1] :] if begins.size > 1 else which[:0]
+    often |= np.isin(values, ends) & (np.bincount(later, minlength=values.size) >= _FEWEST)
     others = int(seen.sum() - counts[often].sum())
     # Of a few numbers that are all often nobody can say that they are no rounding.
     if (~often).sum() < _DIFFERENT * others or (others < _LEAST_OTHERS and often.sum() > 1):
         return values[:0], others
-    return np.array([value for value in values[often] if _moves(u, y == value)]), others
+
+    def moves(held: Any, value: float) -> bool:
+        acts = not u.shape[1] or (held[1:] & (np.diff(u, axis=0) != 0.0).any(axis=1)).sum() >= _FEWEST
+        return acts and not (_is_given(u, held) if value in ends else _is_quiet(u, held))
+
+    return np.array([value for value in values[often] if moves(y == value, value)]), others
 
 
-def _moves(u: Array, held: Any) -> bool:
-    """Tell whether every input moves as usual in, and some samples before, those in which an output is held."""
-    if not u.shape[1]:
-        return True
-    if (held[1:] & (np.diff(u, axis=0) != 0.0).any(axis=1)).sum() < _FEWEST:
-        return False
+def _repeated(y: Array, u: Array) -> list[Finding]:
+    """Return the finding that an output often repeats itself though inputs move, and that this is no rounding."""
+    step, values = np.diff(y, prepend=np.nan), np.unique(y[~np.isnan(y)])
+    gaps, moves = np.diff(values), np.abs(step) > 0.0
+    # Not from the first sample on, as above.
+    again = (step == 0.0) & np.logical_or.accumulate(moves)
+    if values.size < _LEAST_OTHERS or min(again[_LAGS:].sum(), moves[_LAGS:].sum()) < _FEWEST:
+        return []
+    nearby = moves & (np.abs(step) < 1.5 * gaps[gaps > _EQUAL * np.ptp(values)].min())
+    # Of rounded readings the next step is as frequent as none.
+    if again.sum() < nearby.sum() / (1.0 - _DIFFERENT) or _is_quiet(u, again) or _rests(u, moves, again):
+        return []
+    always = ", whatever u does," if u.shape[1] else ""
+    text = (
+        f"y repeats the reading before in {again.sum()} of {y.size - np.isnan(y).sum()} samples{always} and hardly "
+        "ever comes as near otherwise: the sensor was read, or its readings stored, less often; make NaN of the "
+        "others, and take an OutputError, which needs none in a row"
+    )
+    places = np.flatnonzero(again)
+    return [Finding("held", text, float("nan"), (int(places[0]), int(places[-1]) + 1))]
+
+
+def _rests(u: Array, moves: Any, held: Any) -> bool:
+    """Tell whether an output moves soon after inputs have, and is held when they have not for longer."""
+    k = np.arange(held.size)
+    changes = np.append(False, (np.diff(u, axis=0) != 0.0).any(axis=1))
+    since = k - np.maximum.accumulate(np.where(changes, k, -k.size))
+    apart = [(since[: k.size - lag], moves[lag:], held[lag:]) for lag in range(_LAGS + 1)]
+    late = [np.quantile(own[after], 1.0 - _MOVES) < np.quantile(own[rest], _MOVES) for own, after, rest in apart]
+    return bool(changes.any() and any(late))
+
+
+def _is_quiet(u: Array, held: Any) -> bool:
+    """Tell whether an input moves less than usual at some distance before the samples in which an output is held."""
     before = [(u[: held.size - lag], held[lag:]) for lag in range(_LAGS + 1)]
     least = np.min([_motion(acted[rows]) for acted, rows in before if rows.any()], axis=0)
-    return not (least < _MOVES * _motion(u)).any()
+    return bool((least < _MOVES * _motion(u)).any())
+
+
+def _is_given(u: Array, held: Any) -> bool:
+    """Tell whether an input has some value whenever an output is held, and more often then than otherwise."""
+    for lag in range(_LAGS + 1):
+        acted, rows = u[: held.size - lag], held[lag:]
+        near = np.abs(acted - np.median(acted[rows], axis=0)) <= _MOVES * _motion(u)
+        if (near[rows].all(axis=0) & (rows @ near > 0.5 * near.sum(axis=0))).any():
+            return True
+    return False
 
 
 def _motion(u: Array) -> Array:
