@@ -22,7 +22,7 @@ static PyObject *smooth(PyObject *self, PyObject *arguments) {
     (void)self;
     AXIS('o') = 1;
     if (!take_objects(arguments, 3, groups) ||
-        !take_arrays(groups[2], "!skm ?!skmm ?!skr ?!skrr ?!skn ?!sknn !sn !snn", lengths,
+        !take_arrays(groups[2], "!skm !skmm ?!skr ?!skrr ?!skn ?!sknn !sn !snn", lengths,
                      (void *[]){&job.fitted, &job.spread, &job.score, &job.information, &job.x, &job.P, &job.x_first,
                                 &job.P_first}) ||
         !take_arrays(groups[0], ".sknn .sknr .skn .skmn .skm .son .sonn", lengths,
@@ -30,8 +30,7 @@ static PyObject *smooth(PyObject *self, PyObject *arguments) {
         !take_arrays(groups[1], ".skm .skm .sko", lengths, (void *[]){&job.d, &job.o, &job.q}))
         return refuse_arrays("smooth", "smoothing.linear_pass");
     const npy_intp n = AXIS('n'), m = AXIS('m'), r = AXIS('r');
-    if (n < 1 || m < 1 || n > 10000 || m > 10000 || r > 10000 || !job.x != !job.P || !job.score != !job.information ||
-        ((job.x || job.score) && !job.spread))
+    if (n < 1 || m < 1 || n > 10000 || m > 10000 || r > 10000 || !job.x != !job.P || !job.score != !job.information)
         return refuse_arrays("smooth", "smoothing.linear_pass");
     job.steps = AXIS('k'), job.n = (int)n, job.m = (int)m, job.r = (int)r;
     double *const work = PyMem_Malloc(smoother_work(job.steps, job.n, job.m, job.r) * sizeof(double));

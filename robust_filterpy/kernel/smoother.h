@@ -20,9 +20,9 @@ typedef struct {
     series_matrices F, G, c, H, z, x0, P0; /* the model: x0 and P0 have one step */
     series_matrices d, o, q;               /* precisions and offsets (m), and the scale of Q = q G G' */
     real *fitted;                          /* (series, steps, m) H x_s */
-    real *spread;                          /* (series, steps, m, m) H P_s H', or NULL */
-    real *score, *information;             /* (series, steps, r), (.., r, r) G's, G'L G, or NULL; wants spread */
-    real *x, *P, *x_first, *P_first;       /* smoothed states, those before the first step; or NULL; want spread */
+    real *spread;                          /* (series, steps, m, m) H P_s H' */
+    real *score, *information;             /* (series, steps, r), (.., r, r) G's, G'L G, or NULL */
+    real *x, *P, *x_first, *P_first;       /* smoothed states, those before the first step; or NULL */
     real *sharpest;                        /* the most that a measurement says against what was known: d H P H' */
 } smoother_job;
 
@@ -123,16 +123,16 @@ SIZED void smoother_spread(const int n, const int m, const real *RESTRICT H, con
         }
 }
 
-/* s += H'(d e + o) and, where L is wanted, L += H'(d - d V d) H - H'd B - B'd H; fitted is H x_s. */
+/* s += H'(d e + o), L += H'(d - d V d) H - H'd B - B'd H; fitted is H x_s. */
 SIZED void smoother_gather(const int n, const int m, const real *RESTRICT H, const real *RESTRICT z,
                             const real *RESTRICT d, const real *RESTRICT o, const real *RESTRICT fitted,
-                            const int wanted, real *RESTRICT s, real *RESTRICT L, const smoother_room *const room) {
+                            real *RESTRICT s, real *RESTRICT L, const smoother_room *const room) {
     const real *RESTRICT B = room->B, *RESTRICT V = room->V;
     real *RESTRICT k = room->rows;
     for (int v = 0; v < m; v++) {
         const real push = d[v] * (z[v] - fitted[v]) + o[v], *RESTRICT h = H + v * n;
         for (int i = 0; i < n; i++) s[i] += h[i] * push;
-        if (!wanted || d[v] == 0) continue;
+        if (d[v] == 0) continue;
         /* h k' + k h' with k = d ((h - V d H)/2 - B). */
         for (int i = 0; i < n; i++) k[i] = d[v] * (REAL(0.5) * h[i] - B[v * n + i]);
         for (int u = 0; u < m; u++) {
@@ -230,21 +230,16 @@ SIZED void smoother_backward(const int n, const int m, const smoother_job *const
             fitted[v] = room->Hx[k * m + v];
             for (int i = 0; i < n; i++) fitted[v] += PH[v * n + i] * room->x[i];
         }
-        if (job->spread) smoother_spread(n, m, H, PH, room->P, room);
+        smoother_spread(n, m, H, PH, room->P, room);
         smoother_gather(n, m, H, series_at(&job->z, s, k), series_at(&job->d, s, k), series_at(&job->o, s, k),
-                        fitted, job->spread != NULL, room->x, room->P, room);
+                        fitted, room->x, room->P, room);
         if (job->x && careful) smoother_seen(n, m, H, job->x + at * n, job->P + at * n * n, fitted, room);
-        if (job->spread) real_copy(m * m, room->V, job->spread + at * m * m);
+        real_copy(m * m, room->V, job->spread + at * m * m);
         if (job->score)
             smoother_process(n, job->r, series_at(&job->G, s, k), room->x, room->P, job->score + at * job->r,
                              job->information + at * job->r * job->r, room->rows);
-        if (job->spread) {
-            predict(n, room->x, room->P, room->Ft, room->none, NULL, 1, room->x_next, room->P_next, room->buffer);
-            real_swap(&room->P, &room->P_next);
-        } else {
-            real_multiply(n, n, 1, room->Ft, room->x, room->x_next);
-        }
-        real_swap(&room->x, &room->x_next);
+        predict(n, room->x, room->P, room->Ft, room->none, NULL, 1, room->x_next, room->P_next, room->buffer);
+        real_swap(&room->x, &room->x_next), real_swap(&room->P, &room->P_next);
     }
 }
 
