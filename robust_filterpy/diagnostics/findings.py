@@ -96,9 +96,6 @@ class Diagnosis:
     nis : Band
         Mean of y' S^-1 y over samples without a clipped component: mean, expected, lower, upper (99 %). The
         expectation is that of a truncated distribution.
-    R_scale : ndarray, shape (m,)
-        Factor of R_ii that the scale of e_i implies if R alone is wrong, 0 if even R = 0 is too much; NaN without a
-        linear model.
     findings : tuple of Finding
         The causes, the weightiest first; empty if there is nothing unusual.
     unseen : tuple of str
@@ -118,7 +115,6 @@ class Diagnosis:
     autocorrelation: Array
     whiteness: Array
     nis: Band
-    R_scale: Array
     findings: tuple[Finding, ...]
     unseen: tuple[str, ...] = ()
 
@@ -249,22 +245,11 @@ def _diagnosis(recording: FilterRecord) -> Diagnosis:
     names = ("clipped", "longest_run", "longest_run_expected", "beyond_3_sigma", "scale", "outliers")
     each = [statistics.of_sensor(e[here, i], recording.clipped[here, i]) for i, here in enumerate(seen.T)]
     figures |= dict(zip((*names, "autocorrelation", "whiteness"), map(np.array, zip(*each, strict=True)), strict=True))
-    figures["R_scale"] = _implied(recording, figures["scale"])
     findings = tuple(_findings(recording, e, figures))
     unseen: tuple[str, ...] = ()
     if not findings and recording.model is not None and seen.any() and len(e) <= _SHORT:
         unseen = search.unseen(recording.model, recording.z)
     return Diagnosis(**figures, findings=findings, unseen=unseen)
-
-
-def _implied(recording: FilterRecord, scale: Array) -> Array:
-    """Return the factor of R that the scale implies if all that is wrong is R."""
-    if recording.model is None:
-        return np.full(len(scale), np.nan)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.einsum("kii->ik", recording.model.R) / np.einsum("kii->ik", recording.S)
-        share = np.array([np.median(r[r == r]) if (r == r).any() else np.nan for r in ratio])
-        return np.maximum((scale**2 - (1.0 - share)) / share, 0.0)
 
 
 def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> list[Finding]:

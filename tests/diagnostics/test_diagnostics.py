@@ -195,7 +195,7 @@ def test_without_a_linear_model_the_innovations_are_judged():
         kf.update(z, lambda x: 0.1 * np.exp(0.1 * x), lambda x: np.exp(0.1 * x))
         saver.save()
     d = diagnose(saver)
-    assert d.causes[0] == "S too small" and np.isnan(d.R_scale).all()
+    assert d.causes[0] == "S too small"
 
 
 @pytest.mark.parametrize("seed", by_night(range(3), 0))
