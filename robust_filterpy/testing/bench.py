@@ -236,26 +236,11 @@ class FilterSubject:
         """Factor by which S and P may be wrong."""
         return 1.0 if self.is_exact else _FACTOR
 
-    def made(self, dim_x: int, dim_z: int) -> Any:
-        """Make a filter, or say what make returned."""
-        what = "dim_x and dim_z"
-        if not callable(self.make):
-            raise TypeError(f"make: expected a class or a function of {what}, got {_checks.shown(self.make)}")
-        kf = self.make(dim_x, dim_z)
-        needed = ("x", "P", "predict", "update")
-        lacking = [name for name in needed if isinstance(kf, type) or not hasattr(kf, name)]
-        if lacking:
-            raise TypeError(
-                f"make: expected a function of {what} that returns a filter with x, P, predict() and update(z), got "
-                f"{_checks.shown(kf)} without {lacking[0]}"
-            )
-        if np.size(kf.x) != dim_x:
-            raise ValueError(f"make: expected x of {dim_x} numbers from make({dim_x}, {dim_z}), got {np.size(kf.x)}")
-        return kf
-
     def new(self, model: StateModel) -> Any:
-        """Make a filter and load a model into it."""
-        return runs.load(self.made(*model.dims[:2]), model)
+        """Make a filter and load a model into it, or say what is wrong with it."""
+        if not callable(self.make):
+            raise TypeError(f"make: expected a class or a function of dim_x and dim_z, got {_checks.shown(self.make)}")
+        return runs.load(self.make(*model.dims[:2]), model)
 
     def at_prior(self, model: StateModel) -> Any:
         """Make a filter that has just predicted the model's x and P: some cannot correct before they predict."""

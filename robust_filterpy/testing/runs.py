@@ -134,11 +134,10 @@ def as_runs(runs: Runs) -> list[Run]:
 def load(kf: Any, model: StateModel) -> Any:
     """Put a model into a filter of filterpy's kind, its x in the shape that the filter has it in."""
     n, m, _ = model.dims
-    for name in ("x", "predict", "update"):
-        if not hasattr(kf, name):
-            raise TypeError(
-                f"kf: expected a filter with x, P, predict() and update(z), {type(kf).__name__} has no {name}"
-            )
+    for name in ("x", "P", "predict", "update"):
+        if isinstance(kf, type) or not hasattr(kf, name):
+            got = f"got {_checks.shown(kf)} without {name}"
+            raise TypeError(f"kf: expected a filter with x, P, predict() and update(z), {got}")
     sizes = (np.size(kf.x), getattr(kf, "dim_z", m))
     if sizes != (n, m):
         raise ValueError(f"kf: expected dim_x={n}, dim_z={m} for this model, got dim_x={sizes[0]}, dim_z={sizes[1]}")

@@ -156,9 +156,9 @@ def test_pytest_is_not_needed():
 
 
 @pytest.mark.parametrize(("call", "error", "match"), [
-    (lambda: check_filter(lambda n, m: None), TypeError, "make: expected a function of dim_x and dim_z .* got None"),
-    (lambda: check_filter(lambda n, m: KalmanFilter), TypeError, "make: expected"),
-    (lambda: check_filter(lambda n, m: KalmanFilter(2, 1)), ValueError, r"make: expected x of 4 numbers from make\(4"),
+    (lambda: check_filter(lambda n, m: None), TypeError, r"make: expected a filter with x, P, .* got None"),
+    (lambda: check_filter(lambda n, m: KalmanFilter), TypeError, "make: expected a filter with"),
+    (lambda: check_filter(lambda n, m: KalmanFilter(2, 1)), ValueError, "make: expected dim_x=4.* got dim_x=2"),
     (lambda: check_filter(NoSetter), TypeError, r"^make: expected a filter whose P can be set, NoSetter: "),
     (lambda: check_filter(KalmanFilter(4, 2)), TypeError, "make: expected a class or a function"),
     (lambda: check_filter(KalmanFilter, not_claimed="robust"), TypeError, r"use \('robust',\)"),
