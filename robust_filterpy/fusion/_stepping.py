@@ -201,7 +201,7 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
             # Nothing is taken from a sensor that lies.
             used = np.where(watch.out[layout.party], np.nan, used)
     xs, Ps, weights = np.empty((2, 1, n)), np.empty((2, 1, n * n)), np.empty((1, layout.size))
-    F, Q, drift, H, R = (part[None] for part in (*step, seen.H, R))
+    F, Q, drift, H, R = [part[None] for part in (*step, seen.H, R)]
     after = series(policy, state, used[None], F, Q, drift, H, R, Rows(xs[0], Ps[0], xs[1], Ps[1], weights))
     if watch is None and setup.reacquire is None:
         return Moment(after, None, seen.failed)

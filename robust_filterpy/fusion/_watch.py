@@ -173,21 +173,23 @@ def coasted(watch: Watch, F: Array, seconds: float) -> Watch:
 
 def looked_at(watch: Watch, F: Array, seconds: float, now: Looked, owner: np.ndarray) -> Watch:
     """Return the health some seconds later, after the readings of that moment."""
-    here = now.here
-    H, R, before, scales = now.H[here], now.R[here], watch.statistics[here], watch.scales.tolist()
-    recent, due, slack, learnt, ill, PH = watch.recent, watch.due.copy(), watch.slack, None, watch.ill, now.P @ H.T
-    S = H @ PH
-    places, rows, ordinary = here.tolist(), before.tolist(), (before[:, SLOW] * R).tolist()
-    if any(row[_COUNT] % _SELDOM == 0.0 for row in rows):
+    # Components of one sensor follow each other; a part of an array is faster than a choice from it.
+    places = now.here.tolist()
+    here = slice(places[0], places[-1] + 1) if places[-1] - places[0] < len(places) else now.here
+    H, R, rows, scales = now.H[here], now.R[here], watch.statistics[here], watch.scales.tolist()
+    PH, ordinary, rows = now.P @ H.T, (rows[:, SLOW] * R).tolist(), rows.tolist()
+    S, score, due, learnt = H @ PH, watch.score.tolist(), watch.due.tolist(), None
+    ill, recent, slack = watch.ill, watch.recent, watch.slack
+    if any([row[_COUNT] % _SELDOM == 0.0 for row in rows]):
         memory, slack = now.state.memory, now.policy.slack(now.state.carried)
         learnt = np.column_stack([now.policy.factors(memory), now.policy.shares(memory)[1]])[here].tolist()
     updated, counts, y = [], [], now.y[here].tolist()
-    said = zip(places, rows, ordinary, now.z[here].tolist(), S.diagonal().tolist(), strict=True)
-    for k, (c, row, r, z, spread) in enumerate(said):
+    said = zip(places, owner[here].tolist(), rows, ordinary, now.z[here].tolist(), S.diagonal().tolist(), strict=True)
+    for k, (c, s, row, r, z, spread) in enumerate(said):
         # No reading is farther than the widest class of noise reaches, or one alone would say all there is.
         far = REACH * math.sqrt(max(spread + r * scales[-1], 0.0))
         y[k] = innovation = min(max(y[k], -far), far)
-        s, quiet = owner[c], watch.score[c] < _QUIET
+        quiet = score[c] < _QUIET
         due[s] -= 1.0
         if ill and watch.fault[s] > 0.0:
             quiet, recent = False, recent.copy() if recent is watch.recent else recent
@@ -208,7 +210,9 @@ def looked_at(watch: Watch, F: Array, seconds: float, now: Looked, owner: np.nda
     for i, w in enumerate(now.weights[here].tolist()):
         S[i, i] += ordinary[i] / (w if w > _LEAST else _LEAST)
     lasting = _lasting(watch, F, seconds, statistics, places, np.array(y), H, PH, S, counts, now.R)
-    return watch._replace(statistics=statistics, recent=recent, due=due, limit=limit, slack=slack, **lasting)
+    return watch._replace(
+        statistics=statistics, recent=recent, due=np.array(due), limit=limit, slack=slack, **lasting
+    )
 
 
 def _after(
@@ -247,7 +251,7 @@ def _lasting(
     S: Array, counts: list[float], R: Array,
 ) -> dict[str, Any]:  # fmt: skip
     """Return what there is to say of biases and drifts after the readings of one moment, each of which counts less."""
-    shape, response, evidence = watch.age.shape, F @ watch.response, watch.evidence.copy()
+    shape, response = watch.age.shape, F @ watch.response
     age = watch.age + seconds * _GROWS
     d = -(H @ response)
     own = d.reshape(len(y), *shape)
@@ -262,8 +266,7 @@ def _lasting(
     if min(counts) < 1.0:
         root = np.sqrt(counts)[:, None]
         said = root * dposv(S, root * d)[1]
-    evidence[0] += y @ said
-    evidence[1] += np.add.reduce(d * said)
+    evidence = watch.evidence + np.array([y @ said, np.add.reduce(d * said)])
     for c in here:
         count = int(statistics[c, _COUNT])
         j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1

@@ -105,10 +105,12 @@ class Look:
     def by(self, stamps: int) -> _Conclusion | None:
         """Return what it says once so many stamps have done their share, None if that is not all."""
         while self._stamps < stamps and self._says is None:
-            self._stamps, done = self._stamps + 1, 0.0
+            self._stamps, done, last = self._stamps + 1, 0.0, 0.0
             try:
-                while done < 1.0:
-                    done += next(self._shares)
+                # As much as the last part, the next one is no more.
+                while done + last < 1.0:
+                    last = next(self._shares)
+                    done += last
             except StopIteration as end:
                 self._says = end.value
         return self._says if self._stamps <= stamps else None

@@ -151,12 +151,12 @@ def run(
     """
     if rule is None or not kernel.available():
         return first
-    given = (None if a is None else a[None] for a in (*model, None if M is None else M[None]))
-    moving = tuple(a[None] for a in (state.x, state.P, state.learnt, *state[:3]))
+    given = [None if a is None else a[None] for a in (*model, None if M is None else M[None])]
+    moving = tuple([a[None] for a in (state.x, state.P, state.learnt, *state[:3])])
     likelihood = np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood
     done = _taken(
         rule, zs[None], (zs if readings is None else readings)[None], given, moving,
-        Rows._make((*(None if a is None else a[None] for a in rows[:-1]), likelihood)),
+        Rows(*[None if a is None else a[None] for a in rows[:-1]], likelihood),
         (first, len(zs) if last is None else last), (0, 1), alpha_sq, update_first, every, which,
     )  # fmt: skip
     return int(done[0])
@@ -169,7 +169,7 @@ def _taken(
     """Call the kernel, and return the first step of each series that was not taken."""
     done = np.full(len(zs), steps[0], dtype=np.intp)
     kernel.extension().filter_series(
-        rule, tuple(None if a is None else plain(a) for a in (zs, readings, *model)), moving, (*rows, done),
+        rule, tuple([None if a is None else plain(a) for a in (zs, readings, *model)]), moving, (*rows, done),
         (*steps, *span, float(alpha_sq), bool(update_first), every, which),
     )  # fmt: skip
     return done
