@@ -9,6 +9,7 @@ turn, with the others shifted as found so far, until nobody moves. Whoever is le
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -67,19 +68,14 @@ class Recording:
         last = ", ".join(f"{name}={value:.5g}" for name, value in zip(self.names, self.x[-1], strict=True))
         begin, end = written(self.times[0]), written(self.times[-1])
         lines = [f"Recording({len(self.times)} stamps, {begin} to {end}; at the end {last})"]
-        said: dict[str, list[tuple[Any, Verdict]]] = {}
-        for when, who, verdict in self.verdicts:
-            of_it = said.setdefault(who, [])
+        for who in dict.fromkeys(name for _, name, _ in self.verdicts):
             # The same again is the same fault, its onset more precise.
-            if of_it and of_it[-1][1].fault == verdict.fault:
-                of_it[-1] = (of_it[-1][0], verdict)
-            else:
-                of_it.append((when, verdict))
-        for who, of_it in said.items():
-            when, verdict = of_it[-1]
-            lines.append(f"  {who} {verdict.fault}, since {written(verdict.since)}, first said at {written(when)}")
-            if len(of_it) > 1:
-                lines[-1] += "; before that " + ", ".join(before.fault for _, before in of_it[-4:-1])
+            mine = groupby((one for one in self.verdicts if one[1] == who), key=lambda one: one[2].fault)
+            *before, (fault, said) = [(fault, list(same)) for fault, same in mine]
+            since, when = written(said[-1][2].since), written(said[0][0])
+            lines.append(f"  {who} {fault}, since {since}, first said at {when}")
+            if before:
+                lines[-1] += "; before that " + ", ".join(fault for fault, _ in before[-3:])
         return "\n".join(lines)
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -160,11 +156,8 @@ def _silences(layout: Layout, rows: Readings) -> list[tuple[int, str, Verdict]]:
         spoke = np.flatnonzero((~np.isnan(rows.zs[:, place])).any(axis=1))
         gaps = Clock.seconds(keys[spoke])
         every = layout.sensors[name].every
-        for i in range(len(spoke)):
-            usual = np.median(gaps[max(i - LONGEST, 0) : i]) if i > 1 else np.inf
-            limit = 5.0 * usual if every is None else 3.0 * every
-            if not np.isfinite(limit):
-                continue
+        for i in range(2 if every is None else 0, len(spoke)):
+            limit = 5.0 * np.median(gaps[max(i - LONGEST, 0) : i]) if every is None else 3.0 * every
             detected = int(np.searchsorted(keys, Clock.moved(keys[spoke[i]].item(), float(limit)), side="right"))
             if detected < (spoke[i + 1] if i + 1 < len(spoke) else len(keys)):
                 verdicts.append((detected, name, described("silent", Clock.stamp(keys[spoke[i]].item()))))
