@@ -32,6 +32,7 @@ from scipy.linalg.lapack import dposv
 
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.learnt import REACH
+from robust_filterpy.kernel import extension
 
 #: What can be the matter with a sensor: nothing, something that is not decided yet, ..; of the motion, its model.
 FAULTS = ("healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes")
@@ -49,6 +50,8 @@ _ONSETS, _SHORTEST = 6, 8
 _GROWS = np.array([[0.0], [1.0]])
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to.
 _SIZE = 4.0
+# Instead of the onset that begins anew where all do.
+_ALL = -2.0
 # How many onsets each of them stands for, as logarithms.
 _WIDTHS = np.log(0.5 * _SHORTEST * 2.0 ** np.arange(_ONSETS))
 # Factors of the variance of noise that has grown, the share of outliers that are more, and the most that one reading
@@ -209,7 +212,7 @@ def looked_at(watch: Watch, F: Array, seconds: float, now: Looked, owner: np.nda
         limit[-1] = watch.limit[-1] + pace * (_ALARM - watch.limit[-1])
     for i, w in enumerate(now.weights[here].tolist()):
         S[i, i] += ordinary[i] / (w if w > _LEAST else _LEAST)
-    lasting = _lasting(watch, F, seconds, statistics, places, np.array(y), H, PH, S, counts, now.R)
+    lasting = _lasting(watch, F, seconds, statistics, now.here, np.array(y), H, PH, S, counts, now.R)
     return watch._replace(
         statistics=statistics, recent=recent, due=np.array(due), limit=limit, slack=slack, **lasting
     )
@@ -247,41 +250,55 @@ def _after(
 
 
 def _lasting(
-    watch: Watch, F: Array, seconds: float, statistics: Array, here: list[int], y: Array, H: Array, PH: Array,
+    watch: Watch, F: Array, seconds: float, statistics: Array, here: np.ndarray, y: Array, H: Array, PH: Array,
     S: Array, counts: list[float], R: Array,
 ) -> dict[str, Any]:  # fmt: skip
     """Return what there is to say of biases and drifts after the readings of one moment, each of which counts less."""
-    shape, response = watch.age.shape, F @ watch.response
-    age = watch.age + seconds * _GROWS
+    # The onset that begins anew after these readings; at the first reading that counts all do.
+    begins = [_begins(int(count)) for count in statistics[here, _COUNT].tolist()]
+    variances, roots = _SIZE**2 * statistics[:, SLOW] * R, np.sqrt(counts)
+    age, response, evidence = watch.age.copy(), watch.response.copy(), watch.evidence.copy()
+    best, kernel = np.full(len(age), -np.inf), extension()
+    given = F, H, PH, S, y, roots, here, np.array(begins), variances, _WIDTHS
+    if kernel is None or not kernel.weigh_lasting((response, evidence, age, best), given, seconds):
+        best = _weighed((response, evidence, age), given, seconds)
+    score = np.maximum(best, statistics[:, _NOISE]) + _PRIOR
+    return {"response": response, "evidence": evidence, "age": age, "score": score}
+
+
+def _begins(count: int) -> float:
+    """Return which onset begins anew after so many readings, _ALL, or -1 if none does."""
+    j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1
+    return _ALL if count == _FIRST else float(j) if 0 <= j < _ONSETS else -1.0
+
+
+def _weighed(moving: tuple[Array, ...], given: tuple[Any, ...], seconds: float) -> Array:
+    """Weigh biases and drifts since each onset, in place; return the best of each component."""
+    (response, evidence, age), (F, H, PH, S, y, roots, here, begins, variances, _) = moving, given
+    shape = age.shape
+    age[:, 1] += seconds
+    response[:] = F @ response
     d = -(H @ response)
     own = d.reshape(len(y), *shape)
-    for i, c in enumerate(here):
-        if counts[i]:
-            own[i, c] += age[c]
+    own[roots > 0.0, here[roots > 0.0]] += age[here[roots > 0.0]]
     said, failed = dposv(S, d)[1:]
     if failed:
         # To rounding these readings are one: they say nothing of what lasts.
         d = said = np.zeros_like(d)
     response += PH @ said
-    if min(counts) < 1.0:
-        root = np.sqrt(counts)[:, None]
-        said = root * dposv(S, root * d)[1]
-    evidence = watch.evidence + np.array([y @ said, np.add.reduce(d * said)])
-    for c in here:
-        count = int(statistics[c, _COUNT])
-        j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1
-        if 0 <= j < _ONSETS or count == _FIRST:
-            # At the first reading that counts all begin.
-            which = slice(None) if count == _FIRST else j
+    said = roots[:, None] * dposv(S, roots[:, None] * d)[1]
+    evidence += np.array([y @ said, (d * said).sum(axis=0)])
+    for c, begin in zip(here.tolist(), begins.tolist(), strict=True):
+        if begin != -1.0:
+            which = slice(None) if begin == _ALL else int(begin)
             age[c, 1, which] = 0.0
             for part in (response, evidence):
                 part.reshape(-1, *shape)[:, c, :, which] = 0.0
     A, information = evidence.reshape(2, *shape)
-    precision = (age * age + 1e-300) / (_SIZE**2 * statistics[:, SLOW] * R)[:, None, None]
+    precision = (age * age + 1e-300) / variances[:, None, None]
     whole = information + precision
     lasting = 0.5 * (A * A / whole + np.log(precision / whole)) + _WIDTHS
-    score = np.maximum(np.maximum.reduce(lasting, (1, 2)), statistics[:, _NOISE]) + _PRIOR
-    return {"response": response, "evidence": evidence, "age": age, "score": score}
+    return np.asarray(lasting.max(axis=(1, 2)))
 
 
 def alarmed(watch: Watch, owner: np.ndarray) -> np.ndarray:

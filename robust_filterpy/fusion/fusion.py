@@ -243,7 +243,7 @@ class Fusion:
             return self._refused(sensor, key, horizon)
         previous = line.find(key)
         again = previous is not None and sensor in previous.spoke
-        if again and not replace:
+        if previous is not None and again and not replace:
             if not np.array_equal(previous.z[place], z, equal_nan=True):
                 raise ValueError(
                     f"sensor {sensor!r}: expected one reading for each stamp, got {z} at {self._clock.stamp(key)} "

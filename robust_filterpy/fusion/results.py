@@ -38,7 +38,9 @@ class Estimate(NamedTuple):
     undecided: bool = False
     """Whether it is open if a sensor or the state is wrong (``reacquire``): P covers both."""
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 class Forecast(NamedTuple):
@@ -53,7 +55,9 @@ class Forecast(NamedTuple):
     signal: dict[str, Array]
     """Lower and upper end of the band of what is measured, noise apart, (K, m, 2)."""
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 class SensorNoise(NamedTuple):
@@ -64,7 +68,9 @@ class SensorNoise(NamedTuple):
     contamination: Array
     """Share of outliers, (m,); NaN where it is not learnt."""
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 # Stamps at the very beginning whose bands say nothing, and how many scores the learned mixture is worth.

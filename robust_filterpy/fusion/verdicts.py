@@ -73,7 +73,9 @@ class Verdict(NamedTuple):
     remedy: str
     """What helps, in words."""
 
-    __str__ = brief
+    def __str__(self) -> str:
+        """Return a line for each part."""
+        return brief(self)
 
 
 def described(fault: str, since: Any = None, probability: float = 1.0, size: float = float("nan")) -> Verdict:

@@ -114,7 +114,75 @@ static PyObject *advance_hypotheses(PyObject *self, PyObject *arguments) {
     Py_RETURN_NONE;
 }
 
+/* Solve L L' out = d, L a Cholesky factor; in place where out is d. */
+static void solve(const npy_intp m, const double *const L, const double *const d, double *const out) {
+    for (npy_intp i = 0; i < m; i++) {
+        double rest = d[i];
+        for (npy_intp k = 0; k < i; k++) rest -= L[i * m + k] * out[k];
+        out[i] = rest / L[i * m + i];
+    }
+    for (npy_intp i = m - 1; i >= 0; i--) {
+        for (npy_intp k = i + 1; k < m; k++) out[i] -= L[k * m + i] * out[k];
+        out[i] /= L[i * m + i];
+    }
+}
+
+/* What m readings say of biases and drifts since o onsets of each of s components: robust_filterpy.fusion._watch in C. */
+static PyObject *weigh_lasting(PyObject *self, PyObject *arguments) {
+    npy_intp lengths[AXES] = UNKNOWN_AXES;
+    PyObject *moving, *given;
+    const double *F, *H, *PH, *S, *y, *roots, *begins, *variances, *widths;
+    const npy_intp *here;
+    double seconds, *response, *evidence, *ages, *best;
+    (void)self;
+    if (!PyArg_ParseTuple(arguments, "OOd", &moving, &given, &seconds)) return NULL;
+    AXIS('e') = 2;
+    int fine = take_arrays(given, "nn mn nm mm m m #m m s o", lengths,
+                           (void *[]){&F, &H, &PH, &S, &y, &roots, &here, &begins, &variances, &widths}) &&
+               take_arrays(moving, "!nc !ec !seo !s", lengths, (void *[]){&response, &evidence, &ages, &best});
+    const npy_intp n = AXIS('n'), m = AXIS('m'), c = AXIS('c'), o = AXIS('o');
+    for (npy_intp i = 0; fine && i < m; i++) fine = here[i] >= 0 && here[i] < AXIS('s');
+    if (!fine || c != 2 * AXIS('s') * o) return refuse_arrays("weigh_lasting", "fusion._watch");
+    double *const L = PyMem_Malloc((size_t)(m * m + n + 2 * m) * sizeof(double));
+    if (!L) return PyErr_NoMemory();
+    double *const ahead = L + m * m, *const d = ahead + n, *const said = d + m;
+    for (npy_intp i = 0; fine && i < m; i++)
+        for (npy_intp j = 0; fine && j <= i; j++) {
+            const double rest = S[i * m + j] - real_dot((int)j, L + i * m, L + j * m);
+            fine = j < i || rest > 0;
+            L[i * m + j] = j < i ? rest / L[j * m + j] : sqrt(rest);
+        }
+    for (npy_intp at = 0; fine && at < c; at++) {
+        const npy_intp owner = at / (2 * o), onset = at % o;
+        double *const score = evidence + at, *const information = score + c, *const age = ages + at;
+        const int drifts = at / o % 2 != 0;
+        if (drifts) *age += seconds;
+        for (npy_intp i = 0; i < n; i++) {
+            ahead[i] = 0;
+            for (npy_intp k = 0; k < n; k++) ahead[i] += F[i * n + k] * response[k * c + at];
+        }
+        for (npy_intp i = 0; i < m; i++)
+            said[i] = d[i] = (here[i] == owner && roots[i] > 0 ? *age : 0) - real_dot((int)n, H + i * n, ahead);
+        solve(m, L, said, said);
+        for (npy_intp i = 0; i < n; i++) response[i * c + at] = ahead[i] + real_dot((int)m, PH + i * m, said);
+        for (npy_intp i = 0; i < m; i++) said[i] = roots[i] * d[i];
+        solve(m, L, said, said);
+        for (npy_intp i = 0; i < m; i++) *score += y[i] * roots[i] * said[i], *information += d[i] * roots[i] * said[i];
+        for (npy_intp i = 0; i < m; i++)
+            if (here[i] == owner && (begins[i] == (double)onset || begins[i] < -1)) {
+                if (drifts) *age = 0;
+                for (npy_intp k = 0; k < n; k++) response[k * c + at] = 0;
+                *score = *information = 0;
+            }
+        const double precision = (*age * *age + 1e-300) / variances[owner], whole = *information + precision;
+        best[owner] = fmax(best[owner], 0.5 * (*score * *score / whole + log(precision / whole)) + widths[onset]);
+    }
+    PyMem_Free(L);
+    return PyBool_FromLong(fine);
+}
+
 PyMethodDef hypothesis_functions[] = {
+    {"weigh_lasting", weigh_lasting, METH_VARARGS, "Weigh lasting faults; see robust_filterpy.fusion._watch."},
     {"advance_hypotheses", advance_hypotheses, METH_VARARGS,
      "Take hypotheses through some stamps; see robust_filterpy.fusion._faults."},
     {NULL, NULL, 0, NULL}};

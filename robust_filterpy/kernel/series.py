@@ -156,7 +156,7 @@ def run(
     likelihood = np.zeros(1) if rows.log_likelihood is None else rows.log_likelihood
     done = _taken(
         rule, zs[None], (zs if readings is None else readings)[None], given, moving,
-        Rows(*[None if a is None else a[None] for a in rows[:-1]], likelihood),
+        Rows._make([*[None if a is None else a[None] for a in rows[:-1]], likelihood]),
         (first, len(zs) if last is None else last), (0, 1), alpha_sq, update_first, every, which,
     )  # fmt: skip
     return int(done[0])

@@ -121,7 +121,17 @@ def test_readings_that_are_one_to_rounding_say_nothing_of_what_lasts():
     watch, H = _watch.fresh(2, 2, 2, np.ones(1)), np.tile([1.0, 0.0], (2, 1))
     watch, statistics = watch._replace(age=np.ones(watch.age.shape)), np.ones(watch.statistics.shape)
     after = _watch._lasting(
-        watch, np.eye(2), 0.0, statistics, [0, 1], np.ones(2), H, H.T, np.ones((2, 2)), [1.0, 1.0], np.ones(2)
+        watch,
+        np.eye(2),
+        0.0,
+        statistics,
+        np.arange(2),
+        np.ones(2),
+        H,
+        H.T.copy(),
+        np.ones((2, 2)),
+        [1.0, 1.0],
+        np.ones(2),
     )
     assert (after["evidence"] == 0.0).all() and np.isfinite(after["score"]).all()
 
@@ -151,6 +161,39 @@ def test_the_kernel_takes_hypotheses_through_readings_as_the_definition(monkeypa
     for one, other in zip(*got, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11 * np.abs(other).max())
     assert np.ptp(got[0][2]) > 1.0
+
+
+def reading(n, counts, begins, seed=0):
+    """What is known of lasting faults of three components, and a reading of two of them."""
+    rng, M, o = np.random.default_rng(seed), 3, len(_watch._WIDTHS)
+    H, root, m = rng.normal(size=(2, n)), rng.normal(size=(n, n)), 2
+    P = root @ root.T
+    moving = rng.normal(size=(n, M * 2 * o)), rng.random((2, M * 2 * o)), np.ones((M, 2, o))
+    moving[2][:, 1] = rng.random((M, o)) * 9.0
+    S, y, here = H @ P @ H.T + np.diag(rng.random(m) + 0.1), rng.normal(size=m), np.array([0, 2])
+    F, sizes = rng.normal(size=(n, n)), rng.random(M) + 1.0
+    return moving, (F, H, P @ H.T, S, y, np.sqrt(counts), here, np.array(begins), sizes, _watch._WIDTHS)
+
+
+@pytest.mark.skipif(not available(), reason="the kernel is not built")
+@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize(
+    "counts, begins", [((1.0, 1.0), (-1.0, 2.0)), ((0.3, 1.0), (_watch._ALL, -1.0)), ((0.0, 0.5), (-1.0, 0.0))]
+)
+def test_the_kernel_weighs_lasting_faults_as_the_definition(n, counts, begins):
+    kernel, (moving, given), (other, _) = _watch.extension(), reading(n, counts, begins), reading(n, counts, begins)
+    best = np.full(3, -np.inf)
+    assert kernel.weigh_lasting((*moving, best), given, 0.7)
+    np.testing.assert_allclose(best, _watch._weighed(other, given, 0.7), rtol=1e-11)
+    for one, definition in zip(moving, other, strict=True):
+        np.testing.assert_allclose(one, definition, rtol=1e-11, atol=1e-11)
+    # Readings that are one to rounding are the definition's, and others' arrays are refused.
+    before = [part.copy() for part in moving]
+    assert not kernel.weigh_lasting((*moving, best), (*given[:3], np.ones((2, 2)), *given[4:]), 0.7)
+    assert all(np.array_equal(one, part) for one, part in zip(moving, before, strict=True))
+    for wrong in ((*given[:6], np.array([0, 3]), *given[7:]), (*given[:9], np.ones(2))):
+        with pytest.raises(ValueError, match="matching shapes"):
+            kernel.weigh_lasting((*moving, best), wrong, 0.7)
 
 
 def test_arrays_of_other_shapes_are_refused():
