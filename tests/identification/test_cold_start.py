@@ -242,9 +242,9 @@ def test_missing_samples_and_tables_are_taken():
     y, u = drifting_gain()
     y[600:650] = np.nan
     table = pd.DataFrame({"y": y, "u": u}, index=pd.date_range("2024", periods=y.size, freq="s"))
-    found = tracker().tuned(table.y, table.u, over={"Q": GRID}, leave_out=20)
+    found = tracker().tuned(table.y, table.u, over={"Q": GRID})
     assert found.samples == 1000 - 50 - 20
-    assert found.best == tracker().tuned(y, u, over={"Q": GRID}, leave_out=20).best
+    assert found.best == tracker().tuned(y, u, over={"Q": GRID}).best
     with pytest.raises(ValueError, match="uniform index"):
         tracker().tuned(table.y.drop(table.index[9]), table.u.drop(table.index[9]), over={"Q": GRID})
 

@@ -3,39 +3,124 @@
 from __future__ import annotations
 
 import copy
+import itertools
+import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
-from robust_filterpy._brief import lines_of
+from robust_filterpy._brief import lines_of, tabulated
 from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import fill_values
 from robust_filterpy._state import LABEL
+from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.filters.states import kept_with, moved_shapes
-from robust_filterpy.identification.models import regressor
+from robust_filterpy.identification.models import regressor, signals
 from robust_filterpy.identification.models.model import Model
-from robust_filterpy.identification.models.noise import fit_percent
+from robust_filterpy.identification.models.noise import fit_percent, likelihood_of_mixture
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
 from robust_filterpy.identification.models.results import Sample, TrackingResult, signals_of
-from robust_filterpy.identification.models.signals import measured_output, recorded_input, recording
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import recursion, setup, track
 from robust_filterpy.identification.recursive.following import Following
 from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Form, Gradient, Regressor, State
-from robust_filterpy.identification.recursive.tuned import TunedTracker, tuned
 from robust_filterpy.identification.recursive.watch import SPAN
 from robust_filterpy.influence.functions import Influence
+from robust_filterpy.influence.regression import mad_scale
 
 #: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
 START = 400
 
 # So many parameters are printed with a line for each.
 _SHOWN: Final = 12
+# What may be tried, and the value with which theta stands still.
+_STANDS_STILL: Final = {"Q": 0.0, "forgetting": 1.0}
+# Samples left out after the start, for each parameter, and how many must be left to judge by.
+_SETTLING: Final = 20
+_LEAST: Final = 50
+# A residual this many times as large as y varies is as wild as any.
+_WILD: Final = 10.0
+
+
+class Tried(NamedTuple):
+    """One candidate of `TunedTracker`.
+
+    Attributes
+    ----------
+    values : dict of str
+        What was set, by name.
+    log_likelihood : float
+        Of the prediction errors one step ahead; -inf if the filter could not go through the recording.
+    """
+
+    values: dict[str, Any]
+    log_likelihood: float
+
+
+class TunedTracker(NamedTuple):
+    """What `ParameterTracker.tuned` chose.
+
+    Attributes
+    ----------
+    tracker : ParameterTracker
+        The tracker as it was before the recording, with the chosen values.
+    rows : tuple of Tried
+        All candidates, in the order in which they were given.
+    samples : int
+        How many samples they were judged by.
+    warning : str
+        What makes the choice doubtful, in words; empty if nothing does.
+    """
+
+    tracker: ParameterTracker
+    rows: tuple[Tried, ...]
+    samples: int
+    warning: str
+
+    @property
+    def best(self) -> Tried:
+        """The candidate with the greatest log-likelihood."""
+        return max(self.rows, key=lambda row: row.log_likelihood)
+
+    def to_text(self) -> str:
+        """Return the candidates as a table, values within 2 of the best predict as well.
+
+        Returns
+        -------
+        str
+        """
+        heads = dict.fromkeys(self.best.values, 16) | {"log-likelihood": 18, "below best": 12}
+        rows = []
+        for row in self.rows:
+            below = self.best.log_likelihood - row.log_likelihood
+            numbers = f"{row.log_likelihood:.1f}", f"{below:.1f}", "  chosen" if row is self.best else ""
+            rows.append((*map(_short, row.values.values()), *numbers))
+        doubt = [f"Doubtful: {self.warning}"] if self.warning else []
+        return tabulated(heads, rows, f"predictions one step ahead of {self.samples} samples", *doubt)
+
+    def __str__(self) -> str:
+        """Return the table."""
+        return self.to_text()
+
+    def to_frame(self) -> Any:
+        """Return the candidates as a pandas DataFrame, a row for each.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A column for each name, and log_likelihood.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return signals.table([{**row.values, "log_likelihood": row.log_likelihood} for row in self.rows])
 
 
 class ParameterTracker(Following, PolynomialSystem):
@@ -334,7 +419,7 @@ class ParameterTracker(Following, PolynomialSystem):
             If u does not fit or is not finite, or the output of an unstable model overflows.
         """
         axis, _, u = signals_of(self, None, u)
-        signal = recorded_input(self.structure, u, None)
+        signal = signals.recorded_input(self.structure, u, None)
         if continued:
             layout, signal = self.form.layout, self.form.with_constant(signal)
             now = self._standing()
@@ -421,15 +506,13 @@ class ParameterTracker(Following, PolynomialSystem):
         comes with an influence function of this package, a sample takes a few microseconds; the numbers are those of
         `update` to the last bit.
         """
-        axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
-        fills = fill_values(measured_output(y))
-        signal = recorded_input(self.structure, u, fills.signal.size)[:, None]
+        axis, y, u, R = signals.recording(self.structure, y=y, u=u, R=R)
+        fills = fill_values(signals.measured_output(y))
+        signal = signals.recorded_input(self.structure, u, fills.signal.size)[:, None]
         columns = self._recorded(axis, [fills], signal, R, progress)
         return TrackingResult(*(column[:, 0] for column in columns)).labelled(self.structure.names, axis.index)
 
-    def tuned(
-        self, y: ArrayLike, u: ArrayLike | None = None, *, over: Mapping[str, Any], leave_out: int | None = None
-    ) -> TunedTracker:
+    def tuned(self, y: ArrayLike, u: ArrayLike | None = None, *, over: Mapping[str, Any]) -> TunedTracker:
         """Choose Q or the forgetting factor by how well each value predicts a recording one step ahead.
 
         Parameters
@@ -440,8 +523,6 @@ class ParameterTracker(Following, PolynomialSystem):
             Input; the rows phi(k) for a LinearRegression.
         over : mapping of str to sequence
             Values to try: "Q" (numbers, or covariances of shape (n, n)), "forgetting", or both, and then every pair.
-        leave_out : int, optional
-            How many samples after the start not to judge by. Default: 20 for each parameter.
 
         Returns
         -------
@@ -463,7 +544,9 @@ class ParameterTracker(Following, PolynomialSystem):
         Notes
         -----
         This tracker is not changed. The density of the prediction errors is the mixture that they show, for every
-        value alike, whatever the influence function of the filter: outliers do not decide.
+        value alike, whatever the influence function of the filter: an outlier costs a bounded amount whichever value it
+        is held against. The samples of the start, and 20 for each parameter after them, in which P forgets how it
+        began, are not judged.
 
         Examples
         --------
@@ -476,7 +559,42 @@ class ParameterTracker(Following, PolynomialSystem):
         >>> found.best.values
         {'Q': 0.0001}
         """
-        return tuned(self, y, u, over, leave_out)
+        candidates = _candidates(self, over)
+        _, y, u = signals_of(self, y, u)
+        output = signals.recorded_output(y)
+        signal = signals.recorded_input(self.structure, u, output.size)
+        if not self.enabled:
+            raise ValueError("tracker: expected one that learns, got enabled=False: no value makes a difference")
+        ready, start = copy.deepcopy(self), self.now.starts.get(0)
+        first = 0 if start is None else min(max(start.samples - start.y.size, 0), output.size)
+        settling = _SETTLING * self.structure.n_theta
+        judged = np.flatnonzero(~np.isnan(output[first:]) & (np.arange(output.size - first) >= settling))
+        if judged.size < _LEAST:
+            raise ValueError(
+                f"y: expected at least {_LEAST} measured samples after the first {first + settling}, of the start and "
+                f"those in which P forgets how it began, got {judged.size}; record more, or take a smaller start"
+            )
+        wild = _WILD * mad_scale(output[~np.isnan(output)] - np.nanmedian(output)) or np.inf
+        rows = []
+        with warnings.catch_warnings():
+            # A value that is far off loses its way, which its likelihood says.
+            warnings.simplefilter("ignore", UserWarning)
+            if first:
+                # No value changes the model of these samples.
+                ready.run(output[:first], signal[:first])
+            for values in candidates:
+                try:
+                    e = ready.replaced(**values).run(output[first:], signal[first:]).residual[judged]
+                    rows.append(Tried(values, likelihood_of_mixture(e[~np.isnan(e)], wild)))
+                except (np.linalg.LinAlgError, ValueError):
+                    rows.append(Tried(values, -np.inf))
+        chosen = max(rows, key=lambda row: row.log_likelihood)
+        if not np.isfinite(chosen.log_likelihood):
+            raise ValueError("over: expected a value with which the filter goes through the recording, got none")
+        doubt = _end_of(chosen.values, candidates)
+        if doubt:
+            warn(f"tuned: {doubt}")
+        return TunedTracker(self.replaced(**chosen.values), tuple(rows), judged.size, doubt)
 
     def advance(self, y: Array, u: Array, R: Array | None) -> Array:
         """Take the checked samples of a recording; the caller undoes what is refused or interrupted.
@@ -791,7 +909,7 @@ class TrackerBank(Following):
             If outputs have fill values, which are taken for missing as in `ParameterTracker.run`; it names them.
         """
         names = getattr(y, "columns", range(self.n))
-        axis, y, u, R = recording(self.structure, y=y, u=u, R=R)
+        axis, y, u, R = signals.recording(self.structure, y=y, u=u, R=R)
         fills = [fill_values(column) for column in setup.outputs(y, self.n, True).T]
         signal = setup.inputs(self.structure, u, self.n, fills[0].signal.size)
         columns = self._recorded(axis, fills, signal, R, progress, [f"{name}: " for name in names])
@@ -801,3 +919,35 @@ class TrackerBank(Following):
         """Return some actuators as a message begins with them."""
         return f"{setup.actuators(np.isin(np.arange(self.n), which))}: "
 
+
+def _candidates(tracker: ParameterTracker, over: Any) -> list[dict[str, Any]]:
+    """Return every combination of the values, checked."""
+    if not isinstance(over, Mapping) or not over or set(over) - set(_STANDS_STILL):
+        example = 'of Q or forgetting or both, such as {"Q": [1e-6, 1e-5]}'
+        raise ValueError(f"over: expected values to try by name, {example}, got {_checks.shown(over)}")
+    for name, values in over.items():
+        if np.ndim(values) == 0 or not len(values):
+            raise ValueError(f"over[{name!r}]: expected a sequence of values to try, got {_checks.shown(values)}")
+    lists = ([one.item() if isinstance(one, np.generic) else one for one in values] for values in over.values())
+    candidates = [dict(zip(over, values, strict=True)) for values in itertools.product(*lists)]
+    for values in candidates:
+        tracker.replaced(**values)
+    return candidates
+
+
+def _end_of(chosen: dict[str, Any], candidates: list[dict[str, Any]]) -> str:
+    """Say which value lies at the end of what was tried, where a further one may be better; or nothing."""
+    for name, value in chosen.items():
+        tried = [values[name] for values in candidates]
+        if any(np.ndim(one) for one in tried) or len(set(tried)) < 2 or value == _STANDS_STILL[name]:
+            continue
+        # Between Q = 0 and the next value are many.
+        where = {max(tried): "larger", min(one for one in tried if one > 0.0): "smaller"}.get(value)
+        if where:
+            return f"the best {name}, {value:g}, is at the end of what was tried; try {where} ones too"
+    return ""
+
+
+def _short(value: Any) -> str:
+    """Return a value as a cell of the table."""
+    return f"{value:.3g}" if np.ndim(value) == 0 else f"trace {np.trace(np.atleast_2d(value)):.3g}"
