@@ -16,7 +16,7 @@ from robust_filterpy.correction.policies import process_scales
 from robust_filterpy.correction.side_by_side import start as start_of_models
 from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters.extended import RobustExtendedKalmanFilter
-from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
 from robust_filterpy.identification import ParameterTracker
 from robust_filterpy.kernel.series import JOINT_MOST, Head, rule
 
@@ -211,13 +211,12 @@ def choice_values(choices: Choices, name: str) -> dict[str, Any]:
 
 def require_own(kf: Any, name: str) -> None:
     """Raise unless a filter's methods are its own, and its inverse numpy's."""
-    wrapped = {"predict", "update"} & vars(kf).keys()
-    if wrapped:
-        raise ValueError(f"{name}: expected the filter's own {sorted(wrapped)[0]}(), got one that was put in its place")
-    if kf.inv is not np.linalg.inv:
+    if (part := replaced(kf)) == "inv":
         raise ValueError(
             f"inv: expected numpy's inverse of S, got {kf.inv!r}; make R positive definite and set inv=numpy.linalg.inv"
         )
+    if part:
+        raise ValueError(f"{name}: expected the filter's own {part}(), got one that was put in its place")
 
 
 def require_plain(kf: Any, name: str) -> None:

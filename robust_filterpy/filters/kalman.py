@@ -686,3 +686,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
             return float(self._corrected(x, P, values, H, R, None, self._prior(len(H)))[0].log_density)
         y = np.atleast_1d(values) - H.dot(x).ravel()
         return self._log_density(y, self.S)
+
+
+def replaced(kf: Any) -> str:
+    """Return which of a filter's own predict, update and inv (numpy's) has another in its place; empty: none has."""
+    return min({"predict", "update"} & vars(kf).keys(), default="" if kf.inv is np.linalg.inv else "inv")

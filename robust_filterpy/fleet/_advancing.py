@@ -18,7 +18,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._warning import mute
 from robust_filterpy.correction import spread
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
 from robust_filterpy.filters.notices import StuckSensorWarning, say_stuck_among
 from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
@@ -66,9 +66,7 @@ class Plain(NamedTuple):
 def plain(kf: Any, update: Mapping[str, Any]) -> Plain | None:
     """Return what the kernel needs, None if it does not serve this filter on this machine, however long the batch."""
     # An R or H of the user's own is for `update` to look at.
-    if update or type(kf) is not RobustKalmanFilter or {"predict", "update"} & vars(kf).keys():
-        return None
-    if kf.inv is not np.linalg.inv or not (kf.noise is None and kernel.serves(kf.choices)):
+    if update or type(kf) is not RobustKalmanFilter or replaced(kf) or kf.noise or not kernel.serves(kf.choices):
         return None
     _, P = state_of(kf)
     n, m = kf.dim_x, kf.dim_z

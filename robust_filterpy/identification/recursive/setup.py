@@ -14,7 +14,7 @@ from robust_filterpy._checks import FLOAT, Array, described, numbers
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.conversion import robust
-from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
 from robust_filterpy.filters.shell import leave_unwatched
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
@@ -160,9 +160,7 @@ def load(kf: RobustKalmanFilter, theta: Array, P: Array, R: float) -> None:
 
 def is_plain(kf: Any, n: int) -> bool:
     """Tell whether a filter of n parameters is our own as it comes: the kernel then gives the numbers of `update`."""
-    # Not one whose methods somebody has wrapped.
-    ours = type(kf) is RobustKalmanFilter and not {"predict", "update"} & vars(kf).keys() and kf.inv is np.linalg.inv
-    if not (ours and kf.policy.noise is None and kf.choices.patience is None):
+    if type(kf) is not RobustKalmanFilter or replaced(kf) or kf.policy.noise or kf.choices.patience:
         return False
     square = all(is_array(getattr(kf, name), (n, n)) for name in "FQP")
     x_fits = is_array(kf.x, (n,)) or is_array(kf.x, (n, 1))
