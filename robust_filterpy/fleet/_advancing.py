@@ -264,13 +264,7 @@ def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
         except REFUSED as error:
             work.stopped[i] = -1, str(error)
             continue
-        first, stop = int(work.bounds[i]), int(work.bounds[i + 1])
-        before = tracker.state()
-        try:
-            _through(tracker, work, first, stop)
-        except REFUSED:
-            tracker.restore(before)
-            _one_by_one(tracker, work, i)
+        _take(tracker, work, i, int(work.bounds[i]), int(work.bounds[i + 1]))
         for name, value in start_of_tracker(tracker).items():
             work.entries[name][i] = value
 
@@ -312,19 +306,20 @@ def _through(tracker: ParameterTracker, work: Work, first: int, stop: int) -> No
     _write(tracker, work, slice(first, stop), tracker.advance(y, recorded_input(tracker.structure, u, len(y)), None))
 
 
-def _one_by_one(tracker: ParameterTracker, work: Work, i: int) -> None:
-    """Take the samples of a key one by one; an output that is refused is as if missing."""
-    for k in range(int(work.bounds[i]), int(work.bounds[i + 1])):
-        before = tracker.state()
-        try:
-            _through(tracker, work, k, k + 1)
-        except REFUSED as refusal:
-            tracker.restore(before)
-            work.missed[k], work.z[k] = f"update: {refusal}; as if it were missing", np.nan
-            try:
-                _through(tracker, work, k, k + 1)
-            except REFUSED as error:
-                tracker.restore(before)
-                del work.missed[k]
-                work.stopped[i] = int(k - work.bounds[i]), f"step {k - work.bounds[i]}: {error}"
-                return
+def _take(tracker: ParameterTracker, work: Work, i: int, first: int, stop: int) -> bool:
+    """Take samples of a key, or halves of them until the one that is refused, as if missing; return if it can go on."""
+    before = tracker.state()
+    try:
+        _through(tracker, work, first, stop)
+        return True
+    except REFUSED as error:
+        tracker.restore(before)
+        why = str(error)
+    if stop - first > 1:
+        middle = (first + stop) // 2
+        return _take(tracker, work, i, first, middle) and _take(tracker, work, i, middle, stop)
+    if work.missed.pop(first, None) is not None:
+        work.stopped[i] = int(first - work.bounds[i]), f"step {first - work.bounds[i]}: {why}"
+        return False
+    work.missed[first], work.z[first] = f"update: {why}; as if it were missing", np.nan
+    return _take(tracker, work, i, first, stop)
