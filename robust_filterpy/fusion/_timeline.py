@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Any
 
 import numpy as np
@@ -58,7 +58,8 @@ class Timeline:
         self.judging = False
         #: A look back that is under way (`verdicts.Look`), or was the last.
         self.look: Look | None = None
-        #: When each sensor has spoken last, of entries that are no longer kept.
+        #: When each sensor has spoken last, and when by the entries that are no longer kept.
+        self.latest: dict[str, float | int] = {}
         self.earlier: dict[str, float | int] = {}
         #: How many readings of each sensor could not be used, of entries that are no longer kept.
         self.unusable: dict[str, int] = {}
@@ -89,6 +90,11 @@ class Timeline:
             self.entries.insert(i, Entry(key, self.setup.layout.size))
             self.keys.insert(i, key)
         return self.entries[i]
+
+    def hear(self, entry: Entry, sensor: str) -> None:
+        """Note that a sensor has spoken, if only NaN."""
+        self.latest[sensor] = max(self.latest.get(sensor, entry.key), entry.key)
+        entry.spoke.add(sensor)
 
     def require_rest(self) -> None:
         """Raise while an entry is judged: a function of a sensor or of the motion has called its own fusion."""
@@ -151,7 +157,7 @@ class Timeline:
         # All that is final is judged while its past is there.
         self.until(self.keys[closed - 1])
         base, key, _ = self.until(self.keys[beyond - 1])
-        earlier = {**self.earlier, **{name: entry.key for entry in self.entries[:beyond] for name in entry.spoke}}
+        earlier = self.last_words(beyond)
         unusable = self.failures(self.entries[:beyond])
         # No call from here on, so that Ctrl-C cannot fall between what belongs together.
         self.base, self.base_key, self.earlier, self.unusable = base, key, earlier, unusable
@@ -169,25 +175,21 @@ class Timeline:
 
     def last_words(self, entries: int) -> dict[str, float | int]:
         """Return when each sensor has spoken last, in the first entries; who never has is left out."""
-        latest: dict[str, float | int] = {}
-        for entry in reversed(self.entries[:entries]):
-            for name in entry.spoke - latest.keys():
-                latest[name] = entry.key
-            if len(latest) == len(self.setup.layout.names):
-                return latest
-        return {**self.earlier, **latest}
+        if entries == len(self.entries):
+            return dict(self.latest)
+        words: dict[str, float | int] = {}
+        for i in range(entries - 1, -1, -1):
+            words = {**dict.fromkeys(self.entries[i].spoke, self.keys[i]), **words}
+            if len(words) == len(self.latest):
+                return words
+        return {**self.earlier, **words}
 
     def intervals(self, entries: int) -> dict[str, float]:
         """Return the median seconds between two readings of each sensor, in the first entries; of two at least."""
-        keys: dict[str, list[Any]] = {}
-        for entry in self.entries[:entries]:
-            for name in entry.spoke:
-                keys.setdefault(name, []).append(entry.key)
-        return {
-            name: float(np.median([Clock.between(a, b) for a, b in pairwise(at)]))
-            for name, at in keys.items()
-            if len(at) > 2
-        }
+        part = self.entries[:entries]
+        keys = {name: [one.key for one in part if name in one.spoke] for name in self.setup.layout.names}
+        apart = {name: [Clock.between(a, b) for a, b in pairwise(at)] for name, at in keys.items()}
+        return {name: float(np.median(seconds)) for name, seconds in apart.items() if len(seconds) > 1}
 
     def readings(self) -> Array:
         """Return what was read at every entry that is kept, (entries, M)."""
@@ -276,7 +278,8 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     for i, key in enumerate(keys):
         entry = line.at(key)
         entry.z[:] = got["z"][i]
-        entry.spoke = {name for name, spoke in zip(names, got["spoke"][i], strict=True) if spoke}
+        for name in compress(names, got["spoke"][i]):
+            line.hear(entry, name)
         entry.control = got["controls"][i] if got["controlled"][i] else None
     if like.setup.watches:
         first, *moments = [_moment_of(row, like, clock.kind) for row in got["moments"]]
@@ -285,6 +288,7 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
             entry.moment = moment
     earlier = zip(names, got["earlier_known"], _joined(got["earlier"], clock.kind), strict=True)
     line.earlier = {name: key for name, there, key in earlier if there}
+    line.latest = {**line.earlier, **line.latest}
     counts = {
         name: {o: int(c) for o, c in zip(outcomes, row, strict=True)}
         for name, row in zip(names, got["counts"], strict=True)

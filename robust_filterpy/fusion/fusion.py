@@ -254,7 +254,7 @@ class Fusion:
         late = bool(line.keys) and key < line.keys[-1]
         entry = line.at(key)
         entry.z[place] = z
-        entry.spoke.add(sensor)
+        line.hear(entry, sensor)
         self._clock.decide(key)
         outcome = "replaced" if again else "late" if late else "taken"
         self._counts[sensor][outcome] += 1
@@ -275,9 +275,7 @@ class Fusion:
     def _refused(self, sensor: str, key: float | int, horizon: float | int) -> str:
         """Count a reading that is too old, and say so the first time."""
         if not self._counts[sensor]["refused"]:
-            last = max(
-                self._timeline.last_words(len(self._timeline.keys)).items(), key=lambda one: one[1], default=None
-            )
+            last = max(self._timeline.latest.items(), key=lambda one: one[1], default=None)
             newest = "t0" if last is None else f"the newest reading, {last[0]!r} at {self._clock.stamp(last[1])}"
             warn(
                 f"sensor {sensor!r}: a reading of {self._clock.stamp(key)} was dropped: it is "

@@ -87,6 +87,20 @@ def test_a_missing_component_leaves_the_others():
     assert fusion.estimate().ages == {"gps": 0.0, "wheel": math.inf}
 
 
+def test_how_long_a_sensor_is_silent_is_the_same_after_a_state_a_late_reading_and_for_the_past():
+    fusion, other = (Fusion(constant_velocity(1), {n: Sensor([1.0, 0.0], R=1.0) for n in "abc"}, 5.0) for _ in range(2))
+    for t in range(1500):
+        fusion.observe("b" if t == 3 else "a", float(t), 0.0)
+    other.restore(fusion.state())
+    for one in (fusion, other):
+        assert one.estimate().ages == {"a": 0.0, "b": 1496.0, "c": math.inf}
+        one.observe("b", 1497.5, 0.0)
+        one.observe("b", 1495.5, 0.0)
+        assert one.estimate().ages == {"a": 0.0, "b": 1.5, "c": math.inf}
+        assert one.estimate(1496.0).ages == {"a": 0.0, "b": 0.5, "c": math.inf}
+        assert one.estimate(1495.0).ages == {"a": 0.0, "b": 1492.0, "c": math.inf}
+
+
 @pytest.mark.parametrize(("t", "error", "says"), [
     (datetime(2026, 1, 1), ValueError, "time zone.*timezone.utc"),
     (timedelta(seconds=1), TypeError, "duration.*total_seconds"),
