@@ -43,6 +43,7 @@ from robust_filterpy.identification.models.recording import ANY_TIMES
 from robust_filterpy.identification.models.results import Report, probability, signals_of
 from robust_filterpy.identification.models.signals import recorded_output, recording, table
 from robust_filterpy.identification.models.state_space import StateSpaceModel
+from robust_filterpy.identification.models.structures import fill_with_delays
 from robust_filterpy.influence.regression import mad_scale
 
 if TYPE_CHECKING:
@@ -254,11 +255,10 @@ def _portmanteau(c: Array, covariance: Array, full: Array) -> Portmanteau:
 
 def delayed(signals: Array, lags: range) -> Array:
     """Return each signal delayed by each lag, 0 before its start; the lags of the first signal first."""
-    columns = np.zeros((len(signals), signals.shape[1] * len(lags)))
-    for i, signal in enumerate(signals.T):
-        for j, lag in enumerate(lags):
-            columns[lag:, i * len(lags) + j] = signal[: len(signal) - lag]
-    return columns
+    rows = np.zeros((signals.shape[1], len(lags), len(signals)))
+    for own, signal in zip(rows, signals.T, strict=True):
+        fill_with_delays(own, signal, lags.start)
+    return np.ascontiguousarray(rows.reshape(-1, len(signals)).T)
 
 
 def covariances(v: Array, lags: int) -> Array:
@@ -735,22 +735,21 @@ def compare(
             "outputs, and of y those columns"
         )
     index, residuals, outputs = recording(ANY_TIMES, y=y, u=u)[0].index, {}, {}
+    measured = np.column_stack([recorded_output(column) for column in _columns(_checks.numbers("y", y)).T])
     for name, model in candidates.items():
         residuals[name] = _columns(model.residuals(y, u, t))
-        measured = np.column_stack([recorded_output(column) for column in _columns(_checks.numbers("y", y)).T])
         alone = not isinstance(model, Model) or model.structure.n_inputs
         outputs[name] = _columns(model.free_run(y, u, t)) if alone else measured - residuals[name]
     shared = ~np.any(np.isnan(list(residuals.values())), axis=0)
     if not shared.any(axis=0).all():
         raise ValueError("y: expected measured samples that all models predict, got none; record more")
+    ordinary = np.zeros(shared.shape, dtype=bool)
     for j, (own, good) in enumerate(zip(measured.T, shared.T, strict=True)):
         if np.ptp(own[good]) == 0.0:
             which = f" of output {j}" if measured.shape[1] > 1 else ""
             raise ValueError(f"y: expected samples{which} that differ, found a constant: its fit is undefined")
-    ordinary = np.zeros(shared.shape, dtype=bool)
-    for j, good in enumerate(shared.T):
         closest = min(residuals.values(), key=lambda left: float(np.median(np.abs(left[good, j]))))
-        ordinary[:, j] = ordinary_samples(np.where(good, closest[:, j], np.nan), measured[:, j])
+        ordinary[:, j] = ordinary_samples(np.where(good, closest[:, j], np.nan), own)
     rows = []
     for name, output in outputs.items():
         pairs = ((output, ordinary), (measured - residuals[name], ordinary), (output, shared))

@@ -41,9 +41,9 @@ def _matrix(name: str, doc: str) -> Any:
 
     def write(self: Following, value: ArrayLike) -> None:
         own = self.form.own
-        several, rows = setup.of_each(self.n, {name: value})
+        rows = setup.of_each(self.n, {name: value})
         matrices = setup.for_each(lambda row: setup.checked_values(len(own), **row)[name], rows)
-        self._filters = self._apart() if several else self._filters
+        self._filters = self._apart() if len(rows) > 1 else self._filters
         for kf, matrix in zip(self._filters, matrices * len(self._filters), strict=False):
             setattr(kf, name, setup.embedded(getattr(kf, name), own, matrix))
         self._used = None

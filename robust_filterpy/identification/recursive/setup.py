@@ -195,8 +195,8 @@ def actuators(where: np.ndarray) -> str:
 _AXES: Final = {"theta": (0, 1), "P": (0, 2), "Q": (0, 2), "F": (2,), "R": (0,), "forgetting": (0,)}
 
 
-def of_each(n: int, given: Mapping[str, Any]) -> tuple[set[str], list[dict[str, Any]]]:
-    """Return which options actuators have of their own, and those of each actuator, of one where there are none."""
+def of_each(n: int, given: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the options of each actuator, of one where none has its own."""
     own, shared = {}, dict(given)
     for name, value in given.items():
         if value is None:
@@ -210,8 +210,7 @@ def of_each(n: int, given: Mapping[str, Any]) -> tuple[set[str], list[dict[str, 
         if several:
             own[name] = values
             del shared[name]
-    rows = [{**shared, **{name: values[i] for name, values in own.items()}} for i in range(n if own else 1)]
-    return set(own), rows
+    return [{**shared, **{name: values[i] for name, values in own.items()}} for i in range(n if own else 1)]
 
 
 def variances(value: Any, n: int, length: int | None = None) -> Array:

@@ -791,7 +791,7 @@ class TrackerBank(Following):
         given = {name: value for name, value in locals().items() if name not in ("self", "n")}
         n = _checks.count("n", n, 1)
         # Every actuator is a tracker; one stands for all where they have their options in common.
-        trackers = setup.for_each(lambda each: ParameterTracker(**each), setup.of_each(n, given)[1])
+        trackers = setup.for_each(lambda each: ParameterTracker(**each), setup.of_each(n, given))
         if len(trackers) < n and keeps_spread(trackers[0]):
             trackers = [copy.deepcopy(trackers[0]) for _ in range(n)]
         vars(self).update(vars(trackers[0]._like(TrackerBank, np.zeros(n, dtype=int))))
