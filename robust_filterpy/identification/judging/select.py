@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -172,7 +172,7 @@ class Candidate(NamedTuple):
         it the delay of the structure is shorter than the recording shows.
     held_out_fit : float
         Fit on the ordinary samples of the part that was held out, by the model of the part before; NaN where that was
-        not tried. Without ``held_out=`` it is of the best structure of each size, and no better than the fit of the two
+        not tried. It is of the best structure of each size, and no better than the fit of the two
         models, that of the part and that of the whole recording, to each other.
     """
 
@@ -294,7 +294,7 @@ def select_structure(
     y: ArrayLike, u: ArrayLike | None, kind: Kind = structures.OutputError, *, na: Iterable[int] | None = None,
     nb: Iterable[int] | None = None, nc: Iterable[int] | None = None, nd: Iterable[int] | None = None,
     nf: Iterable[int] | None = None, nk: Iterable[int] | None = None, criterion: str = "bic",
-    held_out: Literal[0] | None = None, progress: bool | None = None,
+    progress: bool | None = None,
 ) -> Selection:  # fmt: skip
     """Find the orders and the delay of a recording with outliers.
 
@@ -317,10 +317,6 @@ def select_structure(
         Delays to try. Default: range(9).
     criterion : {"bic", "aic"}, default "bic"
         "bic" finds the true structure of a long recording, "aic" prefers predictions to parsimony.
-    held_out : 0, optional
-        Default: the best of each size are tried again without the last quarter of the recording. What then fits that
-        quarter worse by more than 1 than another is not taken, whatever its criterion, and the models must stay those
-        that they are with it. Of fewer than 400 samples, or with 0, the criterion alone decides.
     progress : bool, optional
         Whether to say on standard error what it is at: by default after 2 s.
 
@@ -332,8 +328,8 @@ def select_structure(
     Raises
     ------
     ValueError
-        If a range is empty or of an order that the kind has not, kind or criterion is unknown, held_out is a
-        share, u is missing, or the recording is too short for the largest structure.
+        If a range is empty or of an order that the kind has not, kind or criterion is unknown, u is missing, or the
+        recording is too short for the largest structure.
     TypeError
         If an order is no integer.
 
@@ -347,9 +343,10 @@ def select_structure(
     all delays are tried with all orders.
 
     The criterion takes the plant for linear and the noise for one that the structure can have. Where they are not, it
-    buys parameters that other samples do not confirm; so the part held out has the last word. It is simulated from
-    where the part before ended. The model of the whole recording must not be further from the model of the part than
-    that is from what was measured.
+    buys parameters that other samples do not confirm. So of 400 samples or more the last quarter has the last word: the
+    best of each size are tried again without it, and what then fits it worse by more than 1 % than another is not
+    taken. It is simulated from where the part before ended. The model of the whole recording must not be further from
+    the model of the part than that is from what was measured.
 
     References
     ----------
@@ -376,12 +373,7 @@ def select_structure(
     measured, lies = measurements(output, signal)
     if lies:
         warn(f"select_structure: {said(lies)}")
-    if held_out not in (None, 0):
-        raise ValueError(
-            f"held_out: expected None or 0, got {_checks.shown(held_out)}; to choose without the end of a recording "
-            "leave it out, and compare models on it"
-        )
-    confirmed, fitted = held_out is None and measured.size >= _LEAST_HELD, round((1.0 - _HELD) * measured.size)
+    confirmed, fitted = measured.size >= _LEAST_HELD, round((1.0 - _HELD) * measured.size)
     responses = () if u is None else _impulse_responses(measured, signal, grid)
     delays: Any = [{one.delay, one.sure_delay} - {None} for one in responses]
     beginning = list(grid.beginning(delays or [set()] * max(signal.shape[1], 1)))

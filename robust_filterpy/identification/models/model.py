@@ -275,8 +275,7 @@ class Model(PolynomialSystem, Identified):
     @property
     def parts(self) -> Parts:
         """The polynomials with their leading 1, and the constant."""
-        empty = PolynomialModel(self.structure, np.zeros(0), np.zeros((0, self.structure.n_inputs)), True)
-        return empty.parts(np.concatenate((self.theta, [self.offset])))
+        return Parts.of(self.structure, np.append(self.theta, self.offset), True)
 
     @property
     def level(self) -> float:

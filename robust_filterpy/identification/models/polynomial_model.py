@@ -48,6 +48,14 @@ class Parts(NamedTuple):
     offset: float
     start: Array
 
+    @classmethod
+    def of(cls, structure: Structure, p: Array, offset: bool) -> Parts:
+        """Take free parameters apart."""
+        places, n = structure.polynomials, structure.n_theta
+        a, f, c, d = (np.concatenate(([1.0], p[part])) for part in (places.a, places.f, places.c, places.d))
+        b = tuple(p[place] for place in places.b if place.stop > place.start)
+        return cls(a, b, f, c, d, float(p[n]) if offset else 0.0, p[n + offset :])
+
 
 class Input(NamedTuple):
     """One input that acts: its samples, its orders, and where its coefficients stand in theta."""
@@ -139,10 +147,7 @@ class PolynomialModel:
 
     def parts(self, p: Array) -> Parts:
         """Take the free parameters apart."""
-        places, n = self.structure.polynomials, self.structure.n_theta
-        a, f, c, d = (np.concatenate(([1.0], p[part])) for part in (places.a, places.f, places.c, places.d))
-        b = tuple(p[i.place] for i in self.inputs)
-        return Parts(a, b, f, c, d, float(p[n]) if self.offset else 0.0, p[n + self.offset :])
+        return Parts.of(self.structure, p, self.offset)
 
     def from_output_error(self, parts: Parts) -> Array:
         """Return the free parameters that have the dynamics of an output-error model; its noise is not theirs."""

@@ -29,7 +29,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.regressor import are_stable
 from robust_filterpy.identification.models.results import Estimated, probability
-from robust_filterpy.identification.models.signals import table
+from robust_filterpy.identification.models.signals import Signals, table
 from robust_filterpy.identification.models.structures import Structure
 
 if TYPE_CHECKING:
@@ -382,8 +382,8 @@ class System(Estimated):
         """Raise unless there is an input to what is asked for."""
 
     @property
-    def _sizes(self) -> tuple[int, int]:
-        """How many outputs and inputs there are."""
+    def _signals(self) -> Signals:
+        """How many inputs and outputs there are."""
         raise NotImplementedError
 
     @property
@@ -588,7 +588,7 @@ class System(Estimated):
         """Return the number of an input or output or raise."""
         if isinstance(value, float):
             raise TypeError(f"{name}: expected an integer, got {value}; level= goes by its name")
-        most = self._sizes[name == "input"]
+        most = getattr(self._signals, f"n_{name}s")
         if _checks.count(name, value) >= most:
             raise ValueError(f"{name}: expected 0 to {most - 1}, got {value}")
         return int(value)
@@ -643,9 +643,9 @@ class PolynomialSystem(System):
         return control.tf([numerators], [[np.pad(whole, (0, size - whole.size)) for _, size in ways]], period)
 
     @property
-    def _sizes(self) -> tuple[int, int]:
+    def _signals(self) -> Signals:
         """One output, and the inputs of the structure."""
-        return 1, self.structure.n_inputs
+        return Signals(self.structure.n_inputs, 1)
 
     def _require(self, what: str) -> None:
         """Raise unless there is an input, and polynomials."""

@@ -308,9 +308,8 @@ class StateSpaceModel(System, Identified):
     @property
     def _parts(self) -> dict[str, Array]:
         """The matrices that are estimated, by name, in the order of theta."""
-        parts = {"A": self.A, "B": self.B, "C": self.C}
-        parts |= {"D": self.D} if self.structure.feedthrough else {}
-        return parts | ({"K": self.K} if self.structure.disturbance else {})
+        names = "ABC" + "D" * self.structure.feedthrough + "K" * self.structure.disturbance
+        return {name: getattr(self, name) for name in names}
 
     def to_control(self, dt: Any = "recorded") -> control.StateSpace:
         """Return the way from u to y.
@@ -327,11 +326,6 @@ class StateSpaceModel(System, Identified):
         import control
 
         return control.ss(self.A, self.B, self.C, self.D, period(dt, self.dt))
-
-    @property
-    def _sizes(self) -> tuple[int, int]:
-        """How many outputs and inputs there are."""
-        return self.D.shape[0], self.D.shape[1]
 
     @property
     def _of_poles(self) -> slice:
