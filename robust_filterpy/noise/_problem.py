@@ -35,10 +35,18 @@ _TAIL = 10.0
 
 def of_filter(kf: Any, zs: Any, us: Any, Fs: Any, Qs: Any, Hs: Any, Rs: Any) -> Problem:
     """Return the model and the data of a linear filter as arrays, checked."""
-    problem = finite(read(kf, zs, Fs, Qs, Hs, Rs, None, us))
-    _checks.covariance("R", problem.R)
-    _checks.covariance("Q", problem.Q, math.inf)
-    return _checked(problem)
+    data = finite(read(kf, zs, Fs, Qs, Hs, Rs, None, us))
+    _checks.covariance("R", data.R)
+    _checks.covariance("Q", data.Q, math.inf)
+    count = int((data.zs == data.zs).any(axis=1).sum())
+    if count < LEAST:
+        raise ValueError(
+            f"zs: expected at least {LEAST} measurements that are not missing, got {count} in {len(data.zs)}"
+        )
+    for name in ("F", "H"):
+        if not np.isfinite(getattr(data, name)).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+    return _narrowed(data)
 
 
 def of_tracker(tracker: Any, y: Any, u: Any) -> Problem:
@@ -53,19 +61,6 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> Problem:
         Hs.append(np.array(tracker.filter.H, dtype=float))
         zs[k] = np.nan if np.isnan(output) else np.ravel(tracker.filter.z)[0]
     return of_filter(before, zs, None, None, None, Hs, None)
-
-
-def _checked(data: Problem) -> Problem:
-    """Return a recording that has something to learn from, or raise."""
-    count = int((data.zs == data.zs).any(axis=1).sum())
-    if count < LEAST:
-        raise ValueError(
-            f"zs: expected at least {LEAST} measurements that are not missing, got {count} in {len(data.zs)}"
-        )
-    for name in ("F", "H", "Q"):
-        if not np.isfinite(getattr(data, name)).all():
-            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    return _narrowed(data)
 
 
 def _narrowed(data: Problem) -> Problem:

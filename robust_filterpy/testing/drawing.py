@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -128,7 +127,7 @@ def draw(
     steps = _checks.count("steps", steps, 1)
     if isinstance(problem, str):
         build: Callable[..., Any] = {**MODELS, **PLANTS}[_checks.option("problem", problem, (*MODELS, *PLANTS))]
-        more = {"rng": rng} if "rng" in inspect.signature(build).parameters else {}
+        more = {"rng": rng} if _checks.takes(build, "rng") else {}
         problem = build(**options, **more)
     elif options:
         raise TypeError(f"{', '.join(options)}: expected only with the name of a problem, not with a system")

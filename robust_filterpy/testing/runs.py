@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -168,9 +167,7 @@ def measure(kf: Any, z: Any, model: StateModel) -> None:
 
 def is_extended(kf: Any) -> bool:
     """Tell a filter whose update asks for a Jacobian."""
-    # Behind decorators, whose own arguments are anything.
-    code = getattr(inspect.unwrap(getattr(type(kf), "update", is_extended)), "__code__", None)
-    return code is not None and "HJacobian" in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+    return _checks.takes(getattr(type(kf), "update", is_extended), "HJacobian")
 
 
 def step(kf: Any, z: Any, model: StateModel) -> None:
