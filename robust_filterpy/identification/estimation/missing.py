@@ -352,14 +352,11 @@ class Outliers(NamedTuple):
         Residuals that are no outliers of v.
     threshold : float
         Standard deviations that make an outlier, by the share and the size of the outliers found.
-    unsure : float
-        How many times the covariance of parameters is larger than if it were known which samples are outliers.
     """
 
     wrong: Any
     counts: Any
     threshold: float = THRESHOLDS[1]
-    unsure: float = 1.0
 
 
 def found_outliers(
@@ -397,7 +394,7 @@ def found_outliers(
             # What is unknown at the end of a block reaches into the next.
             tail = residual[stop : part.stop][: h.size - 1]
             tail += best.unknowns.beyond()[: tail.size]
-    return Outliers(wrong, counts, *_even(np.concatenate(deviations)))
+    return Outliers(wrong, counts, _even(np.concatenate(deviations)))
 
 
 class Cleaned(NamedTuple):
@@ -436,19 +433,15 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
     return Cleaned(prepared.with_output(full.output(p)), residual, np.concatenate((before > 0.0, clear)))
 
 
-def _even(deviations: Array) -> tuple[float, float]:
-    """Return the threshold at which outliers missed add what ordinary samples taken for some take away; `unsure`."""
+def _even(deviations: Array) -> float:
+    """Return the threshold at which outliers missed add what ordinary samples taken for some take away."""
     # With a share s of outliers of N(0, V), V >> t^2, among standardized deviations d, the mean of d^2 - 1 over the
     # samples that stay is 0 if
     #     (1 - s) 2 t phi(t) = s (2 t^3/3 - 2 t)/sqrt(2 pi V),   exp(t^2/2) (t^2/3 - 1) = (1 - s)/s sqrt(V)
     # Otherwise these look as if the measurement had less noise of its own than it has, or more, and C takes that up.
-    noise = Noise(START, 1.0, given=True).settled(deviations)
-    mixture: Any = noise.influence
+    mixture: Any = Noise(START, 1.0, given=True).settled(deviations).influence
     odds = (1.0 - mixture.contamination) / mixture.contamination * mixture.scale_ratio
-    # Ordinary samples that were known would tell of a mean as many times more as Fisher's information, the mean of
-    # psi', of samples of which each may be an outlier is smaller (Louis, JRSS B 44, 1982).
-    unsure = (1.0 - mixture.contamination) / noise.slope(deviations) if deviations.size else 1.0
-    return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS)), max(unsure, 1.0)
+    return float(np.interp(odds, _EVEN_ODDS, _EVEN_THRESHOLDS))
 
 
 class _Found(NamedTuple):
