@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
@@ -195,10 +194,13 @@ def coupled(models: Models, links: Array, process: Scales) -> Models:
     """
     parts, q = models.parts, len(process.scales)
     linked, together = links != 0.0, parts[:, None] == parts
-    # As in all but a few steps; the search takes a hundred times as long.
+    # As in all but a few steps.
     if not (linked & ~together).any():
         return models
-    _, labels = connected_components(linked | together, directed=False)
+    reached = (linked | linked.T | together).astype(float)
+    for _ in range(len(parts).bit_length()):
+        reached = np.minimum(reached @ reached, 1.0)
+    labels = reached.argmax(axis=1)
     x, P, belief = models.x.copy(), models.P.copy(), models.belief.copy()
     for label in np.unique(labels):
         states = np.flatnonzero(labels == label)

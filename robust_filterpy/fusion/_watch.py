@@ -50,8 +50,6 @@ _ONSETS, _SHORTEST = 6, 8
 _GROWS = np.array([[0.0], [1.0]])
 # Standard deviation of b in the sensor's own; of a drift: of what it has come to.
 _SIZE = 4.0
-# Instead of the onset that begins anew where all do.
-_ALL = -2.0
 # How many onsets each of them stands for, as logarithms.
 _WIDTHS = np.log(0.5 * _SHORTEST * 2.0 ** np.arange(_ONSETS))
 # Factors of the variance of noise that has grown, the share of outliers that are more, and the most that one reading
@@ -267,9 +265,9 @@ def _lasting(
 
 
 def _begins(count: int) -> float:
-    """Return which onset begins anew after so many readings, _ALL, or -1 if none does."""
+    """Return which onset begins anew after so many readings, -1 if none does, -2 if all do."""
     j = (count & -count).bit_length() - _SHORTEST.bit_length() + 1
-    return _ALL if count == _FIRST else float(j) if 0 <= j < _ONSETS else -1.0
+    return -2.0 if count == _FIRST else float(j) if 0 <= j < _ONSETS else -1.0
 
 
 def _weighed(moving: tuple[Array, ...], given: tuple[Any, ...], seconds: float) -> Array:
@@ -290,7 +288,7 @@ def _weighed(moving: tuple[Array, ...], given: tuple[Any, ...], seconds: float) 
     evidence += np.array([y @ said, (d * said).sum(axis=0)])
     for c, begin in zip(here.tolist(), begins.tolist(), strict=True):
         if begin != -1.0:
-            which = slice(None) if begin == _ALL else int(begin)
+            which = slice(None) if begin < -1.0 else int(begin)
             age[c, 1, which] = 0.0
             for part in (response, evidence):
                 part.reshape(-1, *shape)[:, c, :, which] = 0.0

@@ -244,10 +244,10 @@ def doubted(setup: Setup, before: Moment, seconds: float, key: Any, z: Array, co
         # What lies tells no hypothesis from another.
         z = np.where(watch.out[setup.layout.party], np.nan, z)
     if doubt is not None:
-        after = _judged(stepped(setup, before.state, doubt, seconds, z), setup.layout.n)
+        after, near = _judged(stepped(setup, before.state, doubt, seconds, z), setup.layout.n)
         same = after.served == doubt.served and after.sure == doubt.sure
         if not (same and after.sure and doubt.off < 0 and moment.far >= 0):
-            return _as_served(setup, before, moment, after, same)
+            return _as_served(setup, before, moment, after, near, same)
         # Nothing that is carried explains it: another event. While a sensor is left out it stays so.
     return moment if moment.far < 0 else moment._replace(doubt=opened(setup, before, seconds, key, z, moment.far))
 
@@ -260,17 +260,18 @@ def _agreeing(doubt: Doubt, n: int) -> np.ndarray:
     return np.asarray(np.isfinite(doubt.logs) & (far < _SAME**2 + n))
 
 
-def _judged(doubt: Doubt, n: int) -> Doubt:
-    """Return what is served of the hypotheses."""
+def _judged(doubt: Doubt, n: int) -> tuple[Doubt, np.ndarray]:
+    """Return what is served of the hypotheses, and which agree with the most probable one."""
     near = _agreeing(doubt, n)
     if doubt.served < 0 and (doubt.agreed < _AGREE or near[OVER]):
-        return doubt
-    return doubt._replace(served=int(np.argmax(doubt.logs)), sure=bool(np.exp(doubt.logs[near]).sum() >= _SURE))
+        return doubt, near
+    sure = bool(np.exp(doubt.logs[near]).sum() >= _SURE)
+    return doubt._replace(served=int(np.argmax(doubt.logs)), sure=sure), near
 
 
-def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, same: bool) -> Moment:
+def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, near: np.ndarray, same: bool) -> Moment:
     """Return the moment with the state that is served, and the doubt as long as there is one."""
-    p, n, at, near = np.exp(doubt.logs), setup.layout.n, doubt.served, _agreeing(doubt, setup.layout.n)
+    p, n, at = np.exp(doubt.logs), setup.layout.n, doubt.served
     if at < 0:
         # An outlier and no more: the state has gone on as ever.
         return moment if near[OVER] and p[near].sum() >= _SURE else moment._replace(doubt=doubt)

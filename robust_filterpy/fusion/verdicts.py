@@ -148,7 +148,7 @@ def watched(line: Any, i: int, moment: Moment) -> Moment:
     since = np.array([a != b for a, b in zip(watch.since, before.since, strict=True)])
     if (left & (since | ~before.out)).any():
         watch = _watch.begun_anew(watch, left, owner)._replace(mended=line.keys[i])
-        as_if = _mended(line, i, watch)
+        as_if = _mended(line, i, moment, watch)
         return moment._replace(watch=watch, state=as_if.state, doubt=as_if.doubt)
     return moment._replace(watch=watch)
 
@@ -303,21 +303,19 @@ def _between(line: Any, first: int, last: int) -> tuple[Array, Array, list[Momen
     return np.array(dts), np.array([entry.z for entry in entries]), [moment for moment, _ in stood]
 
 
-def _mended(line: Any, i: int, watch: Watch) -> Moment:
+def _mended(line: Any, i: int, now: Moment, watch: Watch) -> Moment:
     """Return the moment whose state never took what sensors have said since they lie."""
     setup, out = line.setup, watch.out[line.setup.layout.party]
     onsets = [at for at, left in zip(watch.since, watch.out, strict=True) if left]
     first = max(bisect_left(line.keys, min(onsets), 0, i), i + 1 - LONGEST)
-    dts, zs, (moment, *_) = _between(line, first, i)
+    dts, zs, (moment, *later) = _between(line, first, i)
     entries, (K, n) = line.entries[first : i + 1], (len(zs), setup.layout.n)
     for c in np.flatnonzero(out):
         zs[[entry.key >= watch.since[setup.layout.party[c]] for entry in entries], c] = np.nan
     if setup.reacquire is None:
-        us = [moment.state.u]
-        for entry in entries:
-            us.append(us[-1] if entry.control is None else entry.control)
+        us = np.array([before.state.u for before in (*later, now)])
         rows = np.empty((K, n)), np.empty((K, n, n)), np.empty(zs.shape)
-        return through(setup, moment._replace(watch=None), dts, zs, np.array(us[1:]), rows)[0]
+        return through(setup, moment._replace(watch=None), dts, zs, us, rows)[0]
     for seconds, z, entry in zip(dts.tolist(), zs, entries, strict=True):
         moment = doubted(setup, moment._replace(watch=None), seconds, entry.key, z, entry.control)
     return moment

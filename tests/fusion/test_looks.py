@@ -178,7 +178,7 @@ def reading(n, counts, begins, seed=0):
 @pytest.mark.skipif(not available(), reason="the kernel is not built")
 @pytest.mark.parametrize("n", [1, 3])
 @pytest.mark.parametrize(
-    "counts, begins", [((1.0, 1.0), (-1.0, 2.0)), ((0.3, 1.0), (_watch._ALL, -1.0)), ((0.0, 0.5), (-1.0, 0.0))]
+    "counts, begins", [((1.0, 1.0), (-1.0, 2.0)), ((0.3, 1.0), (-2.0, -1.0)), ((0.0, 0.5), (-1.0, 0.0))]
 )
 def test_the_kernel_weighs_lasting_faults_as_the_definition(n, counts, begins):
     kernel, (moving, given), (other, _) = _watch.extension(), reading(n, counts, begins), reading(n, counts, begins)
