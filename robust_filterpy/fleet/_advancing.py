@@ -250,7 +250,6 @@ def shapes_of_tracker(tracker: ParameterTracker) -> dict[str, _state.Shape]:
 
 def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
     """Take the samples of all keys."""
-    settings = {name: value for name, value in tracker.state().items() if name in _SETTINGS and name != _state.LABEL}
     done = np.zeros(len(work.bounds) - 1, dtype=bool)
     for rows in _of_one_phase(work) if tracker.is_one_of_many else ():
         try:
@@ -260,7 +259,7 @@ def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
             continue
     for i in np.flatnonzero(~done).tolist():
         try:
-            tracker.restore({**settings, **{name: column[i] for name, column in work.entries.items()}})
+            tracker.restore({name: column[i] for name, column in work.entries.items()})
         except REFUSED as error:
             work.stopped[i] = -1, str(error)
             continue

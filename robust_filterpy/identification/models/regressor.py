@@ -391,7 +391,5 @@ def simulate(structure: Structure, layout: Layout, memory: Memory, theta: Array,
 
 def _fed_back(forcing: Array, coefficients: Array, past: Array) -> Array:
     """Return the output of 1/(1 + c_1 q^-1 + ..) that goes on from past outputs, with their minus sign."""
-    if not coefficients.size:
-        return forcing
     a = np.concatenate(([1.0], coefficients))
     return np.asarray(scipy.signal.lfilter([1.0], a, forcing, zi=scipy.signal.lfiltic([1.0], a, -past))[0])

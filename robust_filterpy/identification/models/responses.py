@@ -290,8 +290,6 @@ def regions(theta: Array, P: Array, roots: Callable[[Array], Any], level: float,
     """Return roots that theta determines, with their regions."""
     level = probability(level)
     values = roots(theta)
-    if not values.size:
-        return Regions(values, np.zeros((0, 2, 2)), np.zeros(0), level, np.zeros(0, dtype=bool))
 
     def matched(rows: Array) -> Any:
         return np.array([_matched(values, roots(row)) for row in rows])
