@@ -25,6 +25,7 @@ from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy.signal
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
@@ -59,10 +60,7 @@ Kinds: TypeAlias = "str | Mapping[str, Mapping[str, float]] | Contamination | Se
 def _runs(probability: float, length: int, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """Return marks that are set with about this probability, in runs of this length along the first axis."""
     starts = rng.random(shape) < probability / length
-    marks = starts.copy()
-    for lag in range(1, min(length, len(starts))):
-        marks[lag:] |= starts[:-lag]
-    return marks
+    return np.asarray(scipy.signal.lfilter(np.ones(length), 1.0, starts, axis=0) > 0.5)
 
 
 def _enlarged(before: Spoilt, clean: Array, ratio: Array, labels: np.ndarray) -> Spoilt:

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
@@ -168,15 +167,10 @@ def constant_velocity(dt: float = 1.0) -> StateModel:
     """Return a point in the plane whose position is measured, state [p_1, v_1, p_2, v_2]."""
     dt = _checks.positive("dt", dt)
     Q = 0.02 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    return StateModel(
-        x=np.array([0.0, 1.0, 0.0, -0.5]), P=_twice(np.diag([1.0, 0.1])), F=_twice([[1.0, dt], [0.0, 1.0]]),
-        H=_twice([[1.0, 0.0]]), Q=_twice(Q), R=np.eye(2),
-    )  # fmt: skip
-
-
-def _twice(block: ArrayLike) -> Array:
-    """Return the same block for both axes of the plane."""
-    return np.asarray(scipy.linalg.block_diag(block, block), dtype=np.float64)
+    # The same for both axes of the plane.
+    blocks = np.diag([1.0, 0.1]), [[1.0, dt], [0.0, 1.0]], [[1.0, 0.0]], Q
+    P, F, H, Q = (np.asarray(np.kron(np.eye(2), block), dtype=float) for block in blocks)
+    return StateModel(x=np.array([0.0, 1.0, 0.0, -0.5]), P=P, F=F, H=H, Q=Q, R=np.eye(2))
 
 
 def level(jump_probability: float = 0.005) -> StateModel:
