@@ -54,7 +54,8 @@ class Scales:
     Parameters
     ----------
     scales : sequence of float, default (1, 0.01, 0.1, 10, 100)
-        Factors of the covariance Q, > 0; the first is where a process starts. ``(1,)`` trusts Q.
+        Factors of the covariance Q, > 0; the first is the likeliest at the start, and another one less so by as much
+        as it differs: a tenth or ten times it has a tenth of its probability. ``(1,)`` trusts Q.
     dwell : float, default 1000
         Mean number of steps that the process keeps a scale, > 1.
     jump : float, default 1e-5
@@ -117,11 +118,10 @@ class Scales:
     @property
     def begin(self) -> Array:
         """Probabilities of the models before the first step, shape (count,)."""
-        q = len(self.scales)
-        # The first scale is where a process starts, the others have the chance of one change.
+        q, factors = len(self.scales), np.array(self.scales) / self.scales[0]
+        # A Q is wrong by a factor with its inverse as chance.
         probabilities = np.zeros(self.count)
-        probabilities[:q] = 1.0 / self.dwell
-        probabilities[0] = 1.0
+        probabilities[:q] = np.minimum(factors, 1.0 / factors)
         if self.probabilities is not None:
             probabilities[:q] = self.probabilities
         return np.asarray(probabilities / probabilities.sum())

@@ -87,9 +87,15 @@ typedef struct {
     const real *leads;   /* (named) .. whose place this is */
 } learnt_rule;
 
-/* Probability of model c before the first step. */
+/* Probability of model c before the first step: a Q is wrong by a factor with its inverse as chance. */
 INLINE real learnt_begins(const learnt_rule *const rule, const int c) {
-    return (c > 0 ? 1 - rule->stay : 1) / (1 + (real)(rule->q - 1) * (1 - rule->stay));
+    real total = 0, own = 0;
+    for (int j = 0; j < rule->q; j++) {
+        const real factor = rule->process[j] / rule->process[0], chance = real_min(factor, 1 / factor);
+        total += chance;
+        if (j == c) own = chance;
+    }
+    return own / total;
 }
 
 /* The models, and the rows of the sensors. */
@@ -187,7 +193,7 @@ INLINE void learnt_join(const int n, const learnt_rule *const rule, learnt_state
         real_copy(n, s->P + o * n, s->P + (q * n + o) * n);
     }
     for (int c = 0; c < q; c++)
-        p[c * n + one] = real_max(p[c * n + one] * p[c * n + other] / (c > 0 ? 1 - rule->stay : 1), LEARNT_UNLIKELY);
+        p[c * n + one] = real_max(p[c * n + one] * p[c * n + other] / learnt_begins(rule, c), LEARNT_UNLIKELY);
     learnt_normalize(n, one, q, p);
     for (int c = 0; c < q; c++) p[c * n + one] *= 1 - jumped;
     if (rule->jump > 0) p[q * n + one] = jumped;

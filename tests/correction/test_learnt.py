@@ -268,7 +268,7 @@ def test_a_sensor_that_repeats_itself_far_off_is_stuck_and_says_nothing():
     coarse = np.where(zs == 50.0, zs, np.round(zs, 1))
     assert np.abs(following(coarse)).max() < 5.0
     # Near the state it is believed; what is wild, repeats itself as usual or is without noise may jump.
-    zs[140:170] = 0.5
+    zs[110:170] = 0.5
     assert np.abs(following(zs)[168:170] - 0.5).max() < 0.1
     zs[140:170] = 50.0 + 1e-9 * np.arange(30)
     others = {"wild": zs.copy()}

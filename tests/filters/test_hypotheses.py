@@ -43,8 +43,8 @@ def exact_step(problem, z, process, noise):
 
 
 def first_shares(dwell):
-    """How probable three scales are at the first step, one of them at the start."""
-    start = np.array([1.0, 1.0 / dwell, 1.0 / dwell])
+    """How probable the scales 1, 10 and 100 are at the first step: at the start each as its inverse."""
+    start = np.array([1.0, 0.1, 0.01])
     return start / start.sum() @ (np.full((3, 3), 0.5 / dwell) + (1.0 - 1.5 / dwell) * np.eye(3))
 
 
