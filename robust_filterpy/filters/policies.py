@@ -208,6 +208,7 @@ def regressed(P: Array, C: Array, S: Array) -> tuple[Array, Array]:
     H = np.where(np.abs(H) > rounding[:, None], H / unit, 0.0)
     values, vectors = np.linalg.eigh(S - H @ C)
     left = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    left = 0.5 * (left + left.T)
     return H, np.where(np.abs(left) > np.outer(rounding, rounding) / NO_PART, left, 0.0)
 
 
@@ -356,7 +357,8 @@ class Mixture:
         mean, covariance = merged[0][:n], merged[1][:n, :n]
         covariance = 0.5 * (covariance + covariance.T)
         means, covariances, belief = last.models.packed
-        after = Carried(means[:, :n], covariances[:, :n, :n], belief[:, :n], mean, covariance)
+        # The kernel takes no views.
+        after = Carried(means[:, :n].copy(), covariances[:, :n, :n].copy(), belief[:, :n].copy(), mean, covariance)
         return Mixed(
             mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory,
             lags(y, (H.dot(P) * H).sum(axis=1) + (ordinary_noise(R, before.memory) + unexplained).diagonal()),

@@ -43,9 +43,10 @@ CALLED void mend_diagonalize(const int n, real *A, real *V) {
 /* Write P = V D V', D on the diagonal of A but no less than `least`. */
 CALLED void mend_compose(const int n, const real *A, const real *V, const real least, real *P) {
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            P[i * n + j] = 0;
-            for (int k = 0; k < n; k++) P[i * n + j] += V[i * n + k] * real_max(A[k * n + k], least) * V[j * n + k];
+        for (int j = 0; j <= i; j++) {
+            real total = 0;
+            for (int k = 0; k < n; k++) total += V[i * n + k] * real_max(A[k * n + k], least) * V[j * n + k];
+            P[i * n + j] = P[j * n + i] = total;
         }
 }
 

@@ -223,8 +223,10 @@ def others():
     """Yield smoothers, fusion, fleet."""
     for name in ("default", "learnt", "told", "adaptive", "tukey"):
         options = {k: v for k, v in OPTIONS[name].items() if k in ("noise", "process", "influence")}
+        # A fusion that learns noise doubts Q.
+        doubting = {k: v for k, v in options.items() if v != "given"}
 
-        def fused(options=options):
+        def fused(options=doubting):
             sensors = {
                 "a": fusion.Sensor(H=[[1.0, 0, 0, 0], [0, 0, 1.0, 0]], R=0.1 * np.eye(2)),
                 "b": fusion.Sensor(H=[[1.0, 0, 0, 0]], R=[[0.2]]),
