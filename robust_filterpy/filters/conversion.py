@@ -195,7 +195,7 @@ def update(
         Whether y, K, S and log_likelihood are returned too.
     influence, scaling, information, grouping, noise, process, patience
         As in `RobustKalmanFilter`, but for the default scaling, "innovation": a single call knows no typical
-        innovation, so "learnt" bounds nothing here.
+        innovation, so "learnt" bounds nothing here. `process` is "given": a single call has no models.
 
     Returns
     -------
@@ -222,8 +222,13 @@ def update(
     n = max(mean.size, 1)
     H = np.eye(1, n) if H is None else _checks.numbers("H", H)
     H = H.reshape(1, n) if H.ndim < 2 and H.size == n else H
-    options.setdefault("scaling", "innovation")
-    kf = _filter(x, P, len(np.atleast_2d(H)), **options)
+    # Each call would be the first of a filter, and its reading might say that the start is wrong.
+    kf = _filter(x, P, len(np.atleast_2d(H)), **{"scaling": "innovation", "process": "given", **options})
+    if isinstance(kf.process, Scales):
+        raise ValueError(
+            f"process: expected 'given', since a function keeps no models for the next call, got {kf.process!r}; "
+            f"take a RobustKalmanFilter(.., noise=..)"
+        )
     kf.update(z, R, H)
     x_post, P_post = _as_given(kf, mean)
     if not return_all:

@@ -113,6 +113,8 @@ def test_numbers_stay_numbers():
     x, P = ours.update(1.0, 2.0, 3.0, 1.0, influence=Linear())
     assert (type(x), x, P) == (float, pytest.approx(1.0 + 4.0 / 3.0), pytest.approx(2.0 / 3.0))
     assert ours.update(1.0, 2.0, None, 1.0) == (1.0, 2.0)
+    # No call is the first of a filter, whose first reading may say that the start is wrong.
+    assert abs(ours.update(0.0, 1.0, 100.0, 1.0, noise="learnt")[0]) < 1.0
     assert ours.update(1.0, 2.0, None, 1.0, return_all=True)[2:] == (None,) * 4
 
 
@@ -141,6 +143,7 @@ def test_batch_filter_and_rts_smoother_are_filterpys(update_first):
     (lambda: ours.update(np.zeros(2), np.eye(3), 1.0, 1.0, np.eye(1, 2)), "P: expected shape"),
     (lambda: ours.update(0.0, 1.0, np.inf, 1.0), "z: expected a finite"),
     (lambda: ours.update(0.0, 1.0, 1.0, 1.0, influence="x"), "influence"),
+    (lambda: ours.update(0.0, 1.0, 1.0, 1.0, noise="learnt", process="scales"), "process: expected 'given'"),
     (lambda: ours.predict(np.zeros(2), np.eye(2), F=np.eye(3)), "F: expected shape"),
     (lambda: ours.predict(np.zeros(2), np.eye(2), u=np.ones(3), B=np.ones((3, 3))), "B, u: expected"),
     (lambda: ours.batch_filter(np.zeros(2), np.eye(2), [1.0], [np.eye(2)], [np.eye(2)], [], [1.0]), "Hs: expected"),
