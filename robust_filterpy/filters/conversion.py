@@ -222,8 +222,10 @@ def update(
     n = max(mean.size, 1)
     H = np.eye(1, n) if H is None else _checks.numbers("H", H)
     H = H.reshape(1, n) if H.ndim < 2 and H.size == n else H
+    options.setdefault("scaling", "innovation")
     # Each call would be the first of a filter, and its reading might say that the start is wrong.
-    kf = _filter(x, P, len(np.atleast_2d(H)), **{"scaling": "innovation", "process": "given", **options})
+    options.setdefault("process", "given")
+    kf = _filter(x, P, len(np.atleast_2d(H)), **options)
     if isinstance(kf.process, Scales):
         raise ValueError(
             f"process: expected 'given', since a function keeps no models for the next call, got {kf.process!r}; "
