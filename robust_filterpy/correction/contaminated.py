@@ -26,12 +26,11 @@ __all__ = ["START", "Contaminated", "LabelledSample", "maximised"]
 # What is believed before the residuals have spoken, as ten samples of it.
 _PRIOR_OUTLIERS: Final = 0.5
 _PRIOR_RATIO: Final = 8.0
-#: How many outliers it is as if they had told the ratio before.
+#: The prior of the ratio counts as so many outliers.
 START_SAMPLES: Final = 2.0
 
 # Beyond these limits the two distributions cannot be distinguished, or exchange their roles.
-MOST_OUTLIERS: Final = 0.45
-_CONTAMINATIONS: Final = (1e-3, MOST_OUTLIERS)
+CONTAMINATIONS: Final = (1e-3, 0.45)
 _RATIOS: Final = (FAR, 1e12)
 
 # Beyond three standard deviations of the wider distribution psi goes on as for Huber's least favorable one, or a
@@ -329,7 +328,7 @@ def maximised(
             R = max(float(p @ square) / max(float(p.sum()), 1.0), least)
         contamination = (outliers + _PRIOR_OUTLIERS) / (residual.size + FEW)
         mixture = Contaminated(
-            float(np.clip(contamination, *_CONTAMINATIONS)),
+            float(np.clip(contamination, *CONTAMINATIONS)),
             float(np.clip(math.sqrt((energy / R + prior) / (outliers + START_SAMPLES)), *_RATIOS)),
         )
     return mixture.contamination, mixture.scale_ratio, R

@@ -78,8 +78,8 @@ def judged(
     """Return the recursion after a reading, and what is learned of the sensors' typical innovations.
 
     z are measurements of x; `readings` are what the sensors said, of which z are the innovations in a nonlinear filter.
-    `logs` are log densities of z by the models, NaN where there is none. Where the readings tell a factor,
-    it is not 1 any more.
+    `logs` are log densities of z by the models, NaN where there is none. Where the readings tell a factor, it is not 1
+    any more.
     """
     here, seen, counts = ~np.isnan(logs), parts[np.argmax(H != 0.0, axis=1)].astype(int), given.readings
     C, S = innovation_moments(given.P, H, R, M)

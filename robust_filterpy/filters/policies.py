@@ -565,7 +565,7 @@ def policy_of(
         if value not in usual_ones:
             raise ValueError(f"{name}: expected none with noise=, got {value!r}; psi follows from the noise there")
     if moves is None and isinstance(fails, Learnt):
-        # Whose R is a guess has a Q, a start and a model that are guesses too.
+        # A program that does not know R hardly knows Q, the start and the model.
         moves = Scales()
     return Mixture(fails, moves, grouping)
 

@@ -47,8 +47,8 @@ _STILL = 0.01
 # Stamps after which hypotheses go that are so far behind the healthy one, or so far below the best and not ahead of the
 # healthy one by more than this; logarithms of odds.
 _EVERY, _BEHIND, _HOPELESS, _AHEAD = 8, 10.0, 25.0, 2.0
-# Numbers of covariances that a stamp advances at once, as many as one call costs, and stamps among which all are
-# shared at most; how much of a stamp's share it is to begin.
+# A stamp advances so many numbers of covariances, and each call counts for some more; a look back is shared among so
+# many stamps at most; to begin it takes this part of what one stamp does.
 _AT_ONCE, _CALL, _STAMPS, _BEGINS = 2e5, 5e3, 100, 0.5
 # Onsets: of the last so many readings each, before them ever fewer; none of the very first readings.
 _FINE, _FIRST = 16, 5

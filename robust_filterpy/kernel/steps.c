@@ -97,7 +97,7 @@ static void regress(int n, int m, const double *P, const double *C, const double
 }
 
 /* Add to every model, in parts that it makes one, what no line explains of a prediction (n, n). */
-static void bend(int n, models *f, const double *curvature) {
+static void bend_models(int n, models *f, const double *curvature) {
     for (int i = 0; i < n * n; i++)
         if (curvature[i] != 0) learnt_join(n, f->rule, &f->s, i / n, i % n);
     for (int i = 0; i < learnt_rows(f->rule) * n * n; i++) f->s.P[i] += curvature[i % (n * n)];
@@ -144,7 +144,7 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *con
         if (!moves) control = work;
         for (int i = 0; !moves && i < n; i++) control[i] = now.x[i] - real_dot(n, how.F + i * n, numbers_of(f.x));
         learnt_predict(n, f.rule, &f.s, how.F, how.Q, control, how.alpha_sq, rest);
-        if (to) bend(n, &f, curvature);
+        if (to) bend_models(n, &f, curvature);
         fine = merge(n, &f, x, P, rest);
     } else if (fine) {
         fine = predict(n, now.x, now.P, how.F, how.Q, control, how.alpha_sq, numbers_of(x), numbers_of(P), work + n);

@@ -403,3 +403,12 @@ def test_what_curvature_adds_to_the_innovation_is_no_noise():
         excess.append(kf.S[0, 0] / 0.04)
     assert np.median(excess) > 10.0
     assert kf.R_learnt[0, 0] < 2.0 * 0.04
+
+
+@pytest.mark.usefixtures("form")
+def test_rounding_of_sigma_points_makes_independent_states_no_part_of_each_other():
+    kf = of_matrices(RobustUnscentedKalmanFilter, np.diag([0.9, 1.1]), np.eye(2), noise="learnt")
+    kf.P, kf.Q = np.diag([0.3, 0.7]), np.diag([0.1, 0.2])
+    for z in np.random.default_rng(0).normal(size=(20, 2)):
+        predict_and_update(kf, z)
+        assert kf._kept.hypotheses.parts.tolist() == [0, 1]

@@ -24,7 +24,7 @@ from scipy.special import expit, logit
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.correction.contaminated import MOST_OUTLIERS, START, START_SAMPLES, Contaminated
+from robust_filterpy.correction.contaminated import CONTAMINATIONS, START, START_SAMPLES, Contaminated
 from robust_filterpy.correction.spread import FAR, FEW
 from robust_filterpy.identification.estimation.missing import CompletedModel, response
 from robust_filterpy.identification.estimation.prediction_error import Limits
@@ -180,11 +180,11 @@ def drawn(model: PolynomialModel, end: End, missing: Any, limits: Limits | None)
             P, R, of_v = P + within / _DRAWS, R + chain.R / _DRAWS, of_v + np.array(chain.of_v) / _DRAWS
             wrong, wide = wrong + chain.wrong[chain.places] / _DRAWS, wide + chain.wide / _DRAWS
     p = chain.inside(np.mean(means, axis=0))
-    if not model.is_stable(p) or wrong[~missing].mean() > MOST_OUTLIERS:
+    if not model.is_stable(p) or wrong[~missing].mean() > CONTAMINATIONS[1]:
         # What most samples have is no outlier but noise of the sensor, of which the model has none.
         return end
     outliers = end.outliers._replace(wrong=missing | (wrong > 0.5), counts=wide <= 0.5)
-    mixture = Contaminated(float(np.clip(of_v[0], 1e-3, MOST_OUTLIERS)), float(np.sqrt(of_v[1] / R)))
+    mixture = Contaminated(float(np.clip(of_v[0], *CONTAMINATIONS)), float(np.sqrt(of_v[1] / R)))
     rows = model.conditioned
     # The draws have counted the parameters already.
     influence = mixture if isinstance(end.noise.influence, Contaminated) else end.noise.influence
