@@ -143,18 +143,18 @@ def correct(
 class Innovation(NamedTuple):
     """A measurement, how it differs from what was expected, and how it depends on the state."""
 
+    #: Readings, shape (m,): one that repeats the one before is hardly evidence of a jump.
     z: Array
-    """Readings, shape (m,): one that repeats the one before is hardly evidence of a jump."""
+    #: Innovation, shape (m,); NaN where missing.
     y: Array
-    """Innovation, shape (m,); NaN where missing."""
+    #: Its covariance with the state, shape (n, m).
     C: Array
-    """Its covariance with the state, shape (n, m)."""
+    #: Its covariance, shape (m, m).
     S: Array
-    """Its covariance, shape (m, m)."""
+    #: The part of S that is measurement noise.
     R: Array
-    """The part of S that is measurement noise."""
+    #: Derivative of the measurement, shape (m, n); None where only moments are known.
     H: Array | None = None
-    """Derivative of the measurement, shape (m, n); None where only moments are known."""
 
 
 def correct_by_typical(
@@ -202,10 +202,10 @@ class _Seen(NamedTuple):
     e: Array
     weights: Array
     psi_deriv: Array
+    #: v in x+ = x + C v, C as it was before.
     score: Array
-    """v in x+ = x + C v, C as it was before."""
+    #: B in P+ = P - C B C', shape (m, m).
     information: Array
-    """B in P+ = P - C B C', shape (m, m)."""
 
     def note(self, group: list[int], step: _Step, rows: Array) -> None:
         """Write down what became of a group; rows: its columns of T', in terms of the innovations as they were."""
@@ -217,15 +217,15 @@ class _Seen(NamedTuple):
 class _Step(NamedTuple):
     """How a group would be corrected by if it came next; k sensors."""
 
+    #: How implausible its innovation is, and its length: the least comes first.
     key: tuple[float, ...]
-    """How implausible its innovation is, and its length: the least comes first."""
+    #: Scaling of the group, shape (k, k); None where its innovation is nothing but rounding.
     T: Array | None
-    """Scaling of the group, shape (k, k); None where its innovation is nothing but rounding."""
     e: Array
+    #: s psi(e / s), shape (k,).
     psi: Array
-    """s psi(e / s), shape (k,)."""
+    #: Information, shape (k, k).
     D: Array
-    """Information, shape (k, k)."""
     weights: Array
     psi_deriv: Array
 
@@ -275,8 +275,8 @@ class _Joint(NamedTuple):
     y: Array
     C: Array
     S: Array
+    #: What is left of C, and of S's columns, is C W as it was before.
     W: Array
-    """What is left of C, and of S's columns, is C W as it was before."""
 
     def condition(self, group: list[int], T: Array, psi: Array, D: Array) -> None:
         """Condition everything on one group."""

@@ -34,16 +34,16 @@ _CHOICES = Choices(Huber(), "learnt")
 class Given(NamedTuple):
     """The recursion as given, and for each state what its part has shown."""
 
+    #: Shape (n,).
     x: Array
-    """Shape (n,)."""
+    #: Shape (n, n).
     P: Array
-    """Shape (n, n)."""
+    #: How much likelier the readings are by it than by the models, in logarithms, at least 0, shape (n,).
     evidence: Array
-    """How much likelier the readings are by it than by the models, in logarithms, at least 0, shape (n,)."""
+    #: How many there were, 100 once it is decided, shape (n,).
     readings: Array
-    """How many there were, 100 once it is decided, shape (n,)."""
+    #: Of P, Q and R, shape (n,).
     factor: Array
-    """Of P, Q and R, shape (n,)."""
 
     @property
     def looks(self) -> np.ndarray:

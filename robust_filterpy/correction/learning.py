@@ -489,18 +489,18 @@ def parity(z: Array, H: Array, R: Array, r: Array) -> list[tuple[int, float, flo
 class LearntNoise(NamedTuple):
     """What has been learnt about the noise; g = 1 if all sensors fail together, else the number of sensors."""
 
+    #: Variance of ordinary noise over what the filter was given, shape (g,).
     r: Array
-    """Variance of ordinary noise over what the filter was given, shape (g,)."""
+    #: Standard error of r, shape (g,).
     r_std: Array
-    """Standard error of r, shape (g,)."""
+    #: Share of outliers in the memory, shape (g,).
     contamination: Array
-    """Share of outliers in the memory, shape (g,)."""
+    #: Standard error of contamination, shape (g,).
     contamination_std: Array
-    """Standard error of contamination, shape (g,)."""
+    #: Root-mean-square size of outliers over that of ordinary noise, shape (g,); the prior's where there were none.
     scale_ratio: Array
-    """Root-mean-square size of outliers over that of ordinary noise, shape (g,); the prior's where there were none."""
+    #: Mean length of a run of outliers, in samples, shape (g,).
     run_length: Array
-    """Mean length of a run of outliers, in samples, shape (g,)."""
 
 
 def describe(learnt: Array, scales: Array, sensors: int = 1) -> LearntNoise:

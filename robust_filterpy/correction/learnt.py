@@ -46,62 +46,62 @@ _CANCELLED = 1e-13
 class Corrected(NamedTuple):
     """The models and the noise after a correction, and what has become of each component."""
 
+    #: Corrected.
     models: Models
-    """Corrected."""
+    #: What was learned of the noise, shape (g, ...), as `robust_filterpy.correction.learning` orders it.
     memory: Array
-    """What was learned of the noise, shape (g, ...), as `robust_filterpy.correction.learning` orders it."""
+    #: log p(z).
     log_density: float
-    """log p(z)."""
+    #: Expected precision of each component over that of ordinary noise, NaN where there is none, shape (m,).
     weights: Array
-    """Expected precision of each component over that of ordinary noise, NaN where there is none, shape (m,)."""
+    #: Probability that each component was an outlier, 1 where a sensor is stuck, 0 where there is none, shape (m,).
     outlier_probabilities: Array
-    """Probability that each component was an outlier, 1 where a sensor is stuck, 0 where there is none, shape (m,)."""
 
 
 class _Part(NamedTuple):
     """The models while sensor after sensor is taken: x and what is left of the innovation, one Gaussian vector each."""
 
+    #: (q, n)
     x: Array
-    """(q, n)"""
+    #: (q, n, n)
     P: Array
-    """(q, n, n)"""
+    #: (q, m)
     y: Array
-    """(q, m)"""
+    #: (q, n, m)
     C: Array
-    """(q, n, m)"""
+    #: (q, m, m)
     S: Array
-    """(q, m, m)"""
+    #: Of the models in the part that each sensor sees, (q, m).
     probabilities: Array
-    """Of the models in the part that each sensor sees, (q, m)."""
+    #: Which part that is, (m,).
     parts: Array
-    """Which part that is, (m,)."""
 
 
 class _Shared(NamedTuple):
     """What the whole innovation says of the class that all its sensors are in, if they are in the same."""
 
+    #: Probabilities of the classes, (K,).
     given: Array
-    """Probabilities of the classes, (K,)."""
     log_density: float
+    #: Probability that they are, from the samples before.
     chance: float
-    """Probability that they are, from the samples before."""
 
 
 class _Scores(NamedTuple):
     """What the classes of a group of g sensors make of its innovation, under each of q models."""
 
+    #: Score, (q, g).
     a: Array
-    """Score, (q, g)."""
+    #: Its derivative, (q, g, g).
     b: Array
-    """Its derivative, (q, g, g)."""
+    #: Probabilities of the classes under each model, (q, K).
     given: Array
-    """Probabilities of the classes under each model, (q, K)."""
+    #: (q,)
     log_densities: Array
-    """(q,)"""
+    #: E[v^2 | class 0]/(r R) of each sensor, or in the mean over the group, (q, g) or (q, 1).
     energies: Array
-    """E[v^2 | class 0]/(r R) of each sensor, or in the mean over the group, (q, g) or (q, 1)."""
+    #: Share of its variance that is ordinary noise, likewise.
     parts: Array
-    """Share of its variance that is ordinary noise, likewise."""
 
 
 def correct(

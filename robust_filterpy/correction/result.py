@@ -104,36 +104,36 @@ def singular(S: Array) -> SingularInnovationError:
 class Correction(NamedTuple):
     """Posterior and everything that led to it. Where a component is missing, y, e, T and K are 0."""
 
+    #: Posterior mean, shape (n,).
     x: Array
-    """Posterior mean, shape (n,)."""
+    #: Posterior covariance, shape (n, n).
     P: Array
-    """Posterior covariance, shape (n, n)."""
+    #: Covariance of state and innovation, shape (n, m).
     C: Array
-    """Covariance of state and innovation, shape (n, m)."""
+    #: Innovation z - H x, shape (m,).
     y: Array
-    """Innovation z - H x, shape (m,)."""
+    #: Innovation covariance, shape (m, m).
     S: Array
-    """Innovation covariance, shape (m, m)."""
+    #: v in x+ = x + C v, shape (m,): T' psi where T has the rows by which the sensors were judged.
     score: Array
-    """v in x+ = x + C v, shape (m,): T' psi where T has the rows by which the sensors were judged."""
+    #: B in P+ = P - C B C', shape (m, m): T'D T likewise.
     information: Array
-    """B in P+ = P - C B C', shape (m, m): T'D T likewise."""
+    #: Standardized innovation of each sensor given those before it, shape (m,); T y while none of these is clipped.
     e: Array
-    """Standardized innovation of each sensor given those before it, shape (m,); T y while none of these is clipped."""
+    #: psi(e)/e, NaN where missing, shape (m,).
     weights: Array
-    """psi(e)/e, NaN where missing, shape (m,)."""
+    #: psi'(e), NaN where missing, shape (m,).
     psi_deriv: Array
-    """psi'(e), NaN where missing, shape (m,)."""
+    #: Groups of sensors in the order in which they were taken, the most plausible first.
     order: tuple[tuple[int, ...], ...]
-    """Groups of sensors in the order in which they were taken, the most plausible first."""
+    #: Which T.
     scaling: str
-    """Which T."""
+    #: Log-likelihood of the innovation under the density of psi; 0 if all is missing.
     log_density: float
-    """Log-likelihood of the innovation under the density of psi; 0 if all is missing."""
+    #: Of the sensors afterwards, shape (m, 17), under scaling "learnt".
     memory: Array | None = None
-    """Of the sensors afterwards, shape (m, 17), under scaling "learnt"."""
+    #: Under a mixture, that a component was an outlier.
     outlier_probability: float = 0.0
-    """Under a mixture, that a component was an outlier."""
 
     @property
     @np.errstate(under="ignore", over="ignore")

@@ -134,15 +134,15 @@ _UNSEEN, _PART = -2, -1
 class Models(NamedTuple):
     """The models: those of the scales of Q, then, if there are jumps, the candidate."""
 
+    #: Means, shape (q, n).
     x: Array
-    """Means, shape (q, n)."""
+    #: Covariances, shape (q, n, n).
     P: Array
-    """Covariances, shape (q, n, n)."""
+    #: Shape (q + 2, n): for each state the probabilities of the models in its part, the chance that the part has jumped
+    #: since its last measurement, and the first state of the part.
     belief: Array
-    """Shape (q + 2, n): for each state the probabilities of the models in its part, the chance that the part has jumped
-    since its last measurement, and the first state of the part."""
+    #: The recursion as given, where P, Q and R may have one wrong factor.
     given: Given | None = None
-    """The recursion as given, where P, Q and R may have one wrong factor."""
 
     @property
     def probabilities(self) -> Array:
@@ -309,12 +309,12 @@ def decided(
 class Begun(NamedTuple):
     """Which sensors the candidates have begun with, arrays of shape (m,)."""
 
+    #: Innovation where it has, else 0.
     y: Array
-    """Innovation where it has, else 0."""
+    #: Of the innovation.
     variance: Array
-    """Of the innovation."""
+    #: Whether no other sensor asked for a jump of that part from there.
     alone: np.ndarray
-    """Whether no other sensor asked for a jump of that part from there."""
 
 
 def with_candidates(

@@ -48,18 +48,18 @@ WITNESS, APART = 0.47, 1.5  #: see `_added_noise`
 class Prepared(NamedTuple):
     """What a correction begins with under scaling "learnt"; C and S are as given unless P has grown."""
 
+    #: Memory after the innovation, shape (m, 22).
     memory: np.ndarray
-    """Memory after the innovation, shape (m, 22)."""
+    #: Unit of each sensor's threshold, in that of its measurement, shape (m,).
     width: np.ndarray
-    """Unit of each sensor's threshold, in that of its measurement, shape (m,)."""
+    #: Variance that is a sensor's own noise beyond R, shape (m,).
     added: np.ndarray
-    """Variance that is a sensor's own noise beyond R, shape (m,)."""
+    #: Factor of each state's standard deviation, shape (n,).
     growth: np.ndarray
-    """Factor of each state's standard deviation, shape (n,)."""
+    #: Variance that a jump adds to what each sensor sees of the state, shape (m,).
     opened: np.ndarray
-    """Variance that a jump adds to what each sensor sees of the state, shape (m,)."""
+    #: Which readings say nothing new and are missing therefore, shape (m,).
     held: np.ndarray
-    """Which readings say nothing new and are missing therefore, shape (m,)."""
 
     def spread(self, S: np.ndarray) -> np.ndarray:
         """Return s, the width in units of the S that the correction is by, shape (m,)."""

@@ -41,10 +41,10 @@ _STANDARD = frozenset(
 class Exported(NamedTuple):
     """The two files that were written."""
 
+    #: The C99 source.
     source: Path
-    """The C99 source."""
+    #: Its header, which explains how to use it.
     header: Path
-    """Its header, which explains how to use it."""
 
 
 def export_c(

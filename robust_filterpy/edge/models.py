@@ -30,16 +30,16 @@ class Described(NamedTuple):
     """What the C of a filter or tracker is made of."""
 
     title: str
+    #: Of the kernel, in their order.
     headers: tuple[str, ...]
-    """Of the kernel, in their order."""
+    #: That steps by them, and its header.
     text: str
-    """That steps by them, and its header."""
+    #: What $names stand for, and which lines are there.
     values: Mapping[str, Any]
-    """What $names stand for, and which lines are there."""
+    #: Entries of the table of what stays, in the order of their fields.
     model: Mapping[str, Any]
-    """Entries of the table of what stays, in the order of their fields."""
+    #: Of what moves.
     start: Mapping[str, Any]
-    """Of what moves."""
 
 
 def is_extended(model: Any) -> bool:

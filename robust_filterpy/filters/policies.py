@@ -55,25 +55,25 @@ __all__ = [
 class Prior(NamedTuple):
     """What a policy knows before a correction."""
 
+    #: Of the sensors of this measurement, a row each (one for all that fail together).
     memory: Array
-    """Of the sensors of this measurement, a row each (one for all that fail together)."""
+    #: What it keeps besides.
     carried: Any
-    """What it keeps besides."""
 
 
 class Carried(NamedTuple):
     """The models, and the x and P merged from them."""
 
+    #: Shape (q, n).
     means: Array
-    """Shape (q, n)."""
+    #: Shape (q, n, n).
     covariances: Array
-    """Shape (q, n, n)."""
+    #: Which of them are likely, in which part of the state, shape (q + 2, n).
     belief: Array
-    """Which of them are likely, in which part of the state, shape (q + 2, n)."""
+    #: Shape (n,).
     x: Array
-    """Shape (n,)."""
+    #: Shape (n, n).
     P: Array
-    """Shape (n, n)."""
 
     @property
     def hypotheses(self) -> Models:
@@ -432,35 +432,35 @@ class Mixture:
 class Mixed(NamedTuple):
     """A correction under a mixture; what few programs look at is computed on request."""
 
+    #: Posterior mean, shape (n,).
     x: Array
-    """Posterior mean, shape (n,)."""
+    #: Posterior covariance, shape (n, n).
     P: Array
-    """Posterior covariance, shape (n, n)."""
+    #: Of the noise after it.
     memory: Array
-    """Of the noise after it."""
+    #: log p(z).
     log_density: float
-    """log p(z)."""
+    #: Shape (m,), NaN where missing.
     weights: Array
-    """Shape (m,), NaN where missing."""
+    #: Shape (m,), or (1,) where all sensors fail together.
     outlier_probabilities: Array
-    """Shape (m,), or (1,) where all sensors fail together."""
+    #: Prior mean, shape (n,), or 0 where z is an innovation.
     prior_x: Array
-    """Prior mean, shape (n,), or 0 where z is an innovation."""
     prior_P: Array
     H: Array
+    #: As it was given.
     R: Array
-    """As it was given."""
     M: Array | None
+    #: Shape (m,); NaN where missing.
     z: Array
-    """Shape (m,); NaN where missing."""
+    #: What was learned of the noise.
     before: Array
-    """What was learned of the noise."""
+    #: Innovations whose signs tell whether the estimate lags behind: 0 where too short, NaN where missing, (m,).
     lags: Array
-    """Innovations whose signs tell whether the estimate lags behind: 0 where too short, NaN where missing, (m,)."""
+    #: Covariance of what a line does not explain of z.
     curvature: Array | None = None
-    """Covariance of what a line does not explain of z."""
+    #: Sensors that fail together, where they are named.
     together: tuple[tuple[int, ...], ...] = ()
-    """Sensors that fail together, where they are named."""
 
     @property
     def outlier_probability(self) -> float:

@@ -21,26 +21,26 @@ __all__ = ["Problem", "RecordingMixin", "finite", "read"]
 class Problem(NamedTuple):
     """A linear model with its data; matrices that stay have a first axis of length 1, the others of length N."""
 
+    #: Measurements, NaN where missing, shape (N, m).
     zs: Array
-    """Measurements, NaN where missing, shape (N, m)."""
+    #: Shape (1 or N, n, n).
     F: Array
-    """Shape (1 or N, n, n)."""
+    #: Shape (1 or N, n, n).
     Q: Array
-    """Shape (1 or N, n, n)."""
+    #: Shape (1 or N, m, n).
     H: Array
-    """Shape (1 or N, m, n)."""
+    #: Shape (1 or N, m, m).
     R: Array
-    """Shape (1 or N, m, m)."""
+    #: What inputs add to the state, shape (1 or N, n).
     Bu: Array
-    """What inputs add to the state, shape (1 or N, n)."""
+    #: State before the first prediction, shape (n,).
     x: Array
-    """State before the first prediction, shape (n,)."""
+    #: Its covariance, shape (n, n).
     P: Array
-    """Its covariance, shape (n, n)."""
+    #: Fading memory, >= 1.
     alpha_sq: float = 1.0
-    """Fading memory, >= 1."""
+    #: What is added to a log-likelihood where P is narrower than the filter's.
     log_narrowed: float = 0.0
-    """What is added to a log-likelihood where P is narrower than the filter's."""
 
     def first(self, steps: int) -> Problem:
         """Return the beginning of the recording."""

@@ -38,20 +38,20 @@ _REFUSED = ("raise", "nan")
 class SeriesArguments(NamedTuple):
     """Arguments of a function of many series, checked, and room for its results."""
 
+    #: (series, steps, m)
     z: Array
-    """(series, steps, m)"""
+    #: F, Q, H, R, with the axes (series or 1, steps or 1) in front.
     model: tuple[Array, Array, Array, Array]
-    """F, Q, H, R, with the axes (series or 1, steps or 1) in front."""
+    #: Start of each series, (series, n); a copy, as P.
     x: Array
-    """Start of each series, (series, n); a copy, as P."""
+    #: (series, n, n)
     P: Array
-    """(series, n, n)"""
+    #: `Rows`
     rows: Any
-    """`Rows`"""
+    #: Distance of kept steps.
     every: int
-    """Distance of kept steps."""
+    #: Whether a series that is refused becomes NaN.
     skips: bool
-    """Whether a series that is refused becomes NaN."""
 
     def covariances(self, covariance: str) -> Array | None:
         """Return what was asked for of the covariances."""

@@ -423,14 +423,14 @@ def _judgement(kf: Any) -> dict[str, Any]:
 class Parts(NamedTuple):
     """Corrections by parts of a measurement, the last one last."""
 
+    #: The correction before the first, or None.
     before: Any
-    """The correction before the first, or None."""
+    #: How many there are in all.
     sensors: int
-    """How many there are in all."""
+    #: Place of the first sensor, how many, and their correction or what makes one by ``as_arrays``.
     parts: tuple[tuple[int, int, Any], ...]
-    """Place of the first sensor, how many, and their correction or what makes one by ``as_arrays``."""
+    #: What the density of the whole follows from; None where that of the last part is shown.
     settings: tuple[Choices, Array, bool] | None
-    """What the density of the whole follows from; None where that of the last part is shown."""
 
     @classmethod
     def of(cls, before: Any, sensors: int, part: tuple[int, int, Any], settings: Any) -> Parts:

@@ -31,10 +31,10 @@ class Memories(NamedTuple):
     # A row of an H that was passed tells the sensor. One that is met for the first time begins with what was learned of
     # its place in z, so that an H that varies from step to step goes by places.
 
+    #: Of the sensors in z, shape (m, w).
     places: Array
-    """Of the sensors in z, shape (m, w)."""
+    #: Of those that were met in an H that was passed, by its row, each of shape (w,).
     rows: dict[bytes, Array]
-    """Of those that were met in an H that was passed, by its row, each of shape (w,)."""
 
     def of(self, begin: Array, keys: list[Any]) -> Array:
         """Return the memories of some sensors, begin for new ones; keys as `sensor_keys` makes them."""

@@ -35,30 +35,30 @@ _GROUP = 100_000
 class Work(NamedTuple):
     """What some keys bring, and what becomes of it: written into by who advances them."""
 
+    #: States in columns, a row for each key.
     entries: dict[str, np.ndarray]
-    """States in columns, a row for each key."""
+    #: Measurements of all steps, shape (N, m), NaN where missing; those of a key together.
     z: Array
-    """Measurements of all steps, shape (N, m), NaN where missing; those of a key together."""
+    #: Inputs, shape (N, p).
     u: Array | None
-    """Inputs, shape (N, p)."""
+    #: First step of each key, and the end, shape (K + 1,).
     bounds: np.ndarray
-    """First step of each key, and the end, shape (K + 1,)."""
+    #: What the model gives for each step, shape (N, c).
     columns: Array
-    """What the model gives for each step, shape (N, c)."""
+    #: Keys that could not go on: how many steps they took, and why. -1: their state is refused.
     stopped: dict[int, tuple[int, str]]
-    """Keys that could not go on: how many steps they took, and why. -1: their state is refused."""
+    #: Steps whose measurement was refused, and so was as if missing.
     missed: dict[int, str]
-    """Steps whose measurement was refused, and so was as if missing."""
+    #: Of a key, by its place.
     name: Callable[[int], Any] = int
-    """Of a key, by its place."""
 
 
 class Plain(NamedTuple):
     """A `RobustKalmanFilter` as the kernel takes it."""
 
     choices: Choices
+    #: With no input.
     model: Model
-    """With no input."""
     B: Array | None
     alpha_sq: float
 

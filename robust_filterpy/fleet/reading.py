@@ -28,20 +28,20 @@ _MISSING = ("NoneType", "NAType", "NaTType", "MaskedConstant")
 class Rows(NamedTuple):
     """Samples in the order of a batch."""
 
+    #: Whose each is; None if all are of one.
     keys: Sequence[Any] | None
-    """Whose each is; None if all are of one."""
+    #: Shape (N,), in seconds, NaN where there is none.
     times: Array | None
-    """Shape (N,), in seconds, NaN where there is none."""
+    #: Measurements, shape (N, m), NaN where missing.
     z: Array
-    """Measurements, shape (N, m), NaN where missing."""
+    #: Inputs, shape (N, p), NaN where there is none.
     u: Array | None
-    """Inputs, shape (N, p), NaN where there is none."""
+    #: What is wrong with a row, though the others go on.
     said: Reasons
-    """What is wrong with a row, though the others go on."""
+    #: From the rows that were taken, and the columns that belong to them, to the form of the batch.
     like: Callable[[np.ndarray, dict[str, Any]], Any]
-    """From the rows that were taken, and the columns that belong to them, to the form of the batch."""
+    #: Whether times were instants rather than seconds.
     instants: bool
-    """Whether times were instants rather than seconds."""
 
 
 def read_array(batch: Any, model: Any) -> Rows:
@@ -236,29 +236,29 @@ _MILLISECONDS: Final = 1e11
 class Clocks(NamedTuple):
     """Where the last samples of some keys stand, each of shape (K,); NaN before the first one."""
 
+    #: Their times.
     last: Array
-    """Their times."""
+    #: A time on the grid.
     origin: Array
-    """A time on the grid."""
+    #: How many steps after it the last sample stands.
     step: Array
-    """How many steps after it the last sample stands."""
+    #: The last of the samples refused since then, if they follow one another, and how many they are, shape (K, 2).
     elsewhere: Array
-    """The last of the samples refused since then, if they follow one another, and how many they are, shape (K, 2)."""
 
 
 class Placed(NamedTuple):
     """Where samples stand among the steps of their keys."""
 
+    #: Which step of its key each row is, shape (N,), -1 if it is none.
     step: np.ndarray
-    """Which step of its key each row is, shape (N,), -1 if it is none."""
+    #: How many steps each key takes, shape (K,).
     steps: np.ndarray
-    """How many steps each key takes, shape (K,)."""
+    #: Where their last samples stand.
     clocks: Clocks
-    """Where their last samples stand."""
+    #: Rows that are not later than the one before them, and what they are.
     late: dict[int, str]
-    """Rows that are not later than the one before them, and what they are."""
+    #: Rows that lie off the grid or after too long a silence, or from which on another clock is followed.
     noted: dict[int, str]
-    """Rows that lie off the grid or after too long a silence, or from which on another clock is followed."""
 
 
 def placed(times: Array | None, starts: np.ndarray, clocks: Clocks, dt: float | None, instants: bool = False) -> Placed:

@@ -21,18 +21,18 @@ from robust_filterpy.fleet.states import checked, empty
 class Outcome(NamedTuple):
     """What became of the rows of a batch."""
 
+    #: States after it, a row for each key.
     entries: dict[str, np.ndarray]
-    """States after it, a row for each key."""
+    #: Which keys have a state now, shape (K,).
     moved: np.ndarray
-    """Which keys have a state now, shape (K,)."""
+    #: What the model gives for each row, shape (N, c), NaN where it was refused.
     columns: Array
-    """What the model gives for each row, shape (N, c), NaN where it was refused."""
+    #: Rows that were not dropped.
     retained: np.ndarray
-    """Rows that were not dropped."""
+    #: What is wrong with rows.
     reasons: Reasons
-    """What is wrong with rows."""
+    #: Keys whose states were refused, and why.
     refused: dict[int, str]
-    """Keys whose states were refused, and why."""
 
     @property
     def errors(self) -> np.ndarray:
@@ -67,18 +67,18 @@ def started(model: Model, count: int) -> dict[str, np.ndarray]:
 class Batch(NamedTuple):
     """Samples of many keys, in the order of the keys and in that of time."""
 
+    #: As they came.
     rows: Rows
-    """As they came."""
+    #: The rows in the order of the keys.
     order: np.ndarray
-    """The rows in the order of the keys."""
+    #: Where each key's rows begin, and the end, shape (K + 1,).
     starts: np.ndarray
-    """Where each key's rows begin, and the end, shape (K + 1,)."""
+    #: The key of each.
     of: np.ndarray
-    """The key of each."""
+    #: Whether late samples are left out without a word.
     drops: bool
-    """Whether late samples are left out without a word."""
+    #: Of the keys before.
     clocks: Clocks
-    """Of the keys before."""
     line: Placed
 
 

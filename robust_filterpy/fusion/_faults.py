@@ -57,42 +57,42 @@ _FINE, _FIRST = 16, 5
 class Stretch(NamedTuple):
     """What is judged anew: K moments."""
 
+    #: State before the first, (n,).
     x: Array
-    """State before the first, (n,)."""
+    #: (n, n)
     P: Array
-    """(n, n)"""
+    #: To each moment, (K, n, n).
     F: Array
-    """To each moment, (K, n, n)."""
     Q: Array
     drift: Array
+    #: Since the first moment, (K,).
     seconds: Array
-    """Since the first moment, (K,)."""
+    #: (K, M), NaN where missing.
     z: Array
-    """(K, M), NaN where missing."""
+    #: (K, M, n)
     H: Array
-    """(K, M, n)"""
+    #: Variance of ordinary noise, (M,).
     r: Array
-    """Variance of ordinary noise, (M,)."""
+    #: Of the classes of noise, (C,).
     scales: Array
-    """Of the classes of noise, (C,)."""
+    #: (M, C)
     shares: Array
-    """(M, C)"""
+    #: How much of an independent reading one of a component is, (M,).
     worth: Array
-    """How much of an independent reading one of a component is, (M,)."""
 
 
 class Found(NamedTuple):
     """What explains a stretch."""
 
+    #: -1 for the model, and if nothing is wrong.
     component: int
-    """-1 for the model, and if nothing is wrong."""
+    #: Place in `_watch.FAULTS`, or MODEL.
     fault: int
-    """Place in `_watch.FAULTS`, or MODEL."""
     probability: float
+    #: The most probable moment.
     onset: int
-    """The most probable moment."""
+    #: b at the end, or the factor, or the share.
     size: float
-    """b at the end, or the factor, or the share."""
 
 
 class _Bank(NamedTuple):
@@ -101,10 +101,10 @@ class _Bank(NamedTuple):
     component: Array
     fault: Array
     onset: Array
+    #: Of the variance of the noise, of all readings or of the outliers, or of Q.
     factor: Array
-    """Of the variance of the noise, of all readings or of the outliers, or of Q."""
+    #: Logarithm.
     prior: Array
-    """Logarithm."""
 
 
 def judged(stretch: Stretch, left_out: np.ndarray, suspects: np.ndarray) -> Generator[float, None, list[Found]]:

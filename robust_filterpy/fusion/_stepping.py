@@ -64,20 +64,20 @@ def compared(trial: Array, sizes: Array, seconds: float, values: Array) -> tuple
 class State(NamedTuple):
     """A filter between two moments; nothing in here is ever written to."""
 
+    #: Mean of all models, (n,).
     x: Array
-    """Mean of all models, (n,)."""
+    #: Its covariance, (n, n).
     P: Array
-    """Its covariance, (n, n)."""
+    #: What was learned of each component's noise, (M, ..).
     memory: Array
-    """What was learned of each component's noise, (M, ..)."""
+    #: What the policy keeps besides.
     carried: Any
-    """What the policy keeps besides."""
+    #: Variance that stands for R where nobody gave it, NaN until it is estimated, 1 elsewhere, (M,).
     sizes: Array
-    """Variance that stands for R where nobody gave it, NaN until it is estimated, 1 elsewhere, (M,)."""
+    #: Control input in force, (dim_u,).
     u: Array
-    """Control input in force, (dim_u,)."""
+    #: First readings where nobody gave R, (M, ..).
     trial: Array
-    """First readings where nobody gave R, (M, ..)."""
 
 
 def policy_of(layout: Layout, noise: Any, process: Any, influence: Influence | None) -> Policy:
@@ -137,26 +137,26 @@ class Setup(NamedTuple):
     motion: Motion
     layout: Layout
     policy: Policy
+    #: Whether there are verdicts about the sensors.
     watches: bool = False
-    """Whether there are verdicts about the sensors."""
+    #: What is to be expected after a blackout (`reacquisition.Reacquisition`); None if nothing is ever in doubt.
     reacquire: Any = None
-    """What is to be expected after a blackout (`reacquisition.Reacquisition`); None if nothing is ever in doubt."""
 
 
 class Moment(NamedTuple):
     """What there is after everything of one stamp has been judged; nothing in here is ever written to."""
 
     state: State
+    #: What was learned of the sensors' health (`_watch.Watch`); None if nobody looks.
     watch: Any = None
-    """What was learned of the sensors' health (`_watch.Watch`); None if nobody looks."""
+    #: Sensors whose reading could not be used, since a function of theirs has no answer for this state, and why.
     failed: tuple[tuple[str, str], ...] = ()
-    """Sensors whose reading could not be used, since a function of theirs has no answer for this state, and why."""
+    #: Hypotheses about a sensor or the state (`reacquisition.Doubt`); None if there is no doubt.
     doubt: Any = None
-    """Hypotheses about a sensor or the state (`reacquisition.Doubt`); None if there is no doubt."""
+    #: Sensor with the farthest reading, if it is far beyond what is expected and that is looked for; else -1.
     far: int = -1
-    """Sensor with the farthest reading, if it is far beyond what is expected and that is looked for; else -1."""
+    #: Whether the state is not the one to which the step led: a doubt has been decided, or is served.
     anew: bool = False
-    """Whether the state is not the one to which the step led: a doubt has been decided, or is served."""
 
 
 def begun(setup: Setup, x: Array, P: Array) -> Moment:

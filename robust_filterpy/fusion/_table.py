@@ -90,12 +90,12 @@ _WORDS = {"numbers": "a number of seconds", "instants": "an instant"}
 class Readings(NamedTuple):
     """Readings in the order of their stamps."""
 
+    #: Of the stamps, (K,).
     keys: np.ndarray
-    """Of the stamps, (K,)."""
+    #: (K, M), NaN where nothing was read.
     zs: Array
-    """(K, M), NaN where nothing was read."""
+    #: Control input in force until each stamp, (K, dim_u).
     inputs: Array
-    """Control input in force until each stamp, (K, dim_u)."""
     duplicates: int
 
 

@@ -75,45 +75,45 @@ _RECENT, _ENOUGH, _CLIP = 20.0, 30.0, 3.0
 class Watch(NamedTuple):
     """What was learned of the health of each component and sensor; nothing in here is ever written to."""
 
+    #: (M, 8 + C + C + 1): the columns above, the shares of the classes of noise, and the sums: of two sizes of grown
+    #: noise, and of outliers of each class but the first.
     statistics: Array
-    """(M, 8 + C + C + 1): the columns above, the shares of the classes of noise, and the sums: of two sizes of grown
-    noise, and of outliers of each class but the first."""
+    #: Of the estimate to 1 in each component, biased or drifting, from each onset; (n, M * 2 * onsets).
     response: Array
-    """Of the estimate to 1 in each component, biased or drifting, from each onset; (n, M * 2 * onsets)."""
+    #: Score and information about its size, (2, M * 2 * onsets).
     evidence: Array
-    """Score and information about its size, (2, M * 2 * onsets)."""
+    #: 1, and seconds since each onset, (M, 2, onsets).
     age: Array
-    """1, and seconds since each onset, (M, 2, onsets)."""
+    #: Of the classes of noise, (C,).
     scales: Array
-    """Of the classes of noise, (C,)."""
+    #: Logarithm of the odds of a fault, (M,).
     score: Array
-    """Logarithm of the odds of a fault, (M,)."""
+    #: Of clipped e as noise was before the fault: mean, mean square, share beyond 3, how many; (M, 4).
     recent: Array
-    """Of clipped e as noise was before the fault: mean, mean square, share beyond 3, how many; (M, 4)."""
+    #: Variance factors of the noise when the fault was seen, (M,).
     before: Array
-    """Variance factors of the noise when the fault was seen, (M,)."""
+    #: Place in `FAULTS`, (S,).
     fault: Array
-    """Place in `FAULTS`, (S,)."""
+    #: Probability of it, (S,).
     odds: Array
-    """Probability of it, (S,)."""
+    #: How large it is, in the sensor's standard deviations, or per second, or as a factor or a share; (S,).
     size: Array
-    """How large it is, in the sensor's standard deviations, or per second, or as a factor or a share; (S,)."""
+    #: Key of its onset, None where there is none.
     since: tuple[Any, ...]
-    """Key of its onset, None where there is none."""
+    #: Readings of the sensor until the next look, (S,).
     due: Array
-    """Readings of the sensor until the next look, (S,)."""
+    #: Logarithm of the odds at which there is an alarm, the last one for the model, (S + 1,).
     limit: Array
-    """Logarithm of the odds at which there is an alarm, the last one for the model, (S + 1,)."""
+    #: Factor of Q that is thought likely.
     slack: float
-    """Factor of Q that is thought likely."""
+    #: Probability that the model of the motion was wrong at the last look.
     model: float
-    """Probability that the model of the motion was wrong at the last look."""
+    #: Key of the onset.
     model_since: Any
-    """Key of the onset."""
+    #: Key of the moment when what a sensor had said was last taken out of x.
     mended: Any
-    """Key of the moment when what a sensor had said was last taken out of x."""
+    #: Key of the stamp that has asked for a look back which is under way.
     asked: Any
-    """Key of the stamp that has asked for a look back which is under way."""
 
     @property
     def ill(self) -> bool:
@@ -148,23 +148,23 @@ def fresh(states: int, components: int, sensors: int, scales: Array) -> Watch:
 class Looked(NamedTuple):
     """What was read at a moment, and what the filter made of it."""
 
+    #: Components that were read.
     here: np.ndarray
-    """Components that were read."""
+    #: (M,), NaN where missing.
     z: Array
-    """(M,), NaN where missing."""
+    #: Innovations, (M,).
     y: Array
-    """Innovations, (M,)."""
+    #: (M, n)
     H: Array
-    """(M, n)"""
+    #: Before it, (n, n).
     P: Array
-    """Before it, (n, n)."""
+    #: Nominal variance of noise, (M,).
     R: Array
-    """Nominal variance of noise, (M,)."""
+    #: How much each was believed, NaN where it was not used, (M,).
     weights: Array
-    """How much each was believed, NaN where it was not used, (M,)."""
     policy: Any
+    #: Before it, at the stamp before (`_stepping.State`).
     state: Any
-    """Before it, at the stamp before (`_stepping.State`)."""
 
 
 def coasted(watch: Watch, F: Array, seconds: float) -> Watch:

@@ -31,12 +31,12 @@ _SHORT = 0.5
 class Moved(NamedTuple):
     """A stretch of time: x goes to F x + drift."""
 
+    #: (n, n)
     F: Array
-    """(n, n)"""
+    #: (n, n)
     Q: Array
-    """(n, n)"""
+    #: (n,)
     drift: Array
-    """(n,)"""
 
 
 class Motion:

@@ -54,24 +54,24 @@ _REACH, _OTHERS = 3.0, 0.5
 class Doubt(NamedTuple):
     """Hypotheses side by side, N of them; nothing in here is ever written to."""
 
+    #: Whose reading was far.
     sensor: int
-    """Whose reading was far."""
+    #: Key of the stamp.
     since: Any
-    """Key of the stamp."""
+    #: How many of its readings have agreed with one another.
     agreed: int
-    """How many of its readings have agreed with one another."""
+    #: Place of the hypothesis whose x is served; -1 as long as it is the state as ever.
     served: int
-    """Place of the hypothesis whose x is served; -1 as long as it is the state as ever."""
+    #: Whether that is decided.
     sure: bool
-    """Whether that is decided."""
+    #: State and offsets of all components, (N, n + M).
     x: Array
-    """State and offsets of all components, (N, n + M)."""
+    #: (N, n + M, n + M)
     P: Array
-    """(N, n + M, n + M)"""
+    #: Logarithms of their probabilities, (N,).
     logs: Array
-    """Logarithms of their probabilities, (N,)."""
+    #: Seconds since each sensor has spoken, (S,).
     quiet: Array
-    """Seconds since each sensor has spoken, (S,)."""
 
     @property
     def off(self) -> int:

@@ -27,16 +27,16 @@ from robust_filterpy.fusion._table import Clock
 class Estimate(NamedTuple):
     """The estimate of the state at a moment."""
 
+    #: The moment, as a stamp.
     time: Any
-    """The moment, as a stamp."""
+    #: Mean, (n,).
     x: Array
-    """Mean, (n,)."""
+    #: Its covariance, (n, n).
     P: Array
-    """Its covariance, (n, n)."""
+    #: Seconds since each sensor has spoken last; infinite if it never has.
     ages: dict[str, float]
-    """Seconds since each sensor has spoken last; infinite if it never has."""
+    #: Whether it is open if a sensor or the state is wrong (``reacquire``): P covers both.
     undecided: bool = False
-    """Whether it is open if a sensor or the state is wrong (``reacquire``): P covers both."""
 
     def __str__(self) -> str:
         """Return a line for each part."""
@@ -46,14 +46,14 @@ class Estimate(NamedTuple):
 class Forecast(NamedTuple):
     """What is to come at K times: two bands for each sensor, of its readings and of the signal without their noise."""
 
+    #: Stamps, as given.
     times: tuple[Any, ...]
-    """Stamps, as given."""
+    #: What each sensor should read, (K, m).
     middle: dict[str, Array]
-    """What each sensor should read, (K, m)."""
+    #: Lower and upper end of the band of readings, (K, m, 2); NaN while a sensor's noise is not estimated.
     readings: dict[str, Array]
-    """Lower and upper end of the band of readings, (K, m, 2); NaN while a sensor's noise is not estimated."""
+    #: Lower and upper end of the band of what is measured, noise apart, (K, m, 2).
     signal: dict[str, Array]
-    """Lower and upper end of the band of what is measured, noise apart, (K, m, 2)."""
 
     def __str__(self) -> str:
         """Return a line for each part."""
@@ -63,10 +63,10 @@ class Forecast(NamedTuple):
 class SensorNoise(NamedTuple):
     """What has been learned about a sensor's noise."""
 
+    #: Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if not given.
     deviation: Array
-    """Standard deviation of its ordinary noise, in the unit of z, (m,); NaN before its first reading if not given."""
+    #: Share of outliers, (m,); NaN where it is not learnt.
     contamination: Array
-    """Share of outliers, (m,); NaN where it is not learnt."""
 
     def __str__(self) -> str:
         """Return a line for each part."""
@@ -82,14 +82,14 @@ _FACTORS = np.log([1e-2, 1e3])
 class _Ahead(NamedTuple):
     """What a state says about readings to come, for each component, or one for many moments."""
 
+    #: NaN if a sensor's function has no answer.
     middle: Array
-    """NaN if a sensor's function has no answer."""
+    #: Variance of the signal.
     spread: Array
-    """Variance of the signal."""
+    #: Variance of ordinary noise; NaN before it is estimated.
     r: Array
-    """Variance of ordinary noise; NaN before it is estimated."""
+    #: Of the classes, (.., C).
     shares: Array
-    """Of the classes, (.., C)."""
 
 
 def forecast(line: Any, clock: Clock, state: State, at: float | int, times: Any, level: float) -> Forecast:

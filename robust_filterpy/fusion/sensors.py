@@ -140,12 +140,12 @@ class Sensor:
 class Seen(NamedTuple):
     """What a state says that some sensors should read, and how that depends on the state."""
 
+    #: Readings as if every sensor were linear, z - h(x) + H x; NaN where missing, (M,).
     z: Array
-    """Readings as if every sensor were linear, z - h(x) + H x; NaN where missing, (M,)."""
+    #: (M, n)
     H: Array
-    """(M, n)"""
+    #: Sensors whose functions have no answer for this state, and why; their readings are missing.
     failed: tuple[tuple[str, str], ...] = ()
-    """Sensors whose functions have no answer for this state, and why; their readings are missing."""
 
 
 class Layout:

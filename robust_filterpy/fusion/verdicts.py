@@ -60,18 +60,18 @@ _REMEDIES = {
 class Verdict(NamedTuple):
     """What is the matter with a sensor, or with the model of the motion."""
 
+    #: "healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes", "silent" or "model is wrong"; with
+    #: ``reacquire`` "undecided", "false" or "jumped".
     fault: str
-    """"healthy", "departs", "biased", "drifting", "stuck", "noisier", "spikes", "silent" or "model is wrong"; with
-    ``reacquire`` "undecided", "false" or "jumped"."""
+    #: Stamp of the onset, or of its last word if it is silent; None if it is healthy, or has never spoken.
     since: Any
-    """Stamp of the onset, or of its last word if it is silent; None if it is healthy, or has never spoken."""
+    #: That it is this, given that a fault comes once in 10^5 readings and a manoeuvre once in 10^4 stamps; with
+    #: ``reacquire`` given its prior.
     probability: float
-    """That it is this, given that a fault comes once in 10^5 readings and a manoeuvre once in 10^4 stamps; with
-    ``reacquire`` given its prior."""
+    #: Of the fault, in standard deviations (biased), per second (drifting), or as a factor (noisier); else NaN.
     size: float
-    """Of the fault, in standard deviations (biased), per second (drifting), or as a factor (noisier); else NaN."""
+    #: What helps, in words.
     remedy: str
-    """What helps, in words."""
 
     def __str__(self) -> str:
         """Return a line for each part."""

@@ -79,12 +79,12 @@ def _information(S: Array, e: Array, d: Array, groups: list[list[int]], scaling:
 class Taken(NamedTuple):
     """A correction by the kernel; what few programs look at is made of its record on request."""
 
+    #: Posterior mean, shape (n,).
     x: Array
-    """Posterior mean, shape (n,)."""
+    #: Posterior covariance, shape (n, n).
     P: Array
-    """Posterior covariance, shape (n, n)."""
+    #: As `robust_filterpy.kernel.moments.correction_of` reads it.
     record: Array
-    """As `robust_filterpy.kernel.moments.correction_of` reads it."""
 
     @property
     def log_density(self) -> float:

@@ -32,43 +32,43 @@ class Model(NamedTuple):
     Q: Array
     H: Array
     R: Array
+    #: (series, step, n)
     Bu: Array
-    """(series, step, n)"""
 
 
 class State(NamedTuple):
     """Where one recording stands; arrays that a run changes in place. Under psi x, P and learned alone move."""
 
+    #: (q, n)
     means: Array
-    """(q, n)"""
+    #: (q, n, n)
     covariances: Array
-    """(q, n, n)"""
+    #: (q + 2, n)
     belief: Array
-    """(q + 2, n)"""
+    #: (m, ..)
     learnt: Array
-    """(m, ..)"""
+    #: Mean of all, (n,).
     x: Array
-    """Mean of all, (n,)."""
+    #: Its covariance, (n, n).
     P: Array
-    """Its covariance, (n, n)."""
 
 
 class Rows(NamedTuple):
     """What a run writes into, a row for each kept step, of many series with these in front; None: not wanted."""
 
     means: Array | None = None
+    #: (rows, n n) or, for the diagonals, (rows, n); as covariances_p.
     covariances: Array | None = None
-    """(rows, n n) or, for the diagonals, (rows, n); as covariances_p."""
+    #: Predicted, as covariances_p.
     means_p: Array | None = None
-    """Predicted, as covariances_p."""
     covariances_p: Array | None = None
     weights: Array | None = None
+    #: (rows, m), as weights.
     outlying: Array | None = None
-    """(rows, m), as weights."""
+    #: (rows, n)
     scale: Array | None = None
-    """(rows, n)"""
+    #: (1,) or (series,), added to.
     log_likelihood: Array | None = None
-    """(1,) or (series,), added to."""
 
 
 # As psi.h and correction.h number them, too.
@@ -188,18 +188,18 @@ def plain(array: Array) -> Array:
 class Head(NamedTuple):
     """How the numbers of a rule begin, in the order of `rule_head` in glue.c."""
 
+    #: Scales of Q; they follow, and the scales of R.
     models: float
-    """Scales of Q; they follow, and the scales of R."""
     classes: float
     stay: float
     jump: float
     memory: float
     r_memory: float
     learns: float
+    #: Whether the scale of Q is drawn anew in each step.
     draws: float
-    """Whether the scale of Q is drawn anew in each step."""
+    #: So many sensors fail with the first one of their group; -1: all with each other.
     grouped: float
-    """So many sensors fail with the first one of their group; -1: all with each other."""
 
 
 @lru_cache(maxsize=64)

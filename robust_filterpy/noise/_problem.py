@@ -191,12 +191,12 @@ _ENOUGH, _MOST = 1e-3, 40
 class Ends(NamedTuple):
     """Where each of s starts ended."""
 
+    #: Shape (s, d).
     points: Array
-    """Shape (s, d)."""
+    #: Shape (s,).
     costs: Array
-    """Shape (s,)."""
+    #: Whether a further step promises nothing, shape (s,).
     converged: Array
-    """Whether a further step promises nothing, shape (s,)."""
 
 
 def descend(cost: Cost, starts: Array, lower: Array, upper: Array, name: str) -> Ends:
@@ -282,12 +282,12 @@ class NoiseFit:
     # A point has the logs of R's factors, those of Q's, the logit of the contamination and the log of the scale ratio.
 
     data: Problem
+    #: Factor of each sensor, -1 where there is none.
     groups_R: Array
-    """Factor of each sensor, -1 where there is none."""
+    #: The same of each state.
     groups_Q: Array
-    """The same of each state."""
+    #: Contamination and scale ratio, as far as they are given.
     given: tuple[float | None, float | None]
-    """Contamination and scale ratio, as far as they are given."""
 
     @property
     def counts(self) -> tuple[int, int]:

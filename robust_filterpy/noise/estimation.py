@@ -40,10 +40,10 @@ _AWAY, _HALF_A_NAT = 3.0, 0.5
 class NoiseIntervals(NamedTuple):
     """Where the factors may be, by the recording."""
 
+    #: Least and greatest factor of each sensor's variance, shape (dim_z, 2); both 1 where it was not fitted.
     R_scale: Array
-    """Least and greatest factor of each sensor's variance, shape (dim_z, 2); both 1 where it was not fitted."""
+    #: The same of each state's noise, shape (dim_x, 2).
     Q_scale: Array
-    """The same of each state's noise, shape (dim_x, 2)."""
 
 
 @dataclass(frozen=True)

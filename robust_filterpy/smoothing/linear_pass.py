@@ -41,52 +41,52 @@ _FURTHEST = 1e30
 class Model(NamedTuple):
     """A linear model, its measurements whitened: x_k = F x_(k-1) + c + G w, with prior mean and covariance of x_0."""
 
+    #: Transition matrices, (series or 1, steps or 1, n, n).
     F: Array
-    """Transition matrices, (series or 1, steps or 1, n, n)."""
+    #: Roots of the process noise covariance, Q = G G', (.., .., n, r).
     G: Array
-    """Roots of the process noise covariance, Q = G G', (.., .., n, r)."""
+    #: Known part of the prediction, (.., .., n).
     c: Array
-    """Known part of the prediction, (.., .., n)."""
+    #: Measurement matrices in units of the noise, (.., .., m, n).
     H: Array
-    """Measurement matrices in units of the noise, (.., .., m, n)."""
+    #: Measurements in units of the noise, (series, steps, m); a missing one is any number.
     z: Array
-    """Measurements in units of the noise, (series, steps, m); a missing one is any number."""
+    #: Mean before the first prediction, (series or 1, n).
     x0: Array
-    """Mean before the first prediction, (series or 1, n)."""
+    #: Its covariance, (series or 1, n, n).
     P0: Array
-    """Its covariance, (series or 1, n, n)."""
 
 
 class Weighting(NamedTuple):
     """What the pass makes of the measurements and of the process noise."""
 
+    #: d of each component, (series, steps, m), >= 0.
     precision: Array
-    """d of each component, (series, steps, m), >= 0."""
+    #: o of each component, (series, steps, m).
     offset: Array
-    """o of each component, (series, steps, m)."""
+    #: q of each step, (series, steps), >= 0: factor of Q.
     process_scale: Array
-    """q of each step, (series, steps), >= 0: factor of Q."""
 
 
 class Smooth(NamedTuple):
     """What a pass returns; what was not wanted has length 0 along its steps."""
 
+    #: H x_s, (series, steps, m).
     fitted: Array
-    """H x_s, (series, steps, m)."""
+    #: H P_s H', (series, steps, m, m).
     spread: Array
-    """H P_s H', (series, steps, m, m)."""
+    #: G's, (series, steps, r): the smoothed process noise is q G's, in units of G.
     score: Array
-    """G's, (series, steps, r): the smoothed process noise is q G's, in units of G."""
+    #: G'L G, (series, steps, r, r): its covariance is q I - q^2 G'L G.
     information: Array
-    """G'L G, (series, steps, r, r): its covariance is q I - q^2 G'L G."""
+    #: Smoothed states, (series, steps, n).
     x: Array
-    """Smoothed states, (series, steps, n)."""
+    #: Their covariances, (series, steps, n, n).
     P: Array
-    """Their covariances, (series, steps, n, n)."""
+    #: Smoothed state before the first prediction, (series, n), if states were wanted.
     x0: Array
-    """Smoothed state before the first prediction, (series, n), if states were wanted."""
+    #: Its covariance, (series, n, n).
     P0: Array
-    """Its covariance, (series, n, n)."""
 
 
 def smoothing_pass(model: Model, weighting: Weighting, *, states: bool = False, process: bool = False) -> Smooth:
@@ -220,10 +220,10 @@ class Recording(NamedTuple):
     """A smoothing problem."""
 
     model: Model
+    #: Which components were measured, (series, steps, m).
     observed: Array
-    """Which components were measured, (series, steps, m)."""
+    #: Which columns of G are not zero, (series, steps, r).
     driven: Array
-    """Which columns of G are not zero, (series, steps, r)."""
 
 
 def linear_recording(kf: Any, zs: Any, *each: Any) -> Recording:

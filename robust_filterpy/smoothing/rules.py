@@ -88,12 +88,12 @@ class Mixture(NamedTuple):
 class Verdict(NamedTuple):
     """What the other samples say of each noise; arrays of shape (series, steps, kinds)."""
 
+    #: Probability p that it is an outlier.
     outlier: Array
-    """Probability p that it is an outlier."""
+    #: Mean square of the noise if it is one, at most what the mixture knows of.
     square: Array
-    """Mean square of the noise if it is one, at most what the mixture knows of."""
+    #: Whether it is further away than any outlier that the mixture knows of.
     impossible: np.ndarray
-    """Whether it is further away than any outlier that the mixture knows of."""
 
     def mean_precision(self, mixture: Mixture) -> Array:
         """Return (1 - p) + p/r^2, or 0 if impossible: the weight of a measurement."""

@@ -60,8 +60,8 @@ class Fit(NamedTuple):
 
     smooth: Smooth
     weighting: Weighting
+    #: For each series, (series,).
     converged: Array
-    """For each series, (series,)."""
     sweeps: int
 
 

@@ -35,14 +35,14 @@ class Failure(NamedTuple):
     ``trial(numpy.random.default_rng(failure.seed))`` repeats it, and so does ``rerun(trial, seed, index)``.
     """
 
+    #: Number of the run.
     index: int  # type: ignore[assignment]
-    """Number of the run."""
+    #: Seed of this run, unused.
     seed: SeedSequence
-    """Seed of this run, unused."""
+    #: Type and message of the exception, as text: the exception itself may not survive pickling.
     error: str
-    """Type and message of the exception, as text: the exception itself may not survive pickling."""
+    #: Where it was raised, as Python prints it.
     traceback: str
-    """Where it was raised, as Python prints it."""
 
 
 def _run(trial: Trial, root: SeedSequence, index: int) -> Any:
@@ -312,14 +312,14 @@ def rerun(trial: Trial, seed: Seed, index: int) -> Any:
 class Interval(NamedTuple):
     """Hold an estimate and its confidence interval; every field has the shape of one run's sample."""
 
+    #: The statistic of the samples.
     estimate: Any
-    """The statistic of the samples."""
+    #: Lower end of the interval.
     low: Any
-    """Lower end of the interval."""
+    #: Upper end of the interval.
     high: Any
-    """Upper end of the interval."""
+    #: Standard deviation of the statistic over the resamples.
     standard_error: Any
-    """Standard deviation of the statistic over the resamples."""
 
 
 _STATISTICS: dict[str, Callable[..., Any]] = {
