@@ -35,13 +35,6 @@ _COVARIANCES: Final[dict[str, dict[str, float]]] = {
 }
 
 
-# Numbers that a state held of a sensor's spread before it held more, which then follow.
-_FORMER: Final = (10, 15, 17)
-# What is learned of a sensor's noise had nothing of jumps once, nor of typical innovations: so many numbers, which
-# stand before so many.
-_OF_NOISE: Final = ((4, 10), (22, 16))
-
-
 # Arrays of as many sensors, steps or numbers as there are.
 _ANY_LENGTH: Final = ("learnt", "random", "window", "regressions")
 
@@ -117,7 +110,7 @@ def checked(
             if name in optional:
                 continue
             raise StateError(f"state: expected {name}, of shape {_text(shape)}, got none")
-        value = widened(name, _numbers(name, state[name]).copy(), shape[-1] if shape else None)
+        value = _numbers(name, state[name]).copy()
         if value.size == 0 and len(shape) != value.ndim and math.prod(size or 0 for size in shape) == 0:
             # Text formats, JSON among them, do not keep the shape of what is empty.
             value = value.reshape([size or 0 for size in shape])
@@ -131,22 +124,6 @@ def checked(
             require_covariance(name, value)
         entries[name] = value
     return entries
-
-
-def widened(name: str, value: Array, width: int | None) -> Array:
-    """Return what a state holds of sensors, with 0 in the columns that there were not yet when it was stored."""
-    missing = (width or 0) - (value.shape[-1] if value.ndim else 0)
-    if value.ndim > 1 and missing in (-1, 21) and name.endswith(("learnt", "memory")):
-        # The reading at which the last jump was believed: nothing depends on it any more.
-        value, missing = np.delete(value, -13, axis=-1), missing + 1
-    if value.ndim < 2 or missing <= 0:
-        return value
-    if name.endswith("spread") and value.shape[-1] in _FORMER:
-        return np.concatenate((value, np.zeros((*value.shape[:-1], missing))), axis=-1)
-    for count, behind in _OF_NOISE if name.endswith(("learnt", "memory")) else ():
-        if missing in (count, sum(dict(_OF_NOISE))) and value.shape[-1] > behind:
-            value, missing = np.insert(value, [value.shape[-1] - behind] * count, 0.0, axis=-1), missing - count
-    return value
 
 
 def require_covariance(name: str, stack: Array) -> None:

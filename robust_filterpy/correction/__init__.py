@@ -18,12 +18,9 @@ Imports from below: `robust_filterpy.influence`.
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.correction.definition import NotPositiveDefiniteError
 from robust_filterpy.correction.policies import Learnt, Scales
 from robust_filterpy.correction.result import SingularInnovationError
 
 __all__ = ["Contaminated", "Learnt", "NotPositiveDefiniteError", "Scales", "SingularInnovationError"]
-
-__getattr__ = elsewhere(__name__)

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array, numbers
-from robust_filterpy._state import widened
 from robust_filterpy.correction import side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.options import Choices
@@ -175,7 +174,6 @@ def continued(policy: Any, given: SeriesArguments, state: Mapping[str, Any]) -> 
         )
     for name in [name for name in stands if name not in ("x", "P")]:
         value = np.array(numbers(f"state[{name!r}]", state[name]), order="C")
-        value = widened(name, value, stands[name].shape[-1])
         if value.shape != stands[name].shape:
             raise ValueError(
                 f"state[{name!r}]: expected shape {stands[name].shape}, got {value.shape}; it goes on with the same "

@@ -9,12 +9,9 @@
 * `reading`: the forms a batch may have; late samples, duplicates and gaps.
 """
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy._state import pack, unpack
 from robust_filterpy.fleet.models import FilterModel, TrackerModel
 from robust_filterpy.fleet.states import States
 from robust_filterpy.fleet.table import filter_table, step
 
 __all__ = ["FilterModel", "States", "TrackerModel", "filter_table", "pack", "step", "unpack"]
-
-__getattr__ = elsewhere(__name__)

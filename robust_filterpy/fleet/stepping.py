@@ -122,10 +122,6 @@ def _advanced(
     times = None if rows.times is None else rows.times[order]
     time, grid = entries["time"][:, 0].copy(), entries["grid"].copy()
     clocks = Clocks(time, grid[:, 0], grid[:, 1], entries["elsewhere"].copy())
-    if model.dt is not None:
-        # States from before a grid was kept begin one.
-        new = np.isnan(grid[:, 0]) & ~np.isnan(time)
-        clocks = clocks._replace(origin=np.where(new, time, grid[:, 0]), step=np.where(new, 0.0, grid[:, 1]))
     line = placed(times, starts, clocks, model.dt, rows.instants)
     batch = Batch(rows, order, starts, of, model.late == "drop", clocks, line)
     work, at, held = _steps(model, entries, batch, z, u)

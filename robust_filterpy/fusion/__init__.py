@@ -18,7 +18,6 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`, `smoothing`.
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.correction.policies import Contaminated, Learnt, Scales
 from robust_filterpy.fusion.fusion import Fusion
 from robust_filterpy.fusion.motion import constant_acceleration, constant_velocity, from_continuous, from_function
@@ -29,5 +28,3 @@ __all__ = [
     "Contaminated", "Fusion", "FusionWarning", "Learnt", "Reacquisition", "Scales", "Sensor", "angle",
     "constant_acceleration", "constant_velocity", "from_continuous", "from_function",
 ]  # fmt: skip
-
-__getattr__ = elsewhere(__name__)

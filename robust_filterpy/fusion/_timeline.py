@@ -247,8 +247,6 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
                             ("doubt", "without reacquire, got one with it")):  # fmt: skip
         if name in given and name not in needed:
             raise _state.StateError(f"state: expected one of a fusion {otherwise}")
-    if "moments" in needed and "moments" in given:
-        given = {**given, "moments": _of_now(given, like)}
     got = _state.checked(given, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
     entries, stamps = len(got["keys"]), np.vstack([got["keys"], got["base"], got["earlier"]])
     for good, expected in (
@@ -307,21 +305,6 @@ def _parts(setup: Setup, moment: Moment) -> list[Any]:
     room = doubt if len(doubt) else np.zeros(sum(map(math.prod, _shapes_of_doubt(setup.layout))))
     in_doubt = [] if setup.reacquire is None else [len(doubt) > 0, room]
     return [*arrays(setup.policy, moment.state), *numbers, stamps, flags, *in_doubt]
-
-
-def _of_now(given: Any, like: Timeline) -> Any:
-    """Return moments as they are stored now: once sensors had a number more, and no stamp asked for a look back."""
-    sizes = [np.shape(part) for part in _parts(like.setup, begun(like.setup, like.base.state.x, like.base.state.P))]
-    place, rows, whole = _ARRAYS.index("memory"), np.asarray(given["moments"]), sum(map(math.prod, sizes))
-    (sensors, width), before = sizes[place], sum(map(math.prod, sizes[:place]))
-    wide = np.shape(given.get("memory"))[-1:] == (width + 1,)
-    if rows.ndim != 2 or rows.shape[1] != whole - 3 + sensors * wide:
-        return rows
-    behind = sum(map(math.prod, sizes[len(_ARRAYS) + len(Watch._fields) - len(_STAMPS) + 1 :]))
-    rows = np.insert(rows, [rows.shape[1] - behind] * 3, 0.0, axis=1)
-    first, memory, rest = np.split(rows, [before, before + sensors * (width + wide)], axis=1)
-    memory = _state.widened("memory", memory.reshape(-1, sensors, width + wide), width)
-    return np.hstack((first, memory.reshape(len(rows), -1), rest))
 
 
 def _row(parts: Iterable[Any]) -> Array:

@@ -10,7 +10,6 @@ Imports from below: `influence`, `correction`, `kernel`, `filters`.
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.judging.select import select_structure
 from robust_filterpy.identification.judging.validate import compare, validate
@@ -35,5 +34,3 @@ __all__ = [
     "OutputError", "ParameterTracker", "StateSpace", "TrackerBank", "compare", "identify", "select_structure",
     "validate",
 ]  # fmt: skip
-
-__getattr__ = elsewhere(__name__)

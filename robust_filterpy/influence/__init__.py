@@ -9,9 +9,6 @@ Imports from below: `robust_filterpy._checks` alone.
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.influence.functions import Hampel, Huber, Linear, StudentT, TukeyBiweight
 
 __all__ = ["Hampel", "Huber", "Linear", "StudentT", "TukeyBiweight"]
-
-__getattr__ = elsewhere(__name__)

@@ -8,10 +8,7 @@ Imports from below: `influence`, `correction`, `filters`.
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.noise.distributions import LeastFavorable, fisher_information
 from robust_filterpy.noise.estimation import estimate_noise
 
 __all__ = ["LeastFavorable", "estimate_noise", "fisher_information"]
-
-__getattr__ = elsewhere(__name__)

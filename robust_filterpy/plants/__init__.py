@@ -10,9 +10,6 @@ test of stability.
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.plants.linear import THETA_BAR, simulate_arx, simulate_output_error
 
 __all__ = ["THETA_BAR", "simulate_arx", "simulate_output_error"]
-
-__getattr__ = elsewhere(__name__)

@@ -20,7 +20,6 @@ Imports from below: `influence`, `diagnostics`, `identification`, `plants`. pyte
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.testing.bench import ChecksFailed
 from robust_filterpy.testing.checks import check_filter, filter_checks
@@ -40,5 +39,3 @@ __all__ = [
     "assert_unbiased", "bootstrap_interval", "check_filter", "draw", "filter_checks", "fit_percent", "monte_carlo",
     "rerun", "run_filter", "run_tracker",
 ]  # fmt: skip
-
-__getattr__ = elsewhere(__name__)

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from support import mover, predict_and_update, through, white
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter
-from robust_filterpy.correction.spread import NUMBERS
 from robust_filterpy.filters import StuckSensorWarning
 
 pytestmark = pytest.mark.usefixtures("path")
@@ -108,29 +107,6 @@ def test_a_step_of_what_is_measured_leaves_the_speed(kind):
         path = through(kf, 0.7 * np.arange(400) + 5.0 * (np.arange(400) >= 200) + noise)
         worst = np.abs(path[190:, 1] - 7.0).max()
         assert worst < (0.5 if kind is RobustKalmanFilter else 1.0) and abs(path[-1, 0] - 284.3) < 0.15
-
-
-JUMPS, TYPICAL = np.r_[-14:-10], np.r_[-16 - NUMBERS : -16]
-#: What a former version wrote, of what is written now.
-FORMER = {
-    **{f"{width} numbers of each sensor": ("spread", lambda a, width=width: a[:, :width]) for width in (10, 15, 17)},
-    **{name: ("learnt", lambda a, absent=absent: np.delete(a, absent, axis=1)) for name, absent in (
-        ("nothing of jumps", JUMPS), ("nothing typical", TYPICAL), ("neither", np.r_[TYPICAL, JUMPS]),
-    )},
-    "when the last jump was believed": ("learnt", lambda a: np.insert(a, a.shape[1] - 12, 7.0, axis=1)),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", FORMER)
-def test_a_state_of_a_former_version_is_read(name):
-    part, former = FORMER[name]
-    kf, other = (mover(RobustKalmanFilter if part == "spread" else AdaptiveKalmanFilter) for _ in range(2))
-    through(kf, np.random.default_rng(5).normal(size=40))
-    state = kf.state()
-    state[part] = former(state[part])
-    other.restore(state)
-    assert_array_equal(former(other.state()[part]), state[part])
-    assert step(other, 0.3) == pytest.approx(step(kf, 0.3), rel=1e-9)
 
 
 def test_what_a_jump_opens_does_not_depend_on_the_order_of_the_sensors():

@@ -12,7 +12,7 @@ PACKAGE = Path(robust_filterpy.__file__).parent
 ROOMS = (
     "_version", "_warning", "_brief", "_checks", "_fill_values", "_stamps", "_arrays", "_filterpy",
     "_lazy", "_state", "_progress", "influence", "correction", "kernel", "filters", "smoothing",
-    "fusion", "noise", "diagnostics", "identification", "edge", "plants", "testing", "experiments", "fleet", "adapters",
+    "fusion", "noise", "diagnostics", "identification", "edge", "plants", "testing", "fleet", "adapters",
     "plotting", "kalman", "common", "__init__", "__main__",
 )  # fmt: skip
 FILES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}

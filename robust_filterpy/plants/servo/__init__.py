@@ -8,10 +8,7 @@
 
 from __future__ import annotations
 
-from robust_filterpy._lazy import elsewhere
 from robust_filterpy.plants.servo.equations import PneumaticParameters, pneumatic_servo
 from robust_filterpy.plants.servo.position_loop import simulate_servo
 
 __all__ = ["PneumaticParameters", "pneumatic_servo", "simulate_servo"]
-
-__getattr__ = elsewhere(__name__)
