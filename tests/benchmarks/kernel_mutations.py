@@ -33,10 +33,10 @@ TESTS = {
     "mend.h": ("tests/kernel/test_tracker_kernel.py", "tests/filters/test_long_run.py"),
     "learnt.h": ("tests/kernel/test_learnt_kernel.py", "tests/kernel/test_steps.py", "tests/batch"),
     "smoother.h": ("tests/smoothing/test_linear_pass.py", "tests/smoothing/test_smoother.py"),
-    "update.h": ("tests/kernel/test_moments.py", "tests/kernel"),
+    "update.h": ("tests/kernel/test_nonlinear_steps.py", "tests/kernel"),
     "series.h": ("tests/batch/test_series.py", "tests/kernel"),
 }
-EVERY = ("tests/kernel/test_steps.py", "tests/kernel/test_moments.py", "tests/batch", "tests/kernel")
+EVERY = ("tests/kernel/test_steps.py", "tests/kernel/test_nonlinear_steps.py", "tests/batch", "tests/kernel")
 SWAPPED = {
     "+": "-", "-": "+", "*": "/", "/": "*", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==",
     "&&": "||", "||": "&&", "+=": "-=", "-=": "+=", "*=": "/=",

@@ -1,4 +1,4 @@
-"""Random filters and trackers, their samples and what Python makes of them; what their C makes of the same."""
+"""Random filters and trackers, and their samples; what Python makes of a filter's, and what their C makes of them."""
 
 from __future__ import annotations
 
@@ -29,14 +29,16 @@ INFLUENCES = (Huber(), Huber(1.0), Huber(np.inf), Hampel(1.5, 3.0, 6.0), TukeyBi
 
 @dataclass
 class Case:
-    """A model, its samples (a row each: inputs, then measurements), and a row of results for each from Python."""
+    """A model and its samples, a row each: inputs, then measurements."""
 
     name: str
     model: object
     samples: np.ndarray
-    expected: np.ndarray
-    n: int
     inputs: int
+
+    @property
+    def n(self):
+        return np.size(getattr(self.model, "filter", self.model).x)
 
 
 def status(call, *arguments):
@@ -52,63 +54,20 @@ def status(call, *arguments):
     return OK
 
 
-def filtered(kf, samples, inputs, nudge):
-    """What Python makes of samples: two codes, x, P, and e and the weight of each component; nudged after each."""
-    m = samples.shape[1] - inputs
+def filtered(case):
+    """What Python makes of a filter's samples: two codes, x, P, and e and the weight of each component."""
+    kf, m = copy.deepcopy(case.model), case.samples.shape[1] - case.inputs
     e, weights, rows = np.zeros(m), np.zeros(m), []
-    for row in samples:
-        predicted, z = status(kf.predict, row[:inputs] if inputs else None), row[inputs:]
+    for u, z in zip(*np.split(case.samples, [case.inputs], axis=1), strict=True):
         # Larger than what C takes up at all: its square overflows.
-        codes = (predicted, BAD_ARGUMENT if (np.abs(z) >= 1e150).any() else status(kf.update, z))
+        large = (np.abs(z) >= 1e150).any()
+        codes = status(kf.predict, u if len(u) else None), BAD_ARGUMENT if large else status(kf.update, z)
         if codes[1] == OK:
             e, weights = np.ravel(kf.e), np.ravel(kf.weights)
-        if np.isnan(row[inputs:]).all():
+        if np.isnan(z).all():
             e, weights = np.zeros(m), np.full(m, np.nan)
         rows.append([*codes, *np.ravel(kf.x), *kf.P.ravel(), *e, *weights])
-        nudge(kf)
     return np.array(rows)
-
-
-def tracked(tracker, samples, inputs, nudge):
-    """What Python makes of samples: two codes, theta, P, and what each shows; nudged after each."""
-    shown, rows = (0.0, 0.0, 0.0, 0), []
-
-    def take(row):
-        nonlocal shown
-        shown = tuple(tracker.update(row[inputs], row[:inputs]))
-
-    for row in samples:
-        code, state = status(take, row), tracker.state()
-        rows.append([OK, code, *state["theta"], *state["P"].ravel(), *shown])
-        nudge(tracker.filter)
-    return np.array(rows)
-
-
-def answers(model, samples, inputs, nudge=lambda kf: None):
-    """What Python makes of samples."""
-    working = copy.deepcopy(model)
-    return (filtered if isinstance(model, RobustKalmanFilter) else tracked)(working, samples, inputs, nudge)
-
-
-def case(name, model, samples, inputs):
-    """A model and its samples with Python's answers."""
-    n = np.size(getattr(model, "filter", model).x)
-    return Case(name, model, samples, answers(model, samples, inputs), n, inputs)
-
-
-def sensitivity(case):
-    """How far, up to each sample, Python's own answers move where rounding moves the state by a last bit."""
-    rng = np.random.default_rng(0)
-
-    def nudge(kf):
-        for name in ("x", "P"):
-            value = getattr(kf, name)
-            change = 1.0 + rng.choice([-1.0, 1.0], value.shape) * 2.0**-52
-            setattr(kf, name, value * change)
-        kf.P = 0.5 * (kf.P + kf.P.T)
-
-    moved = (answers(case.model, case.samples, case.inputs, nudge) for _ in range(20))
-    return np.max([distances(found, case) for found in moved], axis=0)
 
 
 def filter_case(name, seed, extremes=True, steps=30, joint=False):
@@ -146,8 +105,7 @@ def filter_case(name, seed, extremes=True, steps=30, joint=False):
         if not kf.influence == Linear() and not kf.influence == Huber(np.inf):
             z[11, 0], z[13] = 1e300, -1e290
     u = rng.normal(size=(steps, inputs))
-    samples = np.column_stack((u, z))
-    return case(name, kf, samples, inputs)
+    return Case(name, kf, np.column_stack((u, z)), inputs)
 
 
 def structure(rng):
@@ -206,7 +164,7 @@ def tracker_case(name, seed, steps=60, start=0):
     if rng.random() < 0.3:
         # As if it had been forgetting for long.
         tracker._now = tracker._now.with_parts(windup=0.3 * float(np.trace(tracker.filter.P)))
-    return case(name, tracker, np.column_stack((u, y)), inputs)
+    return Case(name, tracker, np.column_stack((u, y)), inputs)
 
 
 class InC:
@@ -253,7 +211,7 @@ class InC:
         return self.library.one_update(self.model, self.state, *map(self.of, sensor), given, self.shown)
 
     def step(self, z, u):
-        """Take a sample; return two codes, the state, and what is shown, as `answers` has it of Python."""
+        """Take a sample; return two codes, the state, and what is shown, as `filtered` has it of Python."""
         codes = (self.predict(u=u), self.update(z)) if self.is_filter else (OK, self.update(z, u=u))
         shown = [*self.shown[self.m : 3 * self.m]]
         if not self.is_filter:
@@ -304,44 +262,9 @@ class InC:
         return np.array(self.state[self.n + self.n**2 :])
 
 
-def compiled(cases, folder, precision="double", watched=UNDEFINED):
-    """What the C of each case makes of its samples."""
-    found = []
+def compiled(cases, folder, precision="double"):
+    """Each case, and what its C makes of its samples."""
     for case in cases:
-        (folder / case.name).mkdir()
-        in_c = InC(case.model, folder / case.name, watched, precision=precision)
-        found.append(np.array([in_c.step(row[case.inputs :], row[: case.inputs]) for row in case.samples]))
-    return found
-
-
-def distances(found, case):
-    """Largest difference up to each sample of x, P, and what is shown, each relative; of a status, infinite."""
-    n, expected = case.n, case.expected
-    x, P, first = slice(2, 2 + n), slice(2 + n, 2 + n + n * n), 2 + n + n * n
-    scale = np.ones(expected.shape)
-    # x and P of one sample each by its own size: P may have shrunk since.
-    for part in (x, P):
-        scale[:, part] = np.abs(expected[:, part]).max(axis=1, initial=1e-300, keepdims=True)
-    if isinstance(case.model, RobustKalmanFilter):
-        e = slice(first, first + case.model.dim_z)
-        scale[:, e] = np.maximum(np.abs(expected[:, e]).max(axis=1, keepdims=True), 1.0)
-    else:
-        # Signals of a tracker by their size in the recording.
-        scale[:, first:] = np.maximum(np.nanmax(np.abs(expected[:, first:]), axis=0, initial=0.0), 1.0)
-    far = np.nanmax(np.abs(found - expected) / scale, axis=1)
-    other = (np.isnan(found) != np.isnan(expected)).any(axis=1) | (found[:, :2] != expected[:, :2]).any(axis=1)
-    return np.maximum.accumulate(np.where(other, np.inf, far))
-
-
-def bounded(case):
-    """Up to which sample a model that feeds on its own output, without a guard, has not exploded."""
-    if isinstance(case.model, RobustKalmanFilter):
-        return np.ones(len(case.expected), dtype=bool)
-    signal = np.abs(case.samples[:, -1])
-    prediction = np.maximum.accumulate(np.abs(case.expected[:, -4]))
-    return prediction < 1e6 * signal[np.isfinite(signal)].max()
-
-
-def distance(found, case):
-    """Largest difference of a recording."""
-    return float(distances(found, case)[-1])
+        (folder / case.name).mkdir(parents=True)
+        in_c = InC(case.model, folder / case.name, UNDEFINED, precision=precision)
+        yield case, np.array([in_c.step(row[case.inputs :], row[: case.inputs]) for row in case.samples])
