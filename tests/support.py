@@ -26,6 +26,7 @@ from robust_filterpy.filters import (
     shell,
 )
 from robust_filterpy.identification import ParameterTracker, TrackerBank
+from robust_filterpy.influence.information import expected_information
 from robust_filterpy.testing.checks import assert_unchanged as assert_unchanged
 from robust_filterpy.testing.checks import visible
 
@@ -217,31 +218,6 @@ def mild(dim_x=4, dim_z=2, seed=21):
     return with_(problem, P=0.02 * problem.P, Q=0.02 * problem.Q, M=0.1 * problem.M, H=0.5 * problem.H)
 
 
-class HuberFormulas:
-    """Huber's functions, written with np.clip."""
-
-    def __init__(self, threshold):
-        self.threshold = threshold
-
-    def psi(self, e):
-        return np.clip(e, -self.threshold, self.threshold)
-
-    def psi_deriv(self, e):
-        return (np.abs(e) <= self.threshold) * 1.0
-
-    def weights(self, e):
-        return np.minimum(1.0, self.threshold / np.maximum(np.abs(e), 1e-300))
-
-    @property
-    def contamination(self):
-        ratio = 2 * scipy.stats.norm.pdf(self.threshold) / self.threshold - 2 * scipy.stats.norm.sf(self.threshold)
-        return ratio / (1 + ratio)
-
-    @property
-    def expected(self):
-        return (1 - self.contamination) * (2 * scipy.stats.norm.cdf(self.threshold) - 1)
-
-
 def joint_jacobian(e, functions):
     """The Jacobian of w(|e|) e by central differences, its eigenvalues clipped to [0, 1]."""
     e = np.asarray(e, dtype=float)
@@ -260,7 +236,8 @@ def reference_correction(
 ):
     """What a correction should give: one sensor or group after the other, the most plausible first, x as a 1-D array.
 
-    By updates of state and noise together. `whitened` is each sensor in its standard deviations given those before it,
+    By updates of state and noise together, with a psi's functions as they are (`tests/influence` holds them to those
+    of statsmodels). `whitened` is each sensor in its standard deviations given those before it,
     whatever the scaling, `log_det` the sum of the logarithms of one over these deviations.
     """
     x, z = np.ravel(x).astype(float), np.ravel(z).astype(float)
@@ -291,8 +268,8 @@ def reference_correction(
             D = {"weight": lambda: np.diag(weights), "realized": lambda: joint_jacobian(e, functions)}[information]()
         else:
             weights[group] = functions.weights(e[group])
-            known = {"weight": weights[group], "realized": np.clip(functions.psi_deriv(e[group]), 0, 1)}
-            D = np.diag(np.full(1, functions.expected) if information == "expected" else known[information])
+            known = {"weight": weights[group][0], "realized": np.clip(functions.psi_deriv(e[group])[0], 0, 1)}
+            D = np.diag([expected_information(functions) if information == "expected" else known[information]])
         G = whole @ rows.T @ T.T
         moves, whole = moves + G @ (weights[group] * e[group]), whole - G @ D @ G.T
     T = np.zeros((m, m))

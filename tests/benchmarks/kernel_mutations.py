@@ -29,7 +29,7 @@ HEADERS = ROOT / "robust_filterpy" / "kernel"
 LEFT_OUT = ("glue.h", "groups.h", "real.h", "online.h")
 # What compares the kernel with the definition; the quick ones first.
 TESTS = {
-    "tracker.h": ("tests/kernel/test_tracker_kernel.py", "tests/identification/test_bank_equals_trackers.py"),
+    "tracker.h": ("tests/kernel/test_tracker_kernel.py", "tests/identification/test_tracker_bank.py"),
     "mend.h": ("tests/kernel/test_tracker_kernel.py", "tests/filters/test_long_run.py"),
     "learnt.h": ("tests/kernel/test_learnt_kernel.py", "tests/kernel/test_steps.py", "tests/batch"),
     "smoother.h": ("tests/smoothing/test_linear_pass.py", "tests/smoothing/test_smoother.py"),

@@ -30,7 +30,7 @@ def test_log_likelihood_is_that_of_the_least_favourable_density(scaling, informa
     problem = support.random_problem(4, 3, 2)
     kf = predicted(problem, scaling=scaling, information=information)
     options = {"scaling": scaling, "information": information}
-    found = support.reference_correction(kf.x, kf.P, z, kf.H, kf.R, support.HuberFormulas(1.345), **options)
+    found = support.reference_correction(kf.x, kf.P, z, kf.H, kf.R, Huber(), **options)
     kf.update(z)
     expected = LeastFavorable(Huber().contamination).logpdf(found.whitened).sum() + found.log_det
     assert kf.log_likelihood == pytest.approx(expected, rel=1e-9)
@@ -71,7 +71,7 @@ def test_log_likelihood_of_a_measurement():
     z = np.array([[0.4], [90.0]])
     nothing = np.zeros((0, 0))
     found = support.reference_correction(
-        nothing.ravel(), nothing, z - kf.H @ kf.x, np.zeros((2, 0)), kf.S, support.HuberFormulas(1.345)
+        nothing.ravel(), nothing, z - kf.H @ kf.x, np.zeros((2, 0)), kf.S, Huber()
     )
     expected = LeastFavorable(Huber().contamination).logpdf(found.whitened).sum() + found.log_det
     assert kf.log_likelihood_of(z) == pytest.approx(expected, rel=1e-9)

@@ -1,7 +1,6 @@
 """Every correction of the robust filter is that of the paper, shows what it did, and bounds what an outlier does."""
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +12,10 @@ from statsmodels.robust import norms
 from robust_filterpy import AdaptiveKalmanFilter, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import NotPositiveDefiniteError, SingularInnovationError
 from robust_filterpy.influence import Hampel, Linear
-from robust_filterpy.influence.information import expected_information
 
 pytestmark = pytest.mark.core
 
 K = 1.345
-FORMULAS = support.HuberFormulas(K)
 SCALINGS = ["innovation", "bounded", "unit"]
 GROUPED = [("component", information) for information in ("realized", "expected", "weight")]
 GROUPED += [("joint", information) for information in ("realized", "weight")]
@@ -30,45 +27,35 @@ def robust(problem=None, ndim=2, **choices):
     return support.make(RobustKalmanFilter, problem or support.random_problem(21, 4, 2), ndim, **choices)
 
 
-@pytest.mark.pairwise
-@pytest.mark.parametrize("method", ["update", "update_correlated"])
-@pytest.mark.parametrize("scaling", SCALINGS)
-@pytest.mark.parametrize("grouping, information", GROUPED)
-@pytest.mark.parametrize("ndim", NDIMS)
-@pytest.mark.parametrize("z", [[0.1, -0.2, 0.3], [0.1, 40.0, 0.2], [-30.0, 1e4, 7.0]])
-@pytest.mark.parametrize("dim_z", [1, 2, 3])
-def test_update_is_the_correction(method, scaling, grouping, information, ndim, z, dim_z):
-    z, problem = z[:dim_z], support.mild(4, dim_z)
-    choices = {"scaling": scaling, "grouping": grouping, "information": information}
-    kf, M = robust(problem, ndim, **choices), problem.M if method == "update_correlated" else None
-    reference = support.reference_correction(problem.x, problem.P, z, problem.H, problem.R, FORMULAS, M=M, **choices)
-    getattr(kf, method)(z)
-    support.assert_corrected(kf, reference, rtol=1e-7 if grouping == "joint" else 1e-9)
-    assert kf.clipped.dtype == bool
-    np.testing.assert_array_equal(np.ravel(kf.clipped), reference.weights < 1.0)
-
-
-ANY = [Linear(), Huber(0.7), Hampel(), TukeyBiweight(), StudentT(2.5), norms.TukeyBiweight(), norms.Hampel()]
+ANY = [Huber(), Linear(), Huber(0.7), Hampel(), TukeyBiweight(), StudentT(2.5), norms.TukeyBiweight(), norms.Hampel()]
 ANY += [norms.HuberT(2.0), norms.AndrewWave()]
 
 
 @pytest.mark.pairwise
 @pytest.mark.parametrize("influence", ANY, ids=[f"{k} {type(psi).__name__}" for k, psi in enumerate(ANY)])
+@pytest.mark.parametrize("method", ["update", "update_correlated"])
 @pytest.mark.parametrize("scaling", SCALINGS)
-@pytest.mark.parametrize("information", ["realized", "weight", "expected"])
-@pytest.mark.parametrize("dim_z", [1, 3])
-def test_update_with_every_influence_at_every_size_of_residual(influence, scaling, information, dim_z):
-    """Also with the norms of statsmodels as they are."""
-    problem, choices = support.mild(3, dim_z, seed=24), {"scaling": scaling, "information": information}
-    psi = SimpleNamespace(**{name: getattr(influence, name) for name in ("psi", "psi_deriv", "weights")})
-    psi.expected = expected_information(influence) if information == "expected" else None
-    for size in (0.0, 0.5, 1.5, 3.0, 5.0, 9.0, 1e3):
+@pytest.mark.parametrize("grouping, information", GROUPED)
+@pytest.mark.parametrize("ndim", NDIMS)
+@pytest.mark.parametrize("dim_z", [1, 2, 3])
+def test_update_is_the_correction_at_every_size_of_residual(
+    method, scaling, grouping, information, ndim, dim_z, influence
+):
+    """With every influence, also the norms of statsmodels as they are."""
+    problem, choices = support.mild(4, dim_z), {"scaling": scaling, "grouping": grouping, "information": information}
+    M = problem.M if method == "update_correlated" else None
+    # Of several that are exactly as predicted rounding would say which is the most plausible.
+    for size in (0.0 if dim_z == 1 else 0.1, 0.5, 1.5, 3.0, 5.0, 9.0, 1e3):
         z = (problem.H @ problem.x)[:, 0] + size * np.array([1.0, -0.7, 0.41])[:dim_z]
-        kf = robust(problem, influence=influence, **choices)
-        reference = support.reference_correction(problem.x, problem.P, z, problem.H, problem.R, psi, **choices)
-        kf.update(z)
-        support.assert_corrected(kf, reference)
-        assert np.isfinite(kf.log_likelihood)
+        kf = robust(problem, ndim, influence=influence, **choices)
+        reference = support.reference_correction(
+            problem.x, problem.P, z, problem.H, problem.R, influence, M=M, **choices
+        )
+        getattr(kf, method)(z)
+        support.assert_corrected(kf, reference, rtol=1e-7 if grouping == "joint" else 1e-9)
+        assert np.isfinite(kf.log_likelihood) and kf.clipped.dtype == bool
+        judged = np.full(dim_z, np.linalg.norm(reference.e)) if grouping == "joint" else reference.e
+        np.testing.assert_array_equal(np.ravel(kf.clipped), influence.psi_deriv(judged) <= 0.0)
 
 
 def test_joint_expected_information_is_the_mean_over_the_chi_distribution():
