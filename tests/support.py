@@ -13,8 +13,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import scipy.linalg
-import scipy.stats
 from filterpy.kalman import CubatureKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from robust_filterpy import Contaminated, RobustKalmanFilter, TukeyBiweight, kernel

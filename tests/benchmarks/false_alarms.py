@@ -19,7 +19,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "testing"))
 
-from right_estimators import FILTERS
+from filters.test_filter_promises import FILTERS
+from wrong_filters import RIGHT_FILTERS
 
 from robust_filterpy.testing import filter_checks
 from robust_filterpy.testing.bench import Check
@@ -50,7 +51,7 @@ def main() -> None:
     parser.add_argument("--only", help="names of estimators that begin so")
     args = parser.parse_args()
     seeds, total = range(args.first, args.first + args.seeds), 0
-    for name, (make, not_claimed) in FILTERS.items():
+    for name, (make, not_claimed) in {**RIGHT_FILTERS, **FILTERS}.items():
         if args.only and not name.startswith(args.only):
             continue
         checks = [check for check in filter_checks(not_claimed=not_claimed) if args.all or check.stochastic]

@@ -1,4 +1,4 @@
-"""Steps of nonlinear filters, by parts and with correlated noise, are the definition's, and refuse what it refuses."""
+"""Steps of nonlinear filters refuse what the definition refuses; steps by parts show the same whenever looked at."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,11 @@ from filterpy.kalman import MerweScaledSigmaPoints
 from hostile import spoilt
 
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, kernel
-from robust_filterpy.filters import RobustCubatureKalmanFilter
 
 support.needs_kernel()
 
 EXTENSION = kernel.extension()
 F = np.array([[1.0, 0.1, 0.0], [0.0, 0.95, 0.1], [0.0, 0.0, 0.9]])
-SHOWN = ("x", "P", "y", "S", "SI", "K", "e", "weights", "log_likelihood", "x_prior", "P_prior", "x_post", "P_post", "z")
 REFUSED = (TypeError, ValueError, OverflowError, np.linalg.LinAlgError)
 
 
@@ -28,18 +26,14 @@ def slope(x):
     return np.array([[(x[0] + 5.0) / r, x[1] / r, 0.0], [0.0, 1.0, 0.2 * x[2]]])
 
 
-def filters(kind, **options):
+def made(kind):
     if kind == "extended":
-        kf = RobustExtendedKalmanFilter(3, 2, **options)
+        kf = RobustExtendedKalmanFilter(3, 2)
         kf.F = F
-    elif kind == "unscented":
-        points = MerweScaledSigmaPoints(3, 0.3, 2.0, 0.0)
-        kf = RobustUnscentedKalmanFilter(3, 2, 1.0, seen, lambda x, dt: F @ x, points, **options)
     else:
-        kf = RobustCubatureKalmanFilter(3, 2, 1.0, seen, lambda x, dt: F @ np.ravel(x), **options)
-    kf.Q, kf.R = 0.1 * np.eye(3), np.diag([0.5, 0.2])
-    if kind != "cubature":
-        kf.x = np.zeros(3)
+        points = MerweScaledSigmaPoints(3, 0.3, 2.0, 0.0)
+        kf = RobustUnscentedKalmanFilter(3, 2, 1.0, seen, lambda x, dt: F @ x, points)
+    kf.x, kf.Q, kf.R = np.zeros(3), 0.1 * np.eye(3), np.diag([0.5, 0.2])
     return kf
 
 
@@ -57,17 +51,11 @@ def stepped(kf, z, extension, monkeypatch, **passed):
     return None
 
 
-def assert_same(one, two, tolerance=1e-7):
-    for name in SHOWN:
-        a, b = (np.asarray(getattr(kf, name), dtype=float) for kf in (one, two))
-        np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance * (1.0 + np.nanmax(np.abs(b))), err_msg=name)
-
-
 @pytest.mark.parametrize("kind", ["extended", "unscented"])
 def test_what_is_passed_spoilt_is_refused_or_taken_as_by_the_definition(kind, monkeypatch):
     g, served = np.random.default_rng(4), 0
     for seed in range(150):
-        one, two = filters(kind), filters(kind)
+        one, two = made(kind), made(kind)
         for kf in (one, two):
             assert stepped(kf, np.array([5.0, 0.1]), None, monkeypatch) is None
         place = ("z", "R", "H", "Hx")[seed % (4 if kind == "extended" else 2)]
@@ -88,20 +76,6 @@ def test_what_is_passed_spoilt_is_refused_or_taken_as_by_the_definition(kind, mo
             np.testing.assert_array_equal(one.x, one.x_prior)
             np.testing.assert_array_equal(one.z, before["z"])
     assert served > 20
-
-
-def test_a_model_of_ones_own_moves_x_and_the_kernel_p(monkeypatch):
-    class Own(RobustExtendedKalmanFilter):
-        def predict_x(self, u=0):
-            self.x = np.sin(self.x) + u
-
-    one, two = Own(3, 2), Own(3, 2)
-    for kf, extension in ((one, EXTENSION), (two, None)):
-        kf.x, kf.F, kf.Q, kf.R = np.ones(3), F, 0.1 * np.eye(3), np.eye(2)
-        for z in ([5.0, 0.1], [5.5, 0.2], [60.0, 0.2]):
-            stepped(kf, np.array(z), extension, monkeypatch)
-    assert_same(one, two)
-    np.testing.assert_array_equal(one.x_prior.shape, (3,))
 
 
 def test_parts_show_the_same_whenever_they_are_looked_at():

@@ -10,17 +10,14 @@ import numpy as np
 import pytest
 import wrong_filters
 from filterpy.kalman import KalmanFilter
-from right_estimators import FILTERS
-from wrong_filters import PLAIN, WRONG_FILTERS, HardGate, NoSetter, Textbook
+from wrong_filters import PLAIN, RIGHT_FILTERS, WRONG_FILTERS, HardGate, NoSetter, Textbook
 
 from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.testing import ChecksFailed, check_filter, filter_checks
 
 
-@pytest.mark.parametrize("name", [name for name in FILTERS if name.startswith(("filterpy", "textbook"))])
-def test_right_filters_keep_every_promise(name):
-    """Those of this package are in tests/filters."""
-    make, not_claimed = FILTERS[name]
+@pytest.mark.parametrize("make, not_claimed", RIGHT_FILTERS.values(), ids=RIGHT_FILTERS)
+def test_right_filters_keep_every_promise(make, not_claimed):
     results = check_filter(make, not_claimed=not_claimed)
     assert {result.status for result in results} <= {"passed", "skipped"} and len(results) > 30
 

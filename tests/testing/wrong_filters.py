@@ -10,7 +10,7 @@ import copy
 import math
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
+from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 
 PLAIN = ("robust", "nan", "validates")
 WITHOUT_NAN = ("robust", "validates")
@@ -427,3 +427,11 @@ class NoSetter(Textbook):
     def __init__(self, dim_x, dim_z):
         self._P = np.eye(dim_x)
         self.dim_x, self.dim_z, self.x = dim_x, dim_z, np.zeros((dim_x, 1))
+
+
+#: Name: factory, what it does not claim. Those of this package are in tests/filters/test_filter_promises.py.
+RIGHT_FILTERS = {
+    "filterpy KalmanFilter": (KalmanFilter, PLAIN), "filterpy ExtendedKalmanFilter": (ExtendedKalmanFilter, PLAIN),
+    "textbook": (Textbook, PLAIN), "textbook, robust": (TextbookRobust, ROBUST),
+    "textbook, eigenvalue roots": (EigenvalueRoots, PLAIN),
+}  # fmt: skip
