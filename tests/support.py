@@ -216,6 +216,12 @@ def mild(dim_x=4, dim_z=2, seed=21):
     return with_(problem, P=0.02 * problem.P, Q=0.02 * problem.Q, M=0.1 * problem.M, H=0.5 * problem.H)
 
 
+def least_favorable(e, influence):
+    """Logarithm of the least favorable density of a contamination, a normal one with exponential tails (paper 17)."""
+    k, r = influence.threshold, np.abs(e)
+    return np.log1p(-influence.contamination) - 0.5 * np.log(2 * np.pi) - np.where(r <= k, r * r / 2, k * r - k * k / 2)
+
+
 def joint_jacobian(e, functions):
     """The Jacobian of w(|e|) e by central differences, its eigenvalues clipped to [0, 1]."""
     e = np.asarray(e, dtype=float)

@@ -1,4 +1,4 @@
-"""What an influence function is worth: threshold <-> contamination <-> efficiency of Huber's, E[psi'] of any.
+"""What an influence function is worth: threshold <-> contamination of Huber's, E[psi'] of any.
 
 In closed form for Huber's function and its density; by quadrature for the others.
 """
@@ -22,15 +22,6 @@ def outlier_odds(k: float) -> float:
     return max(2.0 * density / k - 2.0 * float(special.ndtr(-k)), 0.0)
 
 
-def normal_efficiency(k: float) -> float:
-    """Return (E psi')^2 / E psi^2 under the standard normal."""
-    if k > 38.0:
-        return 1.0
-    inside = 2.0 * float(special.ndtr(k)) - 1.0
-    density = math.exp(-0.5 * k * k) / math.sqrt(2.0 * math.pi)
-    return inside**2 / (inside - 2.0 * k * density + 2.0 * k * k * float(special.ndtr(-k)))
-
-
 @lru_cache(maxsize=256)
 def minimax_threshold(contamination: float) -> float:
     """Invert `outlier_odds`; k runs over many decades, so the search is over log k."""
@@ -40,16 +31,6 @@ def minimax_threshold(contamination: float) -> float:
     if odds < 1e-290:
         return math.inf
     return math.exp(brentq(lambda s: math.log(outlier_odds(math.exp(s)) / odds), -700.0, math.log(36.0), xtol=1e-15))
-
-
-@lru_cache(maxsize=256)
-def efficient_threshold(efficiency: float) -> float:
-    """Invert `normal_efficiency`."""
-    from scipy.optimize import brentq
-
-    if efficiency >= normal_efficiency(8.0):
-        return math.inf
-    return float(brentq(lambda k: normal_efficiency(k) - efficiency, 1e-9, 8.0, xtol=1e-14))
 
 
 @lru_cache(maxsize=256)

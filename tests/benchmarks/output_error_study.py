@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 import scipy.signal
 from measuring import target
+from scipy.integrate import quad
 
 from robust_filterpy import Contaminated, Huber, StudentT
 from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
 from robust_filterpy.identification.models.regressor import GUARDS
 from robust_filterpy.identification.recursive.tracker import GRADIENTS
 from robust_filterpy.influence import Linear
-from robust_filterpy.noise import fisher_information
 from robust_filterpy.plants import THETA_BAR, simulate_output_error
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.plants.linear import random_walk, stable
@@ -156,7 +156,7 @@ def paper_trial(rng, contamination, pink):
     data = simulate_output_error(path, u, noise=labelled.values, na=4, nb=4)
     structure, w = OutputError(4, 4), np.linspace(0.05, np.pi, 200)
     information = np.linalg.inv(sensitivity(THETA_BAR, u, 4).T @ sensitivity(THETA_BAR, u, 4))
-    score = fisher_information(noise)
+    score = 2.0 * quad(lambda v: noise.score(v) ** 2 * noise.pdf(v), 0.0, 50.0 * noise.scale)[0]
     result = {("bound", "theta"): np.sqrt(np.trace(information) / score)}
     true = response(path[-1], w)
     for gradient in GRADIENTS:
