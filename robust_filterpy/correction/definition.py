@@ -32,7 +32,6 @@ __all__ = [
     "SingularInnovationError",
     "correct",
     "correct_by_typical",
-    "embed_block",
     "innovation_moments",
     "nothing_observed",
 ]
@@ -321,24 +320,3 @@ def nothing_observed(x: Array, P: Array, S: Array, m: int) -> Correction:
     zero, none = np.zeros(m), np.full(m, np.nan)
     square = np.zeros((m, m))
     return Correction(x, P, np.zeros((len(P), m)), zero, S, zero, square, zero, none, none, (), "innovation", 0.0)
-
-
-def embed_block(before: Any, some: Correction, start: int, m: int) -> Correction:
-    """Put the correction by one block of a measurement next to those by the blocks before it."""
-    n, k = len(some.P), len(some.y)
-    if before is None or before.S.shape != (m, m) or before.C.shape != (n, m):
-        before = nothing_observed(some.x, some.P, np.zeros((m, m)), m)
-    part = slice(start, start + k)
-    S, information, C = before.S.copy(), before.information.copy(), before.C.copy()
-    for whole, block in ((S, some.S), (information, some.information)):
-        whole[part], whole[:, part] = 0.0, 0.0
-        whole[part, part] = block
-    C[:, part] = some.C
-    vectors: dict[str, Any] = {}
-    for name in ("y", "score", "e", "weights", "psi_deriv"):
-        vectors[name] = np.array(getattr(before, name), dtype=float)
-        vectors[name][part] = getattr(some, name)
-    mine = set(range(start, start + k))
-    order = tuple(group for group in before.order if not mine & set(group))
-    order += tuple(tuple(start + i for i in group) for group in some.order)
-    return some._replace(S=S, C=C, information=information, order=order, **vectors)

@@ -30,7 +30,7 @@ from robust_filterpy.correction.definition import Innovation
 from robust_filterpy.filters.driver import without_rounding
 from robust_filterpy.filters.policies import Bounded, Options, finite_product, with_options
 from robust_filterpy.filters.problem import RecordingMixin
-from robust_filterpy.filters.shell import Parts, is_own
+from robust_filterpy.filters.shell import is_own
 from robust_filterpy.filters.snapshot import whole
 
 if TYPE_CHECKING:
@@ -492,54 +492,27 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
 
         Notes
         -----
-        y, K, T, e and weights keep what earlier blocks left in their places; S and SI stay as they were, as filterpy's.
-        ``log_likelihood`` is that of all blocks, so that after the last one it is that of the whole measurement; under
-        ``noise=`` that of the last block.
+        It is `update` by a z in which the other components are missing, and shows what that shows.
         """
         m, k = self.dim_z, 1 if isinstance(z_i, float) else int(np.size(z_i))
         start = _checks.count("start", start)
         part = slice(start, start + k)
         if k < 1 or start + k > m:
             raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
-        shown, S, SI, z = self._record(), self._S, self._SI, np.array(self.z).ravel()
-        settings = None if self._policy.noise is not None else (self._choices, self._memory, self._skips)
-        if self._correct_part(z_i, R_i, H_i, part):
-            correction, values = self._record(), self.z
-        else:
-            correction, values = self._corrected_part(z_i, R_i, H_i, part)
-        if z.dtype != FLOAT or len(z) != m:
-            z = z.astype(object) if len(z) == m else np.full(m, None)
-        z[part] = np.ravel(values)
-        z = z if z.dtype == FLOAT or None in z.tolist() else z.astype(float)
-        self.z = z[:, None] if np.ndim(self.x) == 2 else z
-        # S and SI stay what they were, as in filterpy.
-        self._last, self._S, self._SI = Parts.of(shown, m, (start, k, correction), settings), S, SI
-
-    def _correct_part(self, z: Any, R: Any, H: Any, part: slice) -> bool:
-        """Correct by a part of the measurement by the kernel."""
-        own, step = np.asarray(self.R), self._linear_step()
-        if step is None or (R is None and own.shape != (self.dim_z, self.dim_z)):
-            return False
-        return bool(step(self, z, own[part, part] if R is None else R, part if H is None else (part, H), None))
-
-    def _corrected_part(self, z: Any, R: Any, H: Any, part: slice) -> tuple[Any, Array]:
-        """Correct by a part of the measurement by the definition; return the correction and the readings."""
-        x, P = state_of(self)
-        n, m, k = len(x), self.dim_z, part.stop - part.start
-        rows = _checks.matrix("H", self.H, (m, n), f"dim_z={m}, dim_x={n}")[part] if H is None else H
-        rows = _checks.matrix(
-            "H_i", np.reshape(rows, (1, -1)) if k == 1 else rows, (k, n), f"{k} number(s) in z_i, dim_x={n}"
-        )
-        own = _checks.matrix("R", self.R, (m, m), f"dim_z={m}")[part, part] if R is None else R
-        noise = noise_covariance(own, R, k)
-        values = measured(z, k, missing=True)
-        before = self._prior(k, first=part.start)
-        last, self._kept = regardless(self._corrected, x, P, values, rows, np.ascontiguousarray(noise), None, before)
-        self._learn(last.memory, k, first=part.start)
-        self.x, self.P = last.x.reshape(x.shape), last.P
-        self._y = self._K = None
-        self._as_posterior()
-        return last, values
+        z, own = np.full(m, np.nan), (self.H, self.R)
+        z[part] = measured(z_i, k, missing=True)
+        try:
+            if H_i is not None:
+                rows = np.reshape(H_i, (1, -1)) if k == 1 else H_i
+                self.H = _checks.matrix("H", self.H, (m, self.dim_x), f"dim_z={m}, dim_x={self.dim_x}").copy()
+                self.H[part] = _checks.matrix("H_i", rows, (k, self.dim_x), f"{k} number(s) in z_i, dim_x={self.dim_x}")
+            if R_i is not None:
+                self.R = noise_covariance(self.R, None, m).copy()
+                self.R[part], self.R[:, part] = 0.0, 0.0
+                self.R[part, part] = noise_covariance(None, R_i, k)
+            RobustKalmanFilter.update(self, z)
+        finally:
+            self.H, self.R = own
 
     def batch_filter(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from filterpy.common import pretty_str
@@ -14,7 +14,7 @@ from robust_filterpy import _checks, kernel
 from robust_filterpy._arrays import state_of
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, shown
-from robust_filterpy.correction.definition import correct, embed_block
+from robust_filterpy.correction.definition import correct
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import begin, settled
@@ -23,7 +23,7 @@ from robust_filterpy.filters.notices import FIRST, LOOKS, PERIOD, look, look_for
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
-from robust_filterpy.kernel.moments import Taken, correction_of, weights_of
+from robust_filterpy.kernel.moments import correction_of, weights_of
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
@@ -213,12 +213,6 @@ class Shell(StateMixin):
         """
         return _extension is not None and bool(_extension.predict(self, u, None, F, None, moved))
 
-    def _linear_step(self) -> Any:
-        """Return the kernel's correction by a linear sensor, None where it is not this filter's."""
-        if _extension is None or not self._by_kernel:
-            return None
-        return _extension.correct
-
     def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
         """Correct by a linear sensor."""
         if _extension is None or not self._by_kernel:
@@ -327,19 +321,17 @@ class Shell(StateMixin):
 
     def _log_density(self, y: Array, S: Array) -> float:
         """Return the log-likelihood of an innovation: the correction of a state without components."""
-        return log_density(y, S, self._choices, self._memory, self._skips)
-
-    def _record(self) -> Any:
-        """Return the last correction, or what makes one by `as_arrays`; x_post and P_post belong to it no longer."""
-        return Taken(self.x_post, self.P_post, self._last) if type(self._last) is np.ndarray else self._last
+        nothing, none, choices = np.zeros((0, 0)), np.zeros((0, len(y))), self._choices
+        # Sensors may have joined since.
+        memory = np.concatenate((self._memory, begin(len(y))))[: len(y)] if choices.by_typical else None
+        widths = None if memory is None else settled(memory)
+        return correct(nothing.ravel(), nothing, y, none, S, choices, widths, self._skips).log_density
 
     def _arrays(self) -> Correction | None:
         """Return the last correction, as arrays."""
         if type(self._last) is np.ndarray:
             self._last = correction_of(self._last, self.x_post, self.P_post)
         elif self._last is not None and type(self._last) is not Correction:
-            if type(self._last) is Parts:
-                self._S, self._SI = self.S, self.SI
             self._last = self._last.as_arrays()
         return self._last  # type: ignore[no-any-return]
 
@@ -362,11 +354,7 @@ class Shell(StateMixin):
         """Return y, S, SI or K of the last correction."""
         if name == "y":
             return self._shown("y", 0.0)
-        if name != "K" and type(self._last) is Parts:
-            # As in filterpy, they are those of the correction before.
-            last: Any = as_arrays(self._last.first)
-        else:
-            last = self._arrays()
+        last: Any = self._arrays()
         if name == "SI":
             return last.inverse if self._inverse is None else self._inverse(last.S)  # type: ignore[no-any-return]
         return getattr(last, name)  # type: ignore[no-any-return]
@@ -415,69 +403,6 @@ def _judgement(kf: Any) -> dict[str, Any]:
     if kf._kept is not None:
         parts["factor of Q, learned"] = kf.process_scale
     return parts
-
-
-# A measurement that `update_sequential` takes up part by part, shown as one correction when that is asked for.
-
-
-class Parts(NamedTuple):
-    """Corrections by parts of a measurement, the last one last."""
-
-    #: The correction before the first, or None.
-    before: Any
-    #: How many there are in all.
-    sensors: int
-    #: Place of the first sensor, how many, and their correction or what makes one by ``as_arrays``.
-    parts: tuple[tuple[int, int, Any], ...]
-    #: What the density of the whole follows from; None where that of the last part is shown.
-    settings: tuple[Choices, Array, bool] | None
-
-    @classmethod
-    def of(cls, before: Any, sensors: int, part: tuple[int, int, Any], settings: Any) -> Parts:
-        """Return these with one more; a part that it covers shows nothing any more."""
-        if type(before) is not cls or before.sensors != sensors:
-            return cls(before, sensors, (part,), settings)
-        start, end = part[0], part[0] + part[1]
-        left = [p for p in before.parts if p[0] < start or p[0] + p[1] > end]
-        return cls(before.before, sensors, (*left, part), settings)
-
-    @property
-    def first(self) -> Any:
-        """The correction before all of them."""
-        return self.before.first if type(self.before) is Parts else self.before
-
-    def as_arrays(self) -> Correction:
-        """Return them next to each other."""
-        last: Any = as_arrays(self.before)
-        for start, _, correction in self.parts:
-            last = embed_block(last, as_arrays(correction), start, self.sensors)
-        if self.settings is None:
-            return last  # type: ignore[no-any-return]
-        seen = np.where(np.isnan(last.weights), np.nan, last.y)
-        return last._replace(log_density=log_density(seen, last.S, *self.settings))  # type: ignore[no-any-return]
-
-    @property
-    def outlier_probability(self) -> float:
-        """That of the last part."""
-        return getattr(self.parts[-1][2], "outlier_probability", 0.0)
-
-    @property
-    def log_density(self) -> float:
-        """Log-likelihood of all of them."""
-        return self.as_arrays().log_density
-
-
-def log_density(y: Array, S: Array, choices: Choices, memory: Array, skip: bool) -> float:
-    """Return the log-likelihood of an innovation: the correction of a state without components."""
-    nothing, none = np.zeros((0, 0)), np.zeros((0, len(y)))
-    # Sensors may have joined since.
-    widths = settled(np.concatenate((memory, begin(len(y))))[: len(y)]) if choices.by_typical else None
-    return correct(nothing.ravel(), nothing, y, none, S, choices, widths, skip).log_density
-
-
-def as_arrays(correction: Any) -> Any:
-    """Return a correction as arrays, or None."""
-    return correction if correction is None or isinstance(correction, Correction) else correction.as_arrays()
 
 
 def leave_unwatched(kf: Shell) -> None:

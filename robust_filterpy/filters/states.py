@@ -118,32 +118,31 @@ class StateMixin:
         """Keep the memory of the sensors."""
         self._memory, self._other_sensors = value
 
-    def _prior(self, m: int, passed: Array | None = None, first: int = 0) -> Prior:
-        """Return the memory before a correction by m sensors, from place `first` in z on or by their rows of H."""
+    def _prior(self, m: int, passed: Array | None = None) -> Prior:
+        """Return the memory before a correction by m sensors, by their places in z or their rows of H."""
         learns = self._policy.learns
-        if learns and passed is None and first + m <= len(self._memory):
-            return Prior(self._memory[first : first + m], self._kept)
-        begin, keys = self._sensors_of(m, passed, first)
+        if learns and passed is None and m <= len(self._memory):
+            return Prior(self._memory[:m], self._kept)
+        begin, keys = self._sensors_of(m, passed)
         return Prior(self._remembered().of(begin, keys) if learns else begin, self._kept)
 
-    def _sensors_of(self, m: int, passed: Array | None, first: int) -> tuple[Array, list[Any]]:
+    def _sensors_of(self, m: int, passed: Array | None) -> tuple[Array, list[Any]]:
         """Return memories without any knowledge, and what tells the m sensors: their places, or their rows of an H."""
-        begin = self._policy.begin(first + m)
+        begin = self._policy.begin(m)
         if self._policy.noise is not None and self._choices.grouping == "joint":
             return begin, [0]
-        places = list(range(first, first + m))
-        return begin[first:], places if passed is None else sensor_keys(passed, getattr(self, "H", None))
+        return begin, list(range(m)) if passed is None else sensor_keys(passed, getattr(self, "H", None))
 
-    def _learn(self, memory: Array | None, m: int, passed: Array | None = None, first: int = 0) -> None:
+    def _learn(self, memory: Array | None, m: int, passed: Array | None = None) -> None:
         """Keep what a correction by m sensors has taught, named as in `_prior`."""
         if memory is None or not self._policy.learns:
             return
-        if passed is None and first + m <= len(self._memory) and len(memory) == m:
+        if passed is None and m <= len(self._memory) and len(memory) == m:
             places = self._memory.copy()
-            places[first : first + m] = memory
+            places[:m] = memory
             self._memory = places
             return
-        self._keep_sensors(self._remembered().updated(memory, *self._sensors_of(m, passed, first)))
+        self._keep_sensors(self._remembered().updated(memory, *self._sensors_of(m, passed)))
 
     def _spoken(self, sensor: str | int | None, correct: Callable[[], None]) -> None:
         """Correct by a sensor that is named, None for those that their places or rows of H tell."""

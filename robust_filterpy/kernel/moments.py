@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from robust_filterpy._arrays import regardless
@@ -12,7 +10,7 @@ from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction, group_scaling
 from robust_filterpy.kernel.series import SCALINGS
 
-__all__ = ["Taken", "correction_of", "judged_of", "weights_of"]
+__all__ = ["correction_of", "judged_of", "weights_of"]
 
 # A record: four numbers, rows of m numbers, then S and the transpose of C.
 _N, _M, _SCALING, _LOG_DENSITY, _HEAD = range(5)
@@ -74,23 +72,3 @@ def _information(S: Array, e: Array, d: Array, groups: list[list[int]], scaling:
         W -= w @ D @ q.T
         S -= q @ D @ q.T
     return B
-
-
-class Taken(NamedTuple):
-    """A correction by the kernel; what few programs look at is made of its record on request."""
-
-    #: Posterior mean, shape (n,).
-    x: Array
-    #: Posterior covariance, shape (n, n).
-    P: Array
-    #: As `robust_filterpy.kernel.moments.correction_of` reads it.
-    record: Array
-
-    @property
-    def log_density(self) -> float:
-        """Log-likelihood of the innovation under the density of psi."""
-        return float(self.record[_LOG_DENSITY])
-
-    def as_arrays(self) -> Correction:
-        """Return everything that led to it."""
-        return correction_of(self.record, self.x, self.P)

@@ -137,9 +137,8 @@ static int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) 
 /* Plain, own where given is None; NULL with an exception. */
 static PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
 
-/* Say which sensors the rows of an H are, those from place `first` on or, below 0, the ones with such rows; 1, 0, or -1 with
-   an exception. */
-static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n, npy_intp first) {
+/* Say which sensors the rows of an H are, the ones with such rows; 1, 0, or -1 with an exception. */
+static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n) {
     const npy_intp m = c->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0;
     const double *const ours = rows > 0 ? matrix_of(own, rows, n) : NULL;
     const size_t size = (size_t)n * sizeof(double);
@@ -148,9 +147,9 @@ static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, np
         !matrix_of(c->places, PyArray_DIM((PyArrayObject *)c->places, 0), c->width))
         return 0;
     for (npy_intp i = 0; i < m; i++) {
-        c->place[i] = first < 0 ? 0 : first + i, c->key[i] = NULL;
-        while (first < 0 && c->place[i] < rows && memcmp(H + i * n, ours + c->place[i] * n, size)) c->place[i]++;
-        for (npy_intp j = 0; first < 0 && j < i; j++) same |= !memcmp(H + i * n, H + j * n, size);
+        c->place[i] = 0, c->key[i] = NULL;
+        while (c->place[i] < rows && memcmp(H + i * n, ours + c->place[i] * n, size)) c->place[i]++;
+        for (npy_intp j = 0; j < i; j++) same |= !memcmp(H + i * n, H + j * n, size);
     }
     for (npy_intp i = 0; i < m; i++) {
         if (!same && c->place[i] == rows) {
@@ -271,33 +270,25 @@ static int take_memory(const correction_rule *rule, sensors *s, PyObject *memory
     return rule->scaling != SCALING_LEARNT || (s->learned && all_finite(s->learned, s->m * SPREAD_NUMBERS));
 }
 
-/* given: R, H and M, or None for the filter's and for none; a slice for H: those rows of the filter's, with an
-   H next to it: that, of the sensors at these places; own: dim_z, inv, R, H, memory, other sensors, the last two where
+/* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors, the last two where
    something is learned. 1, 0, or -1 with an exception. */
 static int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s) {
-    PyObject *of[2] = {given[1], given[1]};
-    const int placed = take_objects(given[1], 2, of), part = PySlice_Check(of[0]);
-    const int whole = !placed && (part || of[1] == Py_None);
     PyObject *const R = given_or(h, given[0], own[2]);
-    PyObject *const H = R ? given_or(h, whole ? Py_None : of[1], own[3]) : NULL;
+    PyObject *const H = R ? given_or(h, given[1], own[3]) : NULL;
     sensor_rows *const rows = &s->rows;
-    Py_ssize_t first = -1, last, step;
     int outcome;
-    if (!H || (part && PySlice_Unpack(of[0], &first, &last, &step) < 0)) return -1;
+    if (!H) return -1;
     if (own[1] != numpy_inverse || !is_array(H, 2)) return 0;
     s->m = PyArray_DIM((PyArrayObject *)H, 0);
-    if (s->m < 1 || s->m > 10000 || (whole && s->m != whole_number(own[0]))) return 0;
+    if (s->m < 1 || s->m > 10000 || (given[1] == Py_None && s->m != whole_number(own[0]))) return 0;
     s->H = matrix_of(H, s->m, n);
-    if (part && !(s->H && first >= 0 && first < last && last <= whole_number(own[0]))) return 0;
-    if (part && whole) s->H += first * n, s->m = last - first;
-    if (placed && (!part || s->m != last - first)) return 0;
     s->R = covariance_of(h, R, s->m);
     if (!s->R && PyErr_Occurred()) return -1;
     if (!s->H || !s->R || !take_cross(s, n, given[2])) return 0;
     rows->m = 0;
-    if (rows->width == 0 || (H == own[3] && !part)) return 1;
+    if (rows->width == 0 || H == own[3]) return 1;
     rows->m = s->m, rows->places = own[4], rows->rows = own[5];
-    outcome = take_rows(h, rows, s->H, own[3], n, first);
+    outcome = take_rows(h, rows, s->H, own[3], n);
     if (outcome <= 0) return outcome;
     s->memory = array_of(h, NULL, 2, s->m, rows->width, 0);
     if (!s->memory) return -1;

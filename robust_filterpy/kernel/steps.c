@@ -528,7 +528,7 @@ PyMethodDef step_functions[] = {
     {"predict", (PyCFunction)(void (*)(void))predict_step, METH_FASTCALL,
      "Predict a filter's next state: (filter, u, B, F, Q, moves), None for its own; moves: x too, not P alone."},
     {"correct", (PyCFunction)(void (*)(void))correct_step, METH_FASTCALL,
-     "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M; a slice for H: those rows."},
+     "Correct a filter's state: (filter, z, R, H, M), None for its own R and H and for no M."},
     {"correct_innovation", (PyCFunction)(void (*)(void))innovation_step, METH_FASTCALL,
      "Correct a filter's state by an innovation: (filter, z, its prediction or None, y or None, C, S, R or None); the "
      "Jacobian for C, and then None for S."},

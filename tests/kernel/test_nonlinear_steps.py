@@ -6,7 +6,7 @@ import support
 from filterpy.kalman import MerweScaledSigmaPoints
 from hostile import spoilt
 
-from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, kernel
+from robust_filterpy import RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter, kernel
 
 support.needs_kernel()
 
@@ -76,27 +76,3 @@ def test_what_is_passed_spoilt_is_refused_or_taken_as_by_the_definition(kind, mo
             np.testing.assert_array_equal(one.x, one.x_prior)
             np.testing.assert_array_equal(one.z, before["z"])
     assert served > 20
-
-
-def test_parts_show_the_same_whenever_they_are_looked_at():
-    g = np.random.default_rng(6)
-    one, two = RobustKalmanFilter(3, 3), RobustKalmanFilter(3, 3)
-    for kf in (one, two):
-        kf.H = np.array([[1.0, 0.0, 0.2], [0.0, 1.0, 0.0], [0.3, 0.0, 1.0]])
-        kf.update([0.1, np.nan, 0.3])
-    for k in range(40):
-        start = int(g.integers(3))
-        z = 3.0 * g.standard_t(2, size=int(g.integers(1, 4 - start)))
-        for kf in (one, two):
-            kf.predict()
-            kf.update_sequential(start, z)
-        looked = [np.copy(getattr(two, name)) for name in ("y", "K", "e", "weights", "log_likelihood")]
-        # What a correction of all had between this block and the others is gone.
-        block = np.r_[start : start + len(z)]
-        assert not np.delete(two._arrays().S[block], block, axis=1).any()
-        # Only what is in force is kept, however long nobody looks.
-        assert len(one._last.parts) <= 6
-        if k % 7 == 6:
-            for name, value in zip(("y", "K", "e", "weights", "log_likelihood"), looked, strict=True):
-                np.testing.assert_array_equal(getattr(one, name), value, err_msg=name)
-            one.update([0.1, 0.2, 0.3]), two.update([0.1, 0.2, 0.3])
