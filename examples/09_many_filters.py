@@ -1,8 +1,8 @@
 """A thousand sensors, or a thousand runs: what replaces the loop over filters?
 
 `filter_series` is a function of arrays, (series, time, dim_z) in and estimates out: of whole recordings, or of one step
-of all filters, from the state that the step before returned; `monte_carlo` repeats an experiment with seeds that do not
-depend on the number of processes. Every one of them computes x+ = x + C T' psi(T y), the same numbers as a loop over
+of all filters, from the state that the step before returned; a study repeats an experiment, each run with a seed of its
+own. Every one of them computes x+ = x + C T' psi(T y), the same numbers as a loop over
 RobustKalmanFilter.
 """
 
@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import bootstrap
 
 from robust_filterpy import RobustKalmanFilter, filter_series
-from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 F = np.array([[1.0, 1.0], [0.0, 0.95]])
 H, Q, R = np.array([[1.0, 0.0]]), np.diag([0.0, 0.02]), np.array([[1.0]])
@@ -103,15 +103,15 @@ def main(argv=None):
                 seconds.append(time.perf_counter() - began)
             cost[name].append(min(seconds) / len(subset) / options.steps)
         worst = max(worst, *(np.abs(a[:30] - answers["loop"]).max() for a in answers.values()))
-    study = monte_carlo(trial, runs=20, seed=0, progress=False)
-    interval = bootstrap_interval(study.stacked(), rng=0, n_resamples=999)
+    study = np.array([trial(np.random.default_rng(seed)) for seed in np.random.SeedSequence(0).spawn(20)])
+    low, high = bootstrap((study,), np.mean, n_resamples=999, random_state=0).confidence_interval
     draw(sizes, cost, options.out)
     per_step = {name: values[-1] / cost["loop"][-1] for name, values in cost.items()}
     print(
         f"Conclusion: the same numbers to {worst:.0e}; with 1000 series a step of one filter costs "
         f"{per_step['all, step by step']:.3f} of the loop's where all go on step by step and "
         f"{per_step['whole series']:.3f} where series are whole. "
-        f"The study's error is {interval.estimate:.2f} ({interval.low:.2f} to {interval.high:.2f})."
+        f"The study's error is {study.mean():.2f} ({low:.2f} to {high:.2f})."
     )
 
 

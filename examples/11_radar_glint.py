@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
+from scipy.stats import bootstrap
 
 from robust_filterpy import RobustExtendedKalmanFilter
 from robust_filterpy.plotting import LOOKS
-from robust_filterpy.testing import bootstrap_interval
 
 DT, STEPS, RUNS = 0.5, 200, 10
 SIGMA = np.array([10.0, 0.005])  # m, rad
@@ -101,8 +101,8 @@ def main(argv=None):
             draw(truth, zs, glint, paths, marked, options.out)
     print(f"{'':24} RMS position error, m (mean of {options.runs} runs, 95 % interval)")
     for name, values in rms.items():
-        interval = bootstrap_interval(values, rng=0)
-        print(f"{name:24} {interval.estimate:6.1f}   ({interval.low:.1f} to {interval.high:.1f})")
+        low, high = bootstrap((values,), np.mean, random_state=0).confidence_interval
+        print(f"{name:24} {np.mean(values):6.1f}   ({low:.1f} to {high:.1f})")
     mean = {name: float(np.mean(values)) for name, values in rms.items()}
 
     def over(one, other):

@@ -26,12 +26,13 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from studies import bootstrap_interval, monte_carlo, stacked
+from studies import ratio as ratio_of_means
 
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError
 from robust_filterpy.influence import Linear
 from robust_filterpy.plotting import LOOKS
-from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 # %% The problem, equations (31)-(34)
 F = np.array(
@@ -86,7 +87,7 @@ SETTINGS = (
 
 # %% The data of a run: what is drawn, and what follows from it
 class Draw(NamedTuple):
-    """The random numbers of a run, in the paper's unit; `monte_carlo` stacks those of all runs."""
+    """The random numbers of a run, in the paper's unit; `stacked` with those of all runs."""
 
     v: np.ndarray  # (steps,) measurement noise
     is_outlier: np.ndarray  # (steps,)
@@ -171,7 +172,7 @@ def looped(name: str, setting: Setting, z: np.ndarray, is_outlier: np.ndarray) -
 def study(setting: Setting, runs: int, steps: int, seed: int, filtering: Filtering = filtered) -> np.ndarray:
     """Return the errors (runs, filters, steps, 4) in the paper's unit; NaN where a filter refused the run."""
     # Drawing a run takes less time than sending it to another process.
-    draws = monte_carlo(partial(drawn, setting=setting, steps=steps), runs, seed, n_jobs=1).stacked()
+    draws = stacked(monte_carlo(partial(drawn, setting=setting, steps=steps), runs, seed))
     return errors_of(draws, setting, filtering)
 
 
@@ -219,7 +220,7 @@ def summarize(errors: np.ndarray, seed: int) -> dict[str, Row]:
             rows[name] = Row(int((~done).sum()), *[np.nan] * 5, missing, missing)
             continue
         e = errors[done, i]
-        ratio = bootstrap_interval((x1[done, i], best[done]), "ratio", rng=seed, n_resamples=1999, method="percentile")
+        ratio = bootstrap_interval((x1[done, i], best[done]), ratio_of_means, seed, 1999, "percentile")
         per_step = (e[..., 0] ** 2).mean(axis=0), (e**2).sum(axis=2).mean(axis=0)
         rows[name] = Row(
             int((~done).sum()), per_step[0].mean(), per_step[1].mean(), ratio.estimate, ratio.low, ratio.high, *per_step

@@ -33,8 +33,7 @@ from identification_tables import (
     table,
 )
 from report import Claim, Options, Part, geometric_ratio, judged, shown, together
-
-from robust_filterpy.testing.studies import Interval
+from studies import Interval
 
 FIRST_FIGURE = {0.05: 8, 0.1: 12, 0.15: 16}
 LEVELS = (0.0, *FIRST_FIGURE)

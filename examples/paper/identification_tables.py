@@ -23,9 +23,7 @@ from identification import (
     trial,
 )
 from report import Options, geometric_ratio, markdown_table
-
-from robust_filterpy.testing import monte_carlo
-from robust_filterpy.testing.studies import Interval
+from studies import Interval, monte_carlo
 
 LATE = slice(500, None)
 STAY = "stay at the start"
@@ -38,9 +36,7 @@ Found = dict[float, Run]
 
 def study(plant: Plant, runs: int, options: Options, trackers: tuple[str, ...] = TRACKERS) -> Run:
     """Run a plant many times; every field gets a first axis of runs."""
-    results = monte_carlo(
-        partial(trial, plant=plant, trackers=trackers), runs, options.seed, options.jobs, progress=False
-    ).results
+    results = monte_carlo(partial(trial, plant=plant, trackers=trackers), runs, options.seed, options.jobs)
     return Run(*(np.array(column) for column in zip(*results, strict=True)))
 
 

@@ -17,10 +17,9 @@ from report import Claim, Options, Part, judged, markdown_table, ratio_interval,
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from state_estimation_study import FILTERS, VARIANCE, F, H, Setting, W, drawn, on_threads, simulate, study
+from studies import Interval, monte_carlo, stacked
 
 from robust_filterpy import Huber, RobustKalmanFilter
-from robust_filterpy.testing import monte_carlo
-from robust_filterpy.testing.studies import Interval
 
 STEPS, OFFSETS, LARGE = 20, (0, 1, 2, 3, 5, 10), 2
 START = Setting("x1 off", P0=0.5)
@@ -58,7 +57,7 @@ class Starts(NamedTuple):
 
 def starts(offset: float, runs: int, seed: int) -> Starts:
     """Run both filters, which start at 0, on states that start with x1 = offset."""
-    draws = monte_carlo(partial(drawn, setting=START, steps=STEPS), runs, seed, n_jobs=1, progress=False).stacked()
+    draws = stacked(monte_carlo(partial(drawn, setting=START, steps=STEPS), runs, seed))
     x0 = np.zeros_like(draws.x0)
     x0[:, 0] = offset
     states, z = simulate(draws._replace(x0=x0))

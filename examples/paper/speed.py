@@ -11,8 +11,7 @@ import identification
 import numpy as np
 import state_estimation
 from state_estimation_study import filtered, looped, study
-
-from robust_filterpy.testing import monte_carlo
+from studies import monte_carlo
 
 TARGET = 20
 
@@ -73,7 +72,7 @@ def comparisons(runs: int, seed: int) -> list[Comparison]:
 
     def parameters(plant: identification.Plant, tracking: Callable[..., Any]) -> np.ndarray:
         one = partial(identification.trial, plant=plant, tracking=tracking)
-        return np.array([run.estimates for run in monte_carlo(one, runs, seed, n_jobs=1).results])
+        return np.array([run.estimates for run in monte_carlo(one, runs, seed)])
 
     found = [compared("state estimation (31)-(34)", states, partial(filtered, threads=1), looped)]
     for plant in (identification.SECTION4, identification.WELL):

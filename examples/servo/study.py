@@ -19,9 +19,7 @@ from servo.models import (
     tracked,
     valve_to_velocity,
 )
-
-from robust_filterpy.testing import bootstrap_interval
-from robust_filterpy.testing.studies import Interval
+from studies import Interval, bootstrap_interval
 
 #: Shares of the recording at which the model's gain is compared with that of the frozen physics.
 INSTANTS = (0.4, 0.7, 1.0)
@@ -81,7 +79,7 @@ def trial(
 
 def mean_of(values: np.ndarray, seed: int) -> Interval:
     """Return the mean over seeds with its 95 percent interval."""
-    return bootstrap_interval(values, "mean", rng=seed, n_resamples=1999, method="percentile")
+    return bootstrap_interval(values, seed=seed, resamples=1999, method="percentile")
 
 
 def shown(interval: Interval, digits: int) -> str:

@@ -13,7 +13,6 @@ People who filter with something else can use them too: a filter is whatever has
 * `checks`: every promise of a filter, tested by name: `check_filter`, a list for pytest; the promises about calls.
 * `filter_equations`, `filter_data`: the promises about equations and data.
 * `bench`: names, claims, expected failures, and what makes filters and moves them.
-* `studies`: a trial repeated with other random numbers, and how far its figures can be trusted.
 
 Imports from below: `influence`, `diagnostics`, `identification`, `plants`. pytest is not needed.
 """
@@ -32,10 +31,8 @@ from robust_filterpy.testing.consistency import (
 )  # fmt: skip
 from robust_filterpy.testing.drawing import draw
 from robust_filterpy.testing.runs import run_filter, run_tracker
-from robust_filterpy.testing.studies import bootstrap_interval, monte_carlo, rerun
 
 __all__ = [
     "ChecksFailed", "assert_consistent", "assert_innovations_white", "assert_recovers_parameters", "assert_tracks",
-    "assert_unbiased", "bootstrap_interval", "check_filter", "draw", "filter_checks", "fit_percent", "monte_carlo",
-    "rerun", "run_filter", "run_tracker",
+    "assert_unbiased", "check_filter", "draw", "filter_checks", "fit_percent", "run_filter", "run_tracker",
 ]  # fmt: skip

@@ -10,9 +10,11 @@ says (NEES over the number of states, 1 if P is right), and how often the truth 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,10 +38,13 @@ from peers import adaptive as adaptive_peers
 from peers import inflation, iskf, similarity, student_t, wolf
 from peers.recursion import filtered
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
+from studies import bootstrap_interval
+from studies import ratio as ratio_of_means
+
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import Scales
 from robust_filterpy.filters.conversion import AdaptiveKalmanFilter
-from robust_filterpy.testing import bootstrap_interval
 
 #: States and their covariances.
 Estimator = Callable[[Case], tuple[np.ndarray, np.ndarray]]
@@ -162,7 +167,7 @@ def compare(
     print(f"| filter | ratio | 95 % interval | {CONSISTENCY} |\n|---|---|---|---|---|")
     for name, values in errors.items():
         if name != reference:
-            ratio = bootstrap_interval((values, errors[reference]), "ratio", rng=args.seed)
+            ratio = bootstrap_interval((values, errors[reference]), ratio_of_means, args.seed)
             nees, within = held[name]
             cells = f"{ratio.estimate:.3f} | {ratio.low:.3f} to {ratio.high:.3f} | {nees:.2f} | {within:.2f}"
             print(f"| {name} | {cells} |", flush=True)
@@ -260,7 +265,7 @@ def floors(args: argparse.Namespace) -> None:
                 lambda case: adaptive(case)[0],
             )
         )
-        ratio = bootstrap_interval((best, given), "ratio", rng=args.seed)
+        ratio = bootstrap_interval((best, given), ratio_of_means, args.seed)
         cells = f"{ratio.estimate:.3f} | {ratio.low:.3f} to {ratio.high:.3f} | {learnt.mean() / best.mean():.3f}"
         print(f"| {kind} | {cells} |", flush=True)
 

@@ -7,9 +7,11 @@ which problem, how many runs, and gives 95 % bootstrap intervals over the runs, 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +28,13 @@ from outlier_problems import (
     vehicle,
 )
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
+from studies import bootstrap_interval, monte_carlo, ratio, stacked
+
 from robust_filterpy import Contaminated, Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import Scales
 from robust_filterpy.identification import ParameterTracker
 from robust_filterpy.influence import Hampel
-from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 LABELS = "Kalman, given the labels"
 TWO_SIDED = {"noise": Contaminated(), "process": Scales((1, 10, 100), jump=0)}
@@ -86,13 +90,13 @@ def _rms(error: np.ndarray) -> float:
 def ratios(title: str, trial: Callable[..., Any], reference: str, runs: int, seed: int, jobs: int) -> None:
     """Print each filter's error over that of the reference, with its interval."""
     start = time.perf_counter()
-    found = monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked()
+    found = stacked(monte_carlo(trial, runs, seed, jobs))
     print(
         f"\n{title}\n{runs} runs, seed {seed}, {time.perf_counter() - start:.0f} s; error over that of: {reference}\n"
     )
     print("| filter | ratio | 95 % interval |\n|---|---|---|")
     for name, values in found.items():
-        interval = bootstrap_interval((values, found[reference]), "ratio", rng=seed)
+        interval = bootstrap_interval((values, found[reference]), ratio, seed)
         print(f"| {name} | {interval.estimate:.3f} | {interval.low:.3f} to {interval.high:.3f} |")
 
 
@@ -155,7 +159,7 @@ def _steps_to_recover(error: np.ndarray) -> float:
 def recovery_table(runs: int, seed: int, jobs: int) -> None:
     """Print the table of lock-out and capture."""
     start = time.perf_counter()
-    found = monte_carlo(recovery_trial, runs, seed=seed, n_jobs=jobs).stacked()
+    found = stacked(monte_carlo(recovery_trial, runs, seed, jobs))
     seconds = time.perf_counter() - start
     print(f"\nA level (Q = 0.01, R = 1) that jumps by {JUMPS}, or an error alike for {RUN_LENGTHS} samples")
     print(
@@ -165,12 +169,12 @@ def recovery_table(runs: int, seed: int, jobs: int) -> None:
     print("| filter | " + " | ".join(heads) + " |\n|" + "---|" * (len(heads) + 1))
     for name, values in found.items():
         steps, peaks = values[:, 0], values[:, 1:]
-        never = bootstrap_interval(100.0 * np.isinf(steps).mean(axis=1), rng=seed)
+        never = bootstrap_interval(100.0 * np.isinf(steps).mean(axis=1), seed=seed)
         cells = [f"{np.median(column):.0f}" for column in steps.T]
         cells.append(f"{never.estimate:.0f} ({never.low:.0f} to {never.high:.0f})")
         for k in range(len(RUN_LENGTHS)):
             worst = int(np.argmax(peaks[:, k].mean(axis=0)))
-            peak = bootstrap_interval(peaks[:, k, worst], rng=seed)
+            peak = bootstrap_interval(peaks[:, k, worst], seed=seed)
             cells.append(f"{peak.estimate:.2f} ({peak.low:.2f} to {peak.high:.2f})")
         print(f"| {name} | " + " | ".join(cells) + " |")
 

@@ -8,12 +8,17 @@ prints the tables that the docstrings of `ParameterTracker` cite, and for each t
 from __future__ import annotations
 
 import argparse
+import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import scipy.signal
 from measuring import target
 from scipy.integrate import quad
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
+from studies import monte_carlo, stacked
 
 from robust_filterpy import Contaminated, Huber, StudentT
 from robust_filterpy.identification import ARMAX, OutputError, ParameterTracker
@@ -23,7 +28,6 @@ from robust_filterpy.influence import Linear
 from robust_filterpy.plants import THETA_BAR, simulate_output_error
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.plants.linear import random_walk, stable
-from robust_filterpy.testing import monte_carlo
 
 PLANT = np.array([-1.5, 0.7, 1.0, 0.5])
 SIGMA = 0.5
@@ -72,7 +76,7 @@ def medians(trial, study, **arguments):
     """Return the median over seeds of every entry of a trial's result."""
     return {
         key: float(np.median(values))
-        for key, values in monte_carlo(partial(trial, **arguments), **study).stacked().items()
+        for key, values in stacked(monte_carlo(partial(trial, **arguments), **study)).items()
     }
 
 
@@ -187,7 +191,7 @@ def print_paper(study):
     print("  theta: ||theta_hat - theta||; output, response: relative errors of B/A u and B/A, noise-free")
     for pink in (True, False):
         for c in (0.05, 0.1, 0.15):
-            result = monte_carlo(partial(paper_trial, contamination=c, pink=pink), **study).stacked()
+            result = stacked(monte_carlo(partial(paper_trial, contamination=c, pink=pink), **study))
             bound = np.median(result.pop(("bound", "theta")))
             print(
                 f"{'1/f input' if pink else 'white +-1'}, contamination {c}: Cramer-Rao bound of ||theta_hat - theta|| "

@@ -25,8 +25,7 @@ from servo.experiment import DT, LOOPS, NOMINAL, ROBUST, SERVO, TOTAL, condition
 from servo.figures import decibel, linearized, model_response
 from servo.models import TRACKERS, frozen
 from servo.study import Run, at, mean_of, shown, table, trial
-
-from robust_filterpy.testing import monte_carlo
+from studies import monte_carlo
 
 
 def targets(runs: list[Run], seed: int) -> str:
@@ -90,7 +89,7 @@ def main(argv: list[str] | None = None) -> None:
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (sys.path[0], os.environ.get("PYTHONPATH"))))
     for size in args.outliers:
         one = partial(trial, steps=args.steps, contamination=args.contamination, encoder_outliers=1e-3 * size)
-        runs = monte_carlo(one, args.seeds, args.first, args.jobs).results
+        runs = monte_carlo(one, args.seeds, args.first, args.jobs)
         print(f"Encoder outliers of {size:g} mm, contamination {args.contamination:g}; {table(runs, args.first)}")
         print(targets(runs, args.first), flush=True)
 

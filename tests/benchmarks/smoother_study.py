@@ -10,10 +10,12 @@ speed, 6 compiled filter passes.
 from __future__ import annotations
 
 import copy
+import sys
 import time
 import warnings
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import filterpy.kalman
@@ -23,6 +25,10 @@ from measuring import least_time
 from outlier_problems import Recording, prepared, vehicle
 from outlier_tables import print_tables
 from scipy.stats import chi2
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
+from studies import bootstrap_interval, monte_carlo, stacked
+from studies import ratio as ratio_of_means
 
 from robust_filterpy import (
     Contaminated,
@@ -37,7 +43,6 @@ from robust_filterpy import (
 from robust_filterpy.correction import Scales
 from robust_filterpy.influence import Linear
 from robust_filterpy.smoothing import FixedLagSmoother, smooth_series
-from robust_filterpy.testing import bootstrap_interval, monte_carlo
 
 LABELS = "given the labels, RTS"
 #: States and their covariances, None where a smoother gives none.
@@ -154,7 +159,7 @@ def live_table(runs: int, seed: int, jobs: int) -> None:
     for kind in ("clean", "outliers", "runs of 5", "jumps"):
         for factor in (1.0, 25.0, 0.04):
             trial = partial(live_trial, kind=kind, factor=factor)
-            errors = np.log(np.column_stack(list(monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked().values())))
+            errors = np.log(np.column_stack(list(stacked(monte_carlo(trial, runs, seed, jobs)).values())))
             means = np.exp(errors.mean(axis=0))
             over = " | ".join(f"{mean / means[0]:.2f}" for mean in means[1:])
             print(f"| {kind} | {factor:g} times | {means[0]:.3f} | {over} |")
@@ -246,11 +251,11 @@ def radar_trial(rng: np.random.Generator, contamination: float, steps: int = 200
 def ratios(title: str, trial: Callable[..., Any], runs: int, seed: int, jobs: int) -> None:
     """Print each smoother's error over that of the one that is given the labels, with its interval."""
     start = time.perf_counter()
-    found = monte_carlo(trial, runs, seed=seed, n_jobs=jobs).stacked()
+    found = stacked(monte_carlo(trial, runs, seed, jobs))
     print(f"\n{title}\n{runs} runs, seed {seed}, {time.perf_counter() - start:.0f} s; error over that of: {LABELS}\n")
     print("| smoother | ratio | 95 % interval | NEES/n | coverage |\n|---|---|---|---|---|")
     for name, values in found.items():
-        interval = bootstrap_interval((values[:, 0], found[LABELS][:, 0]), "ratio", rng=seed)
+        interval = bootstrap_interval((values[:, 0], found[LABELS][:, 0]), ratio_of_means, seed)
         nees, inside = np.mean(values[:, 1:], axis=0)
         spread = f"{interval.low:.3f} to {interval.high:.3f}"
         print(f"| {name} | {interval.estimate:.3f} | {spread} | {nees:.2f} | {inside:.3f} |")
@@ -343,7 +348,7 @@ def convex_table(runs: int, seed: int, jobs: int) -> None:
             tight = by_cvxpy(given, solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
             apart.append(np.abs(x - tight).max())
             excess.append(objective(given, x) / objective(given, tight) - 1.0)
-        ratio = bootstrap_interval((np.array(theirs), np.array(ours)), "ratio", rng=seed)
+        ratio = bootstrap_interval((np.array(theirs), np.array(ours)), ratio_of_means, seed)
         print(
             f"| {size} | {np.max(excess):.1e} | {np.max(apart):.1e} | {1e3 * np.mean(theirs):.0f} "
             f"| {1e3 * np.mean(ours):.2f} | {ratio.estimate:.0f} ({ratio.low:.0f} to {ratio.high:.0f}) |"

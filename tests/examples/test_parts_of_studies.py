@@ -31,7 +31,7 @@ def example(monkeypatch):
 
 
 def test_verdicts_are_one_sided_and_join(paper):
-    report, Interval = paper("report"), paper("robust_filterpy.testing.studies").Interval
+    report, Interval = paper("report"), paper("studies").Interval
     # Far better than asked for is no failure of "no worse".
     for low, high, verdict in ((0.4, 0.6, True), (1.2, 1.6, False), (1.0, 1.2, None)):
         assert report.judged(Interval((low + high) / 2, low, high, 0.1), high=1.1) is verdict

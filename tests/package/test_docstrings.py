@@ -92,7 +92,7 @@ def test_what_a_front_page_exports_has_a_complete_docstring():
     things = list(listed(front=True))
     wrong = [named(thing, wrong_line(thing)) for thing in things if wrong_line(thing)]
     wrong += [named(thing, one) for thing in things for one in wrong_sections(thing)]
-    assert len(things) > 200 and not wrong, "\n".join(wrong)
+    assert len(things) > 180 and not wrong, "\n".join(wrong)
 
 
 def test_what_another_module_lists_has_a_first_line():
