@@ -1,5 +1,8 @@
 """What the adapters to libraries of series share: a model where none was given, each series from its own beginning."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
@@ -99,3 +102,16 @@ def test_what_does_not_fit_is_refused():
     for refused in (lambda z: SeriesModel.of(None, z), model.estimates):
         with pytest.raises(ValueError, match="got infinity"):
             refused(np.where(values == values[5], np.inf, values))
+
+
+# The code of the page on adapters runs as it stands, where its library is installed.
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "adapters.md"
+
+
+@pytest.mark.parametrize("library", ["sktime", "darts", "river"])
+def test_the_code_of_the_page_runs(library):
+    pytest.importorskip(library)
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S) if f"from {library}" in b)
+    exec(compile(block, str(PAGE), "exec"), {})

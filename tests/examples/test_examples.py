@@ -1,14 +1,23 @@
 """Every example runs from a shell without a screen, draws a figure and comes to a conclusion; most of them at night."""
 
+import importlib
 import importlib.util
 import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
+from numpy.testing import assert_allclose
 from PIL import Image
+
+from robust_filterpy import Contaminated, RobustKalmanFilter
+from robust_filterpy.plants import simulate_output_error
+from robust_filterpy.plants.servo import simulate_servo
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted([*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*/reproduce.py")])
@@ -87,3 +96,114 @@ def test_example_draws_a_figure_and_concludes(script, tmp_path):
     assert "conclusion" in done.stdout.lower()
     # A path that can be opened from anywhere.
     assert str(tmp_path.resolve()) in done.stdout
+
+
+# What studies claim: the paper's claims, the servo's loop, the water flow, README's first figure.
+
+
+PAPER = Path(__file__).parents[2] / "examples" / "paper"
+
+
+@pytest.fixture
+def paper(monkeypatch):
+    """Import a module of the paper's folder."""
+    monkeypatch.syspath_prepend(str(PAPER))
+    return importlib.import_module
+
+
+@pytest.fixture
+def example(monkeypatch):
+    """Import an example by its name."""
+    monkeypatch.syspath_prepend(str(PAPER.parent))
+    return importlib.import_module
+
+
+def test_verdicts_are_one_sided_and_join(paper):
+    report, Interval = paper("report"), paper("studies").Interval
+    # Far better than asked for is no failure of "no worse".
+    for low, high, verdict in ((0.4, 0.6, True), (1.2, 1.6, False), (1.0, 1.2, None)):
+        assert report.judged(Interval((low + high) / 2, low, high, 0.1), high=1.1) is verdict
+    for verdicts, joined in (([True, True], True), ([True, None], None), ([None, False], False)):
+        assert report.together(verdicts) is joined
+
+
+def test_the_report_in_the_repository_gives_every_claim_a_criterion_a_figure_and_its_failures_a_reason():
+    lines = (PAPER / "figures" / "report.md").read_text(encoding="utf-8").splitlines()
+    start = lines.index("## Claims") + 4
+    claims = [line.strip("| ").replace("\\|", "/").split(" | ") for line in lines[start : lines.index("", start)]]
+    assert len(claims) >= 20
+    for figures, claim, criterion, measured, verdict in claims:
+        assert figures and claim.endswith(".") and criterion and measured
+        holds = verdict.startswith(("**holds**", "**undecided**"))
+        assert holds or (verdict.startswith("**does not hold**: ") and verdict.endswith("."))
+    # Every fact stands once.
+    assert len({tuple(row[:3]) for row in claims}) == len(claims)
+    for name in (line.split("](")[1][:-1] for line in lines if line.startswith("![")):
+        assert (PAPER / "figures" / name).stat().st_size > 3000
+
+
+def test_information_is_made_of_the_derivative_of_the_output(paper):
+    identification = paper("identification")
+    rng = np.random.default_rng(2)
+    theta = [-1.5, 0.7, 1.0, 0.5] + np.cumsum(0.002 * rng.standard_normal((50, 4)), axis=0)
+    u = rng.standard_normal(50)
+
+    def output(step):
+        return simulate_output_error(theta + step, u, na=2, nb=2).y_clean
+
+    steps = 1e-6 * np.eye(4)
+    g = np.transpose([(output(step) - output(-step)) / 2e-6 for step in steps])
+    information = identification._information(theta, u, output(0.0), 2, 0.25)
+    assert_allclose(information, g[:, :, None] * g[:, None, :] / 0.25, rtol=1e-6, atol=1e-6)
+
+
+def test_bound_without_drift_and_prior_is_the_cramer_rao_bound(paper):
+    identification = paper("identification")
+    plant = replace(identification.WELL, contamination=0.0, P0=1e8, Q=0.0)
+    g = np.repeat(np.random.default_rng(1).standard_normal((1, identification.STEPS, 4)), 2, axis=0)
+    bound, cramer_rao = identification.bounds(g[..., :, None] * g[..., None, :], plant)
+    assert bound[-1] ** 0.5 == pytest.approx(cramer_rao, rel=1e-4)
+
+
+def test_outliers_move_the_piston_less_when_the_robust_filter_runs_the_loop(example):
+    ServoObserver = example("servo.observer").ServoObserver
+    n, dt, std = 1000, 0.01, np.array([5e-5, 500.0, 500.0])
+    reference = 0.02 * np.where(np.random.default_rng(0).random(n // 20) < 0.5, -1.0, 1.0).repeat(20)
+
+    def drive(noise, filter):
+        return simulate_servo(reference, dt, noise=noise, observer=ServoObserver(filter(6, 3, 6), dt, std))
+
+    deviations, travels = np.empty((2, 3, 2))
+    for i, seed in enumerate((11, 12, 13)):
+        rng = np.random.default_rng(seed)
+        noise = np.column_stack([Contaminated(0.1, 40.0, s).rvs(size=n, random_state=rng) for s in std])
+        without = drive(np.where(np.abs(noise) > 5 * std, noise / 40, noise), KalmanFilter)
+        for j, filter in enumerate((KalmanFilter, RobustKalmanFilter)):
+            recording = drive(noise, filter)
+            deviations[i, j] = np.sqrt(np.mean((recording.position - without.position) ** 2))
+            travels[i, j] = np.abs(np.diff(recording.valve)).sum() - np.abs(np.diff(without.valve)).sum()
+    assert np.all(deviations[:, 1] < 0.7 * deviations[:, 0]) and np.all(travels[:, 1] < 0.4 * travels[:, 0])
+
+
+def test_robust_deviates_less_than_kalman_in_every_disturbance_of_the_water_flow(example, tmp_path):
+    scores = example("water_flow").main(["--out", str(tmp_path)])
+    kalman = scores["KalmanFilter"]
+    for name in ("Robust, Huber", "Robust, Tukey"):
+        for disturbance, at_most in {"stop 1": 0.25, "stop 2": 0.25, "stop 3": 0.25, "spike": 0.5}.items():
+            assert scores[name].worst[disturbance] < at_most * kalman.worst[disturbance]
+        assert scores[name].quiet < kalman.quiet
+
+
+def test_first_figure_shows_a_typical_gain(example, tmp_path):
+    first_screen = example("first_screen")
+    errors = first_screen.main(["--out", str(tmp_path), "--seeds", "1"])
+    shown = errors["KalmanFilter"] / errors["RobustKalmanFilter"]
+    ratios = []
+    for seed in range(1000, 1040):
+        position, readings, _ = first_screen.simulate(seed)
+        kalman, robust = (
+            first_screen.rms(first_screen.track(cls, readings) - position) for cls in (KalmanFilter, RobustKalmanFilter)
+        )
+        ratios.append(kalman / robust)
+    assert min(ratios) > 1
+    assert 3 < shown < np.median(ratios) * 1.25

@@ -4,13 +4,15 @@
 import numpy as np
 import pytest
 import support
+from filterpy.common import kinematic_kf
 from recordings import unheard
-from support import noise_given, recovering, two_sided
+from support import Extended, noise_given, predict_and_update, recovering, through, two_sided
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
     Contaminated,
     Huber,
+    RobustFilterWarning,
     RobustKalmanFilter,
     StudentT,
     TukeyBiweight,
@@ -68,7 +70,7 @@ def test_nor_does_it_stop_another_filter_or_a_series(path, raising, cls):
         zs = np.array([[size] * 2] * 14 + [[-size] * 2, [0.0, 0.0]])
         kf = support.make(cls, problem)
         for z in zs:
-            support.predict_and_update(kf, z)
+            predict_and_update(kf, z)
             assert all(np.isfinite(getattr(kf, name)).all() for name in (*SHOWN, "likelihood"))
         support.make(RobustKalmanFilter, problem).batch_filter(zs)
         p = problem
@@ -108,7 +110,69 @@ def test_a_step_is_taken_or_refused_in_a_sentence(seed):
         with unheard(), np.errstate(all="ignore"):
             try:
                 for _ in range(4):
-                    support.predict_and_update(kf, rng.normal(size=m) * rng.choice(SIZES))
+                    predict_and_update(kf, rng.normal(size=m) * rng.choice(SIZES))
             except (ValueError, np.linalg.LinAlgError) as error:
                 assert any(words in str(error) for words in SENTENCES), (given, error)
         assert np.isfinite(kf.x).all() and np.isfinite(kf.P).all()
+
+
+# States that no sensor sees grow until what a sensor sees of P drowns in rounding: filterpy goes on there.
+
+
+MAKERS = {
+    "linear": lambda n, m: RobustKalmanFilter(n, m, influence=Linear()),
+    "default": RobustKalmanFilter,
+    "innovation": lambda n, m: RobustKalmanFilter(n, m, scaling="innovation"),
+    "adaptive": AdaptiveKalmanFilter,
+    "extended": Extended,
+}
+
+
+@pytest.mark.parametrize("dim, order, dt", [(7, 5, 1.0), (5, 5, 2.0), (3, 6, 1.5), (9, 4, 4.0)])
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+def test_a_sum_of_chains_is_followed_with_a_warning(make, dim, order, dt):
+    """A ramp, of which filterpy's own `test_steadystate` asks that nothing be raised."""
+    kf = make(dim * (order + 1), 1)
+    if not hasattr(kf, "H"):
+        kf.H = np.zeros((1, kf.dim_x))
+    kinematic_kf(dim=dim, order=order, dt=dt, kf=kf)
+    with unheard(RobustFilterWarning):
+        for k in range(150):
+            predict_and_update(kf, np.array([float(k)]))
+            assert np.isfinite(kf.x).all()
+        assert kf.H @ kf.x == pytest.approx(k, abs=5.0)
+        for z in range(100) if make is MAKERS["linear"] and dim == 7 else ():
+            kf.predict_steadystate()
+            kf.update_steadystate([z])
+            assert kf.mahalanobis == pytest.approx(abs(kf.y.item()) / kf.S.item() ** 0.5)
+
+
+def test_it_is_said_once(recwarn):
+    class Mine(RobustKalmanFilter):
+        pass
+
+    for _ in range(2):
+        kf = kinematic_kf(dim=7, order=5, kf=Mine(42, 1, influence=Linear()))
+        through(kf, range(120))
+    assert [str(w.message)[:40] for w in recwarn] == ["Mine: H P H' is negative by rounding, si"]
+
+
+# A million updates, two in five of them outliers of any size.
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(2400)
+@pytest.mark.parametrize("dims, choices", [((2, 1), {}), ((4, 2), {"scaling": "bounded", "grouping": "joint"})])
+def test_p_stays_positive_definite_and_x_finite(dims, choices):
+    problem = support.random_problem(71, *dims)
+    kf, rng = support.make(RobustKalmanFilter, problem, **choices), np.random.default_rng(0)
+    largest = 0.0
+    for _ in range(100):
+        zs = rng.normal(size=(10_000, dims[1])) * np.sqrt(np.diag(problem.R))
+        bad = rng.random(zs.shape) < 0.4
+        zs[bad] = rng.choice([-1.0, 1.0], bad.sum()) * 10.0 ** rng.uniform(0, 300, bad.sum())
+        through(kf, zs)
+        support.assert_positive_definite(kf.P)
+        support.assert_all_finite(kf)
+        largest = max(largest, np.abs(kf.x).max(), np.abs(kf.P).max())
+    assert largest < 1e3

@@ -5,12 +5,14 @@ import sys
 
 import numpy as np
 import pytest
+import support
 from alike import assert_alike, shown
 from filterpy.kalman import MerweScaledSigmaPoints
+from hostile import spoilt
 from statsmodels.robust import norms
 
 import robust_filterpy
-from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter
+from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, kernel
 from robust_filterpy.correction.policies import Contaminated
 from robust_filterpy.filters import RobustCubatureKalmanFilter
 from robust_filterpy.influence import Hampel, Linear, StudentT, TukeyBiweight
@@ -148,6 +150,16 @@ def bent(x, dt=1.0):
     return np.ravel(x) + 0.02 * dt * np.sin(np.ravel(x)[::-1])
 
 
+def nonlinear(kind, residual=np.subtract, **options):
+    """A filter of two bearings of a point in the plane."""
+    points = [MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)] if kind is RobustUnscentedKalmanFilter else []
+    functions = () if kind is RobustExtendedKalmanFilter else (1.0, bearings, bent, *points, residual)
+    kf = kind(2, 2, *functions, **options)
+    kf.x = np.reshape([5.0, 3.0], (2, 1) if kind is RobustCubatureKalmanFilter else 2)
+    kf.P, kf.Q, kf.R = 0.1 * np.eye(2), 1e-3 * np.eye(2), 1e-3 * np.eye(2)
+    return kf
+
+
 @pytest.mark.pairwise
 @pytest.mark.usefixtures("by_kernel_alone")
 @pytest.mark.parametrize("residual", [np.subtract, angle], ids=["plain", "angle"])
@@ -162,17 +174,8 @@ def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(kind, o
     # How far P grows after a jump, the typical innovation tells by a Jacobian: without one that is the definition's.
     jumps = kind is RobustExtendedKalmanFilter or "noise" in options
 
-    def made():
-        if kind is RobustExtendedKalmanFilter:
-            return kind(2, 2, **options)
-        points = [MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0)] if kind is RobustUnscentedKalmanFilter else []
-        return kind(2, 2, 1.0, bearings, bent, *points, residual_z=residual, **options)
-
     def steps():
-        rng, kf, rows = np.random.default_rng(3), made(), []
-        kf.x = np.reshape([5.0, 3.0], (2, 1) if kind is RobustCubatureKalmanFilter else 2)
-        kf.P, kf.Q, kf.R = 0.1 * np.eye(2), 1e-3 * np.eye(2), 1e-3 * np.eye(2)
-        at = np.array([5.0, 3.0])
+        rng, kf, at, rows = np.random.default_rng(3), nonlinear(kind, residual, **options), np.array([5.0, 3.0]), []
         kf.predict_x = lambda u=0: setattr(kf, "x", bent(kf.x))
         for k in range(40):
             at = bent(at)
@@ -190,3 +193,48 @@ def test_a_step_of_a_nonlinear_filter_is_the_kernels_and_the_definitions(kind, o
         return rows
 
     assert_alike(*both(steps), 1e-7)
+
+
+# What is passed spoilt is refused as by the definition.
+
+
+def stepped(kf, z, extension, monkeypatch, passed=(), R=None):
+    """Step by an extension, or by the definition alone; what it raises, None if nothing."""
+    with monkeypatch.context() as patch, np.errstate(all="ignore"):
+        support.served_by(patch, extension)
+        try:
+            kf.predict()
+            functions = (slopes, bearings) if isinstance(kf, RobustExtendedKalmanFilter) else ()
+            kf.update(z, *(passed or functions), R=R)
+        except (TypeError, ValueError, OverflowError, np.linalg.LinAlgError) as error:
+            return type(error)
+    return None
+
+
+@pytest.mark.parametrize("kind", [RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter])
+def test_what_is_passed_spoilt_is_refused_or_taken_as_by_the_definition(kind, monkeypatch):
+    support.needs_kernel()
+    g, served, extended = np.random.default_rng(4), 0, kind is RobustExtendedKalmanFilter
+    for seed in range(150):
+        one, two = nonlinear(kind), nonlinear(kind)
+        for kf in (one, two):
+            assert stepped(kf, np.array([0.54, 0.32]), None, monkeypatch) is None
+        place = ("z", "R", "H", "Hx")[seed % (4 if extended else 2)]
+        given = {"z": np.array([0.5, 0.3]), "R": np.diag([4e-3, 3e-3]), "H": slopes(one.x), "Hx": bearings(one.x)}
+        given[place] = spoilt(given[place], g, [])
+        passed = (lambda x, H=given["H"]: H, lambda x, at=given["Hx"]: at) if extended else ()
+        before = np.array(one.z)
+        raised = [
+            stepped(kf, given["z"], extension, monkeypatch, passed, given["R"])
+            for kf, extension in ((one, kernel.extension()), (two, None))
+        ]
+        assert (raised[0] is None) == (raised[1] is None), (seed, place, given[place], raised)
+        served += raised[0] is None
+        if raised[0] is None and max(np.abs(two.x).max(), np.abs(two.P).max()) < 1e9 and given["z"] is not None:
+            np.testing.assert_allclose(one.x, two.x, rtol=1e-6, atol=1e-6, err_msg=str(seed))
+            np.testing.assert_allclose(one.P, two.P, rtol=1e-6, atol=1e-6, err_msg=str(seed))
+        if raised[0] is not None:
+            # The prediction has happened, the correction has not.
+            np.testing.assert_array_equal(one.x, one.x_prior)
+            np.testing.assert_array_equal(one.z, before)
+    assert served > 20

@@ -1,5 +1,6 @@
 """Where a warning is an error, the call that gives it has not happened: filters, trackers, banks and fusions."""
 
+import gc
 import pickle
 import warnings
 
@@ -8,8 +9,17 @@ import pytest
 from recordings import silence, unheard
 from support import Extended, of_matrices
 
-from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, _warning, fusion
-from robust_filterpy.identification import ARX, OutputError, ParameterTracker, TrackerBank
+from robust_filterpy import (
+    AdaptiveKalmanFilter,
+    RobustFilterWarning,
+    RobustKalmanFilter,
+    RobustUnscentedKalmanFilter,
+    _warning,
+    fusion,
+)
+from robust_filterpy.filters import CorrelatedInnovationsWarning, OutlierShareWarning, StuckSensorWarning
+from robust_filterpy.fusion import FusionWarning
+from robust_filterpy.identification import ARX, LostTrackerWarning, OutputError, ParameterTracker, TrackerBank
 
 
 def plant(rng, n=300):
@@ -165,3 +175,53 @@ def outcome(call, one):
     except (ValueError, RuntimeError) as error:
         return str(error)
     return found if isinstance(found, str) else pickle.dumps((found.x, found.P))
+
+
+# All that is warned of by a class has one base, and what is said once is said once of each thing.
+
+
+KINDS = [OutlierShareWarning, CorrelatedInnovationsWarning, StuckSensorWarning, FusionWarning, LostTrackerWarning]
+
+
+class Filter:
+    """Something that hash() refuses."""
+
+    __hash__ = None
+
+
+@pytest.fixture(autouse=True)
+def anew(monkeypatch):
+    monkeypatch.setattr(_warning, "_said", set())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_rule_switches_all_kinds_off(kind):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", RobustFilterWarning)
+        _warning.warn("something", kind)
+    with pytest.warns(kind):
+        _warning.warn("something", kind)
+
+
+@pytest.mark.parametrize("of", ["RobustKalmanFilter", ("RobustKalmanFilter", 2, 1), Filter()])
+def test_it_is_said_once_of_each_thing_unless_the_call_was_refused(of):
+    with silence():
+        for _ in range(2):
+            with pytest.raises(StuckSensorWarning):
+                _warning.warn("something", StuckSensorWarning, of=of)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for kind in (StuckSensorWarning, StuckSensorWarning, OutlierShareWarning):
+            _warning.warn("something", kind, of=of)
+    assert [one.category for one in caught] == [StuckSensorWarning, OutlierShareWarning]
+
+
+def test_an_object_that_is_gone_leaves_nothing_behind():
+    one = Filter()
+    with pytest.warns(StuckSensorWarning):
+        _warning.warn("something", StuckSensorWarning, of=one)
+    assert _warning.was_said(StuckSensorWarning, one) and len(_warning._said) == 1
+    del one
+    gc.collect()
+    assert not _warning._said

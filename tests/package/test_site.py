@@ -209,3 +209,37 @@ def test_every_file_of_the_map_is_there():
             assert path.exists(), name
             folder, found = (path.parent if "/" in name else folder), found + 1
     assert found > 50
+
+
+# The cells of a tutorial, run one after the other, print what the page shows.
+
+
+TUTORIALS = sorted((DOCS / "tutorial").glob("*.md"))
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
+
+
+def same(shown, printed):
+    """Whether two texts are the same but for a last digit or 5 % in a number."""
+    old, new = NUMBER.findall(shown), NUMBER.findall(printed)
+    digits = [10.0 ** -len(number.partition(".")[2]) for number in old]
+    words = [" ".join(NUMBER.sub("", text).split()) for text in (shown, printed)]
+    close = len(old) == len(new) and np.all(
+        np.abs(np.subtract(np.array(new, float), np.array(old, float)))
+        <= np.array(digits) + 0.05 * np.abs(np.array(old, float))
+    )
+    return words[0] == words[1] and close
+
+
+@pytest.mark.filterwarnings("ignore:FigureCanvasAgg", "ignore:identify")
+@pytest.mark.filterwarnings("ignore::robust_filterpy.RobustFilterWarning")
+@pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
+def test_cells_print_what_the_page_shows(path, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("matplotlib").use("Agg")
+    monkeypatch.chdir(tmp_path)
+    cells = re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", path.read_text(encoding="utf-8"), flags=re.S)
+    assert len(cells) == 10
+    names = {"__name__": "page"}
+    for source, shown in cells:
+        exec(compile(source, path.name, "exec"), names)
+        printed = capsys.readouterr().out
+        assert same(shown, printed), f"{source}\nprints\n{printed}"

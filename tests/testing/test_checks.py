@@ -5,6 +5,7 @@ import subprocess
 import sys
 import unittest
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ import wrong_filters
 from filterpy.kalman import KalmanFilter
 from wrong_filters import PLAIN, RIGHT_FILTERS, WRONG_FILTERS, HardGate, NoSetter, Textbook
 
-from robust_filterpy import RobustKalmanFilter
-from robust_filterpy.testing import ChecksFailed, check_filter, filter_checks
+from robust_filterpy import RobustKalmanFilter, testing
+from robust_filterpy.testing import ChecksFailed, check_filter, contamination, filter_checks, models, plants
 
 
 @pytest.mark.parametrize("make, not_claimed", RIGHT_FILTERS.values(), ids=RIGHT_FILTERS)
@@ -167,3 +168,14 @@ def test_pytest_is_not_needed():
 def test_bad_input_is_named(call, error, match):
     with pytest.raises(error, match=match):
         call()
+
+
+def test_the_page_of_the_site_is_what_the_code_says_and_lists_everything(monkeypatch):
+    docs = Path(__file__).parents[2] / "docs"
+    monkeypatch.syspath_prepend(str(docs))
+    text = pytest.importorskip("testing_page").page()
+    assert (docs / "testing.md").read_text() == text, "python docs/testing_page.py > docs/testing.md"
+    names = [check.name for check in filter_checks(not_claimed=("robust",))]
+    names += [*models.MODELS, *plants.PLANTS, *contamination.CONTAMINATIONS]
+    names += [f"`{name}`" for name in testing.__all__ if name.startswith("assert_")]
+    assert not [name for name in names if name not in text]
