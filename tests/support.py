@@ -7,6 +7,7 @@ takes; of the package nothing is used but comparisons out of its room for testin
 from __future__ import annotations
 
 import copy
+import itertools
 from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
@@ -23,6 +24,7 @@ from robust_filterpy.filters import (
     RobustUnscentedKalmanFilter,
     shell,
 )
+from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
 from robust_filterpy.identification import ParameterTracker, TrackerBank
 from robust_filterpy.influence.information import expected_information
 from robust_filterpy.testing.checks import assert_unchanged as assert_unchanged
@@ -35,6 +37,11 @@ FILTERPY_2 = hasattr(KalmanFilter, "update_sequential")
 RECOVERING = {"influence": TukeyBiweight(), "patience": 12}
 NOISE_GIVEN = {"noise": Contaminated()}
 TWO_SIDED = {"noise": Contaminated(), "process": Scales((1.0, 10.0, 100.0), jump=0.0)}
+# What noise and process may be taken for, by any filter.
+POLICIES = {
+    "default": {}, "innovation": {"scaling": "innovation"}, "recovering": RECOVERING, "given": NOISE_GIVEN,
+    "two-sided": TWO_SIDED, "learnt": {"noise": "learnt", "process": "given"}, "adaptive": {"noise": "learnt"},
+}  # fmt: skip
 recovering = partial(RobustKalmanFilter, **RECOVERING)
 noise_given = partial(RobustKalmanFilter, **NOISE_GIVEN)
 two_sided = partial(RobustKalmanFilter, **TWO_SIDED)
@@ -183,14 +190,24 @@ class Extended(RobustExtendedKalmanFilter):
         super().update(z, lambda x: self.H, lambda x: self.H @ x, **named)
 
 
+def seen(kf, x):
+    return kf.H @ np.ravel(x)
+
+
+def moved(kf, x, dt):
+    return kf.F @ np.ravel(x)
+
+
 def of_matrices(kind, F, H, Q=None, R=None, P=None, x=None, **options):
     """A filter of any kind for a linear model (a number: times I); one of sigma points has functions of F and H."""
     (m, n), functions = np.shape(H), {}
     if issubclass(getattr(kind, "func", kind), (UnscentedKalmanFilter, CubatureKalmanFilter)):
-        functions = {"dt": 1.0, "hx": lambda x: kf.H @ x, "fx": lambda x, dt: kf.F @ x}
+        functions = {"dt": 1.0, "hx": None, "fx": None}
         if issubclass(getattr(kind, "func", kind), UnscentedKalmanFilter):
             functions["points"] = MerweScaledSigmaPoints(n, 1.0, 2.0, 3.0 - n)
     kf = kind(dim_x=n, dim_z=m, **functions, **options)
+    if functions:
+        kf.hx, kf.fx = partial(seen, kf), partial(moved, kf)
     kf.H = np.array(H, dtype=float)
     for name, value, size in (("F", F, n), ("Q", Q, n), ("R", R, m), ("P", P, n)):
         if value is not None:
@@ -198,6 +215,28 @@ def of_matrices(kind, F, H, Q=None, R=None, P=None, x=None, **options):
     if x is not None:
         kf.x = np.array(x, dtype=float)
     return kf
+
+
+def ensemble(F, H, Q=None, x=None, seed=3):
+    """A small ensemble filter of a linear model."""
+    kf = RobustEnsembleKalmanFilter(
+        np.zeros(len(F)), np.eye(len(F)), len(H), 1.0, 20, None, None, rng=np.random.default_rng(seed)
+    )
+    kf.hx, kf.fx, kf.F, kf.H = partial(seen, kf), partial(moved, kf), np.array(F), np.array(H)
+    kf.Q = kf.Q if Q is None else Q * np.eye(len(F))
+    return kf
+
+
+def of_every_kind(F, H, *more, patience=12, **options):
+    """What makes a filter of each class and policy for a linear model, by name."""
+    kinds = {"linear": RobustKalmanFilter, "extended": Extended, "unscented": NONLINEAR[1], "cubature": NONLINEAR[2]}
+    makers = {"ensemble": partial(ensemble, F, H, *more)}
+    for (name, kind), (policy, choices) in itertools.product(kinds.items(), POLICIES.items()):
+        if name == "linear" or policy in ("default", "recovering", "adaptive"):
+            key = name if policy == "default" else policy if name == "linear" else f"{policy} {name}"
+            given = {**choices, "patience": patience} if policy == "recovering" else choices
+            makers[key] = partial(of_matrices, kind, F, H, *more, **given, **options)
+    return makers
 
 
 def column(kf, z):

@@ -1,31 +1,23 @@
 """Either all of a call happened or none: whatever a saver, a psi, a user's function or an interrupt raises."""
 
 import copy
-from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import support
 from interruption import half_steps
-from support import Extended, by_night, noise_given, of_matrices, recovering, two_sided
+from support import by_night
 
 from robust_filterpy import (
-    AdaptiveKalmanFilter,
-    Contaminated,
-    Learnt,
     RobustExtendedKalmanFilter,
     RobustKalmanFilter,
-    RobustUnscentedKalmanFilter,
-    TukeyBiweight,
     kernel,
 )
-from robust_filterpy.correction import Scales
-from robust_filterpy.filters import RobustCubatureKalmanFilter, snapshot
-from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
+from robust_filterpy.filters import snapshot
 from robust_filterpy.filters.snapshot import _copied
 from robust_filterpy.influence import Huber
 
-LINEAR = [RobustKalmanFilter, recovering, noise_given, two_sided, AdaptiveKalmanFilter]  # fmt: skip
 ERRORS = [KeyboardInterrupt, OSError, ZeroDivisionError, MemoryError, SystemExit, ValueError]
 
 
@@ -63,22 +55,23 @@ class Tracker(RobustKalmanFilter):
 
 
 @pytest.mark.parametrize("error", ERRORS)
-@pytest.mark.parametrize("cls", [*LINEAR, Tracker, FailingPsi])
-def test_a_saver_a_psi_or_a_step_of_ones_own_that_fails_leaves_the_filter_of_before(cls, error, monkeypatch):
-    options = {"influence": FailingPsi()} if cls is FailingPsi else {}
+@pytest.mark.parametrize("name", [*support.POLICIES, "a class", "a psi"])
+def test_a_saver_a_psi_or_a_step_of_ones_own_that_fails_leaves_the_filter_of_before(name, error, monkeypatch):
     monkeypatch.setattr(FailingPsi, "fails", staticmethod(lambda: None))
-    kf = support.make(RobustKalmanFilter if options else cls, support.random_problem(3, 3, 2), **options)
+    own = {"a class": Tracker, "a psi": FailingPsi}.get(name)
+    options = {"influence": FailingPsi()} if own is FailingPsi else support.POLICIES.get(name, {})
+    kf = support.make(Tracker if own is Tracker else RobustKalmanFilter, support.random_problem(3, 3, 2), **options)
     support.predict_and_update(kf, [0.3, 0.1])
     fails, saver = raising(error, 3), None
-    if cls in (Tracker, FailingPsi):
-        monkeypatch.setattr(cls, "fails", staticmethod(fails))
+    if own:
+        monkeypatch.setattr(own, "fails", staticmethod(fails))
     else:
-        saver = type("Saver", (), {"save": staticmethod(fails)})()
+        saver = SimpleNamespace(save=fails)
     before, F = support.contents(kf), kf.F
     with pytest.raises(error, match="on purpose"):
         kf.batch_filter(np.ones((20, 2)), saver=saver)
     support.assert_same_contents(support.contents(kf), before)
-    assert kf.F is F or cls is Tracker
+    assert kf.F is F or own is Tracker
 
 
 @pytest.mark.parametrize("error", [None, *ERRORS])
@@ -158,23 +151,7 @@ def test_what_the_last_correction_showed_is_the_same_when_a_missing_one_is_looke
 F, H = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]])
 
 
-def ensemble():
-    rng = np.random.default_rng(0)
-    return RobustEnsembleKalmanFilter(np.zeros(2), np.eye(2), 1, 0.1, 10, lambda x: x[:1], lambda x, dt: F @ x, rng=rng)
-
-
-FILTERS = {
-    name: partial(of_matrices, kind, F, H, **options)
-    for name, kind, options in (
-        ("linear", RobustKalmanFilter, {}), ("by the definition", RobustKalmanFilter, {"influence": TukeyBiweight()}),
-        ("patient", RobustKalmanFilter, {"influence": TukeyBiweight(), "patience": 2}),
-        ("contaminated", RobustKalmanFilter, {"noise": Contaminated()}),
-        ("learnt", RobustKalmanFilter, {"noise": Learnt(), "process": Scales()}), ("extended", Extended, {}),
-        ("extended, learnt", Extended, {"noise": Learnt()}), ("unscented", RobustUnscentedKalmanFilter, {}),
-        ("cubature", RobustCubatureKalmanFilter, {"patience": 2}),
-    )
-}  # fmt: skip
-FILTERS["ensemble"] = ensemble
+FILTERS = support.of_every_kind(F, H, patience=2)
 
 
 def update(kf, z):
@@ -206,14 +183,12 @@ def seen(kf):
     return found
 
 
-CASES = [(name, call) for name in FILTERS for call in CALLS] + [("by the definition", call) for call in LINEAR]
-BY_DAY = [
-    (name, call) for name, call in CASES if name not in ("patient", "contaminated", "extended, learnt", "cubature")
-]
+CASES = [(name, call) for name in FILTERS for call in CALLS] + [("recovering", call) for call in LINEAR]
+BY_DAY = ("linear", "recovering", "adaptive", "extended", "unscented", "ensemble")
 
 
 @pytest.mark.parametrize(
-    "name, call", [pytest.param(*case, marks=[] if case in BY_DAY else pytest.mark.nightly) for case in CASES]
+    "name, call", [pytest.param(*case, marks=[] if case[0] in BY_DAY else pytest.mark.nightly) for case in CASES]
 )
 @pytest.mark.parametrize("every", by_night([1, 3], 3))
 def test_an_interrupt_leaves_no_half_step(name, call, every):

@@ -7,7 +7,6 @@ The state machine finds calls that break what every call must keep; the problems
 import copy
 import os
 import pickle
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,19 +14,15 @@ import support
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from support import Extended, noise_given, of_matrices, recovering, two_sided
 
 from robust_filterpy import (
-    AdaptiveKalmanFilter,
     Huber,
     RobustKalmanFilter,
-    RobustUnscentedKalmanFilter,
     StudentT,
     TukeyBiweight,
     filter_series,
 )
 from robust_filterpy.correction.options import GROUPINGS, INFORMATIONS
-from robust_filterpy.filters import RobustCubatureKalmanFilter
 from robust_filterpy.influence import Hampel, Linear
 
 PSIS = [Huber(), Huber(3.0), Linear(), Hampel(), TukeyBiweight(), StudentT()]
@@ -214,19 +209,8 @@ F = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1], [0.0, 0.0, 0.95]])
 H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]])
 
 
-LINEAR = {
-    "default": RobustKalmanFilter, "innovation": partial(RobustKalmanFilter, scaling="innovation"),
-    "recovering": recovering, "given": noise_given, "two_sided": two_sided,
-    "learnt": partial(RobustKalmanFilter, noise="learnt", process="given"), "adaptive": AdaptiveKalmanFilter,
-}  # fmt: skip
-MAKERS = {
-    **{name: partial(of_matrices, cls, F, H, dim_u=1) for name, cls in LINEAR.items()},
-    "extended": partial(of_matrices, Extended, F, H, dim_u=1),
-    "extended_learnt": partial(of_matrices, Extended, F, H, dim_u=1, noise="learnt"),
-    "unscented": partial(of_matrices, RobustUnscentedKalmanFilter, F, H),
-    "unscented_learnt": partial(of_matrices, RobustUnscentedKalmanFilter, F, H, noise="learnt"),
-    "cubature": partial(of_matrices, RobustCubatureKalmanFilter, F, H),
-}  # fmt: skip
+MAKERS = support.of_every_kind(F, H)
+MAKERS.pop("ensemble")
 SHOWN = "x P x_prior P_prior x_post P_post y S K weights log_likelihood".split()
 
 

@@ -7,13 +7,10 @@ import warnings
 import numpy as np
 import pytest
 from recordings import silence, unheard
-from support import Extended, of_matrices
+from support import of_every_kind
 
 from robust_filterpy import (
-    AdaptiveKalmanFilter,
     RobustFilterWarning,
-    RobustKalmanFilter,
-    RobustUnscentedKalmanFilter,
     _warning,
     fusion,
 )
@@ -63,13 +60,8 @@ def watched(call, things, said):
         call(things[1])
 
 
-FILTERS = {
-    "default": (RobustKalmanFilter, {}), "innovation": (RobustKalmanFilter, {"scaling": "innovation"}),
-    "patience": (RobustKalmanFilter, {"patience": 5}), "learnt": (RobustKalmanFilter, {"noise": "learnt"}),
-    "adaptive": (AdaptiveKalmanFilter, {}), "extended": (Extended, {}),
-    "extended learnt": (Extended, {"noise": "learnt"}), "unscented": (RobustUnscentedKalmanFilter, {}),
-    "unscented learnt": (RobustUnscentedKalmanFilter, {"noise": "learnt"}),
-}  # fmt: skip
+FILTERS = of_every_kind([[1.0, 1.0], [0.0, 1.0]], np.eye(1, 2), 0.01, P=10.0, x=np.zeros(2), patience=5)
+FILTERS.pop("ensemble")
 
 
 def readings(rng, steps=100):
@@ -83,8 +75,7 @@ def test_a_reading_that_a_warning_refuses_has_not_happened(name):
     said = set()
     # What is clipped is judged after 198 of them.
     for zs in readings(np.random.default_rng(3), 200 if name == "innovation" else 100):
-        (kind, options), moves = FILTERS[name], [[1.0, 1.0], [0.0, 1.0]]
-        things = [of_matrices(kind, moves, np.eye(1, 2), 0.01, P=10.0, x=np.zeros(2), **options) for _ in "ab"]
+        things = [FILTERS[name]() for _ in "ab"]
         for z in zs[:, None]:
             for call in (lambda kf: kf.predict(), lambda kf, z=z: kf.update(z)):
                 watched(call, things, said)
