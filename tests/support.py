@@ -223,7 +223,7 @@ def ensemble(F, H, Q=None, x=None, seed=3):
         np.zeros(len(F)), np.eye(len(F)), len(H), 1.0, 20, None, None, rng=np.random.default_rng(seed)
     )
     kf.hx, kf.fx, kf.F, kf.H = partial(seen, kf), partial(moved, kf), np.array(F), np.array(H)
-    kf.Q = kf.Q if Q is None else Q * np.eye(len(F))
+    kf.Q = np.eye(len(F)) if Q is None else Q * np.eye(len(F)) if np.ndim(Q) == 0 else np.array(Q)
     return kf
 
 

@@ -5,7 +5,7 @@ import pytest
 import support
 from statsmodels.robust.norms import HuberT
 
-from robust_filterpy import Contaminated, RobustKalmanFilter
+from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.filters import policies
 
 support.needs_kernel()
@@ -42,11 +42,6 @@ def lists(case, problem, rng):
     return each[case]
 
 
-POLICIES = {
-    "default": {}, "recovering": support.RECOVERING, "learnt": {"noise": "learnt", "process": "given"},
-    "given": {"noise": Contaminated(0.1, 10)},
-    "learnt, with scales of the process": {"noise": "learnt", "process": "scales"},
-}  # fmt: skip
 SHOWN = (*support.STATE, "y", "K", "S", "SI", *support.ROBUST, "log_likelihood", "mahalanobis")
 
 
@@ -55,7 +50,7 @@ SHOWN = (*support.STATE, "y", "K", "S", "SI", *support.ROBUST, "log_likelihood",
 @pytest.mark.parametrize("case", ["constant", "F", "H", "QR", "u", "Bu"])
 @pytest.mark.parametrize("ndim, dims", [(2, (4, 2, 1)), (1, (3, 1, 2))])
 @pytest.mark.parametrize("gaps", [0, 1, 40])
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("policy", support.POLICIES)
 def test_a_recording_by_the_kernel_is_the_loop(count, policy, ndim, dims, case, update_first, gaps):
     problem, steps = support.random_problem(4, *dims), N if policy == "default" else 400
     zs, _ = support.simulate(problem, steps, seed=5, contamination=0.1)
@@ -64,15 +59,16 @@ def test_a_recording_by_the_kernel_is_the_loop(count, policy, ndim, dims, case, 
     zs[steps - gaps :] = np.nan
     zs[200:] += 50.0
     rows = [None if k % 7 == 0 and k < steps - 1 else z for k, z in enumerate(zs[:, :, None] if ndim == 2 else zs)]
-    one, two = (support.make(RobustKalmanFilter, problem, ndim, **POLICIES[policy]) for _ in range(2))
+    one, two = (support.make(RobustKalmanFilter, problem, ndim, **support.POLICIES[policy]) for _ in range(2))
     per_step = {name: values[:steps] for name, values in lists(case, problem, rng).items()}
     ours = one.batch_filter(rows, update_first=update_first, **per_step)
     # With noise to learn or a patience an H of each step goes by the methods; the last step and reading always do.
     taken = sum(count)
-    assert taken == 0 if case == "H" and policy not in ("default", "given") else taken >= steps - 1 - bool(gaps)
+    passed_on = case == "H" and policy in ("recovering", "learnt", "adaptive")
+    assert taken == 0 if passed_on else taken >= steps - 1 - bool(gaps)
     for a, b in zip(ours, support.by_loop(two, rows, update_first, **per_step), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
-    for name in SHOWN if policy == "default" else (*SHOWN, "outlier_probability", "process_scale"):
+    for name in SHOWN if policy in ("default", "innovation") else (*SHOWN, "outlier_probability", "process_scale"):
         np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-10, err_msg=name)
     assert one.z.tolist() == two.z.tolist()
     state, expected = one.state(), two.state()

@@ -9,23 +9,15 @@ from filterpy.common import Saver
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from support import cart, make, noise_given, random_problem, simulate, through, two_sided, with_
+from support import POLICIES, cart, make, noise_given, random_problem, simulate, through, two_sided, with_
 
 from robust_filterpy import AdaptiveKalmanFilter, Contaminated, RobustKalmanFilter
 from robust_filterpy.correction import Scales
 
 NONE = Contaminated(0.0)
 BOTH = {"grouping": "joint", "noise": Contaminated(0.1, 10.0), "process": Contaminated(0.2, 6.0)}
-KINDS = [
-    pytest.param(RobustKalmanFilter, {}, id="default"),
-    pytest.param(RobustKalmanFilter, {"grouping": "joint", "scaling": "innovation"}, id="joint"),
-    pytest.param(noise_given, BOTH, id="matched"),
-    pytest.param(noise_given, {**BOTH, "grouping": "component"}, id="matched-component"),
-    pytest.param(two_sided, {}, id="two-sided"),
-    pytest.param(two_sided, {"grouping": "joint"}, id="two-sided-joint"),
-    pytest.param(AdaptiveKalmanFilter, {"grouping": "joint"}, id="adaptive-joint"),
-    pytest.param(AdaptiveKalmanFilter, {}, id="adaptive"),
-]
+KINDS = {name: options for name, options in POLICIES.items() if name != "learnt"}
+KINDS |= {f"{name}, joint": {**options, "grouping": "joint"} for name, options in KINDS.items()} | {"matched": BOTH}
 
 
 def exact_step(problem, z, process, noise):
@@ -90,10 +82,10 @@ def test_a_jump_that_nothing_denies_widens_P():
 
 
 @pytest.mark.parametrize("ndim", [1, 2])
-@pytest.mark.parametrize("cls, options", KINDS)
-def test_looking_changes_nothing_and_says_what_a_call_would_do(cls, options, ndim):
+@pytest.mark.parametrize("name", KINDS)
+def test_looking_changes_nothing_and_says_what_a_call_would_do(name, ndim):
     problem = random_problem(2, 4, 2)
-    kf = make(cls, problem, ndim, **options)
+    kf = make(RobustKalmanFilter, problem, ndim, **KINDS[name])
     zs = simulate(problem, 6, 2, contamination=0.5)[0]
     through(kf, zs[:5])
     for z in (zs[5], [1e6, 0.1], [np.nan, 5.0], [np.nan, np.nan], None):

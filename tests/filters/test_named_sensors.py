@@ -5,34 +5,22 @@ import json
 
 import numpy as np
 import pytest
-from support import Extended, cart, load, of_matrices, predict_and_update
+from support import cart, load, of_every_kind, of_matrices, predict_and_update
 
-from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter, _state
+from robust_filterpy import AdaptiveKalmanFilter, _state
 from robust_filterpy.correction.spread import SPREAD
-from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter
-from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, RobustUnscentedKalmanFilter
+from robust_filterpy.filters.sigma_point import RobustUnscentedKalmanFilter
 
 SIGMAS = {"gps": 5.0, "wheel": 0.1}
 F, H, Q = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]]), 0.01 * np.array([[0.25, 0.5], [0.5, 1.0]])
 
 
-FILTERS = {
-    "default": (RobustKalmanFilter, {}), "adaptive": (AdaptiveKalmanFilter, {}),
-    "linear": (RobustKalmanFilter, {"noise": "learnt"}), "extended": (Extended, {"noise": "learnt"}),
-    "unscented": (RobustUnscentedKalmanFilter, {"noise": "learnt"}),
-    "cubature": (RobustCubatureKalmanFilter, {"noise": "learnt"}), "ensemble": (None, {}),
-}  # fmt: skip
+FILTERS = of_every_kind(F, H, Q, P=10.0)
 
 
-@pytest.fixture(params=FILTERS)
+@pytest.fixture(params=["linear", "adaptive", *(name for name in FILTERS if name.startswith("adaptive ")), "ensemble"])
 def kf(request):
-    kind, options = FILTERS[request.param]
-    if kind is not None:
-        return of_matrices(kind, F, H, Q, 1.0, 10.0, **options)
-    rng = np.random.default_rng(0)
-    made = RobustEnsembleKalmanFilter(np.zeros(2), 10.0 * np.eye(2), 1, 1.0, 100, H.dot, lambda x, dt: F @ x, rng=rng)
-    made.Q, made.R = Q, np.eye(1)
-    return made
+    return FILTERS[request.param]()
 
 
 def drawn(seed, steps=400):

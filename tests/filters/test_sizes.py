@@ -6,7 +6,7 @@ import pytest
 import support
 from filterpy.common import kinematic_kf
 from recordings import unheard
-from support import Extended, noise_given, predict_and_update, recovering, through, two_sided
+from support import Extended, predict_and_update, through
 
 from robust_filterpy import (
     AdaptiveKalmanFilter,
@@ -60,15 +60,12 @@ def test_a_numpy_that_raises_changes_no_number(path, influence, scaling, informa
     assert repr(loud)
 
 
-@pytest.mark.parametrize(
-    "cls", [recovering, noise_given, two_sided, AdaptiveKalmanFilter],
-    ids=["recovering", "given", "two-sided", "adaptive"],
-)
-def test_nor_does_it_stop_another_filter_or_a_series(path, raising, cls):
+@pytest.mark.parametrize("policy", support.POLICIES)
+def test_nor_does_it_stop_another_filter_or_a_series(path, raising, policy):
     problem = support.random_problem(5, 3, 2)
     for size in (1e-300, 1e-160, 1.0, 1e20, 1e160, 1e300):
         zs = np.array([[size] * 2] * 14 + [[-size] * 2, [0.0, 0.0]])
-        kf = support.make(cls, problem)
+        kf = support.make(RobustKalmanFilter, problem, **support.POLICIES[policy])
         for z in zs:
             predict_and_update(kf, z)
             assert all(np.isfinite(getattr(kf, name)).all() for name in (*SHOWN, "likelihood"))

@@ -6,9 +6,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from filterpy.kalman import MerweScaledSigmaPoints
 from recordings import same, unchanged
-from support import RECOVERING, Extended, noise_given, of_matrices, predict_and_update, recovering, two_sided
+from support import noise_given, of_every_kind, of_matrices, predict_and_update, two_sided
 
 from robust_filterpy import (
     ARX,
@@ -16,12 +15,9 @@ from robust_filterpy import (
     Contaminated,
     OutputError,
     ParameterTracker,
-    RobustExtendedKalmanFilter,
     RobustKalmanFilter,
-    RobustUnscentedKalmanFilter,
     TukeyBiweight,
 )
-from robust_filterpy.filters import RobustCubatureKalmanFilter, RobustEnsembleKalmanFilter
 from robust_filterpy.fleet import pack, unpack
 from robust_filterpy.identification import ARMA, ARMAX, FIR, BoxJenkins, TrackerBank
 from robust_filterpy.smoothing import FixedLagSmoother
@@ -33,54 +29,12 @@ def linear(cls, **options):
     return partial(of_matrices, cls, F, H, 0.01, x=np.zeros(2), **options)
 
 
-#: Its functions are passed to each update.
-extended = linear(RobustExtendedKalmanFilter)
-
-
-def move(x, dt):
-    return F @ np.ravel(x)
-
-
-def observe(x):
-    return np.ravel(x)[:1]
-
-
-def sigma_points(cls, **options):
-    def make():
-        points = (MerweScaledSigmaPoints(2, 0.5, 2.0, 1.0),) if "Unscented" in cls.__name__ else ()
-        kf = cls(2, 1, 1.0, observe, move, *points, **options)
-        kf.Q = 0.01 * np.eye(2)
-        return kf
-
-    return make
-
-
-def ensemble(seed=3):
-    kf = RobustEnsembleKalmanFilter(np.zeros(2), np.eye(2), 1, 1.0, 20, observe, move, rng=np.random.default_rng(seed))
-    kf.Q = 0.01 * np.eye(2)
-    return kf
-
-
-COMES_BACK = {**RECOVERING, "patience": 3}
 FILTERS = {
-    "linear": linear(RobustKalmanFilter),
+    **of_every_kind(F, H, 0.01, patience=3, x=np.zeros(2)),
     "column": lambda: RobustKalmanFilter(2, 1),
-    "recovering": linear(recovering, patience=3),
-    "two-sided": linear(two_sided),
     "noise-matched": linear(noise_given, process=Contaminated(0.1, 10.0)),
-    "adaptive": linear(AdaptiveKalmanFilter),
     "adaptive, joint": linear(AdaptiveKalmanFilter, grouping="joint"),
     "psi, joint": linear(RobustKalmanFilter, influence=TukeyBiweight(), grouping="joint", scaling="bounded"),
-    "extended": linear(Extended),
-    "unscented": sigma_points(RobustUnscentedKalmanFilter),
-    "cubature": sigma_points(RobustCubatureKalmanFilter),
-    "adaptive extended": linear(Extended, noise="learnt"),
-    "adaptive unscented": sigma_points(RobustUnscentedKalmanFilter, noise="learnt"),
-    "adaptive cubature": sigma_points(RobustCubatureKalmanFilter, noise="learnt"),
-    "recovering extended": linear(Extended, **COMES_BACK),
-    "recovering unscented": sigma_points(RobustUnscentedKalmanFilter, **COMES_BACK),
-    "recovering cubature": sigma_points(RobustCubatureKalmanFilter, **COMES_BACK),
-    "ensemble": ensemble,
     "fixed lag": linear(FixedLagSmoother, N=4),
     "fixed lag, adaptive": linear(FixedLagSmoother, N=4, noise="learnt", process="scales"),
 }
@@ -195,7 +149,7 @@ EVERYTHING = {**FILTERS, **TRACKERS}
 @pytest.mark.parametrize("name", EVERYTHING)
 def test_a_state_of_something_else_is_refused_by_name(name):
     one = EVERYTHING[name]()
-    theirs = FILTERS["linear" if name.startswith("adaptive") else "adaptive"]().state()
+    theirs = linear(RobustKalmanFilter if name == "adaptive, joint" else AdaptiveKalmanFilter)().state()
     refused(one, theirs, "got one of a (AdaptiveKalman|RobustKalman)Filter")
 
 
@@ -218,10 +172,9 @@ def test_a_state_of_another_structure_with_as_many_parameters_is_refused():
 
 
 def test_an_ensemble_refuses_the_numbers_of_another_generator():
-    other = ensemble()
+    other, again = FILTERS["ensemble"](), FILTERS["ensemble"]()
     other.rng = np.random.Generator(np.random.MT19937(1))
-    refused(ensemble(), other.state(), "PCG64, got those of a MT19937")
-    again = ensemble()
+    refused(again, other.state(), "PCG64, got those of a MT19937")
     again.rng = np.random.Generator(np.random.MT19937(2))
     again.restore(other.state())
     assert again.rng.normal() == other.rng.normal()

@@ -11,9 +11,17 @@ import pytest
 from recordings import same, silence, unheard
 from scipy.signal import lfilter
 from support import of_matrices, predict_and_update, two_sided
-from test_state import FILTERS, F, H, extended, observe, recording, signals
+from test_state import FILTERS, F, H, linear, recording, signals
 
-from robust_filterpy import ARX, OutputError, ParameterTracker, RobustKalmanFilter, kernel, robust
+from robust_filterpy import (
+    ARX,
+    OutputError,
+    ParameterTracker,
+    RobustExtendedKalmanFilter,
+    RobustKalmanFilter,
+    kernel,
+    robust,
+)
 from robust_filterpy._state import StateError
 from robust_filterpy.fleet import FilterModel, TrackerModel, filter_table, pack, step, unpack
 from robust_filterpy.fleet.states import _ragged
@@ -24,6 +32,14 @@ pd = pytest.importorskip("pandas")
 
 def jacobian(x):
     return H
+
+
+def observe(x):
+    return H @ x
+
+
+#: Its functions are passed to each update.
+extended = linear(RobustExtendedKalmanFilter)
 
 
 MODELS = {

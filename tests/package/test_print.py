@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from support import by_night, through
+from support import POLICIES, by_night, through
 
 from robust_filterpy import (
     ARX,
-    Contaminated,
     ParameterTracker,
     RobustKalmanFilter,
     estimate_noise,
@@ -114,21 +113,15 @@ def test_a_value_of_many_lines_is_named_by_its_type():
         FixedLagSmoother(walk(), 5)
 
 
-FILTERS = {
-    "default": {}, "patience": {"patience": 12}, "given": {"noise": Contaminated()},
-    "learnt": {"noise": "learnt", "process": "scales"},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("policy", FILTERS)
+@pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("n", [2, 40])
 def test_a_filter_fits_a_screen_and_says_what_it_has_learnt(policy, n):
-    kf = RobustKalmanFilter(n, 2, **FILTERS[policy])
+    kf = RobustKalmanFilter(n, 2, **POLICIES[policy])
     kf.H = np.eye(2, n)
     assert "weights" not in str(kf)
     through(kf, 3.0 * np.random.default_rng(10_003).normal(size=(50, 2)))
     lines = str(kf).splitlines()
     assert len(lines) <= 15 and max(map(len, lines)) <= 100
     assert f"{n} states, 2 measured" in lines[0] and "its weights" in str(kf)
-    assert ("learned" in str(kf)) == (policy != "given")
+    assert ("learned" in str(kf)) == (policy not in ("innovation", "given"))
     assert "SI = " in repr(kf)
