@@ -56,6 +56,8 @@ class Timeline:
         #: Entries before this one have their moments.
         self.clean = 0
         self.judging = False
+        #: Whether nothing follows the entry that is judged: a look back then waits for no more stamps.
+        self.ends = False
         #: A look back that is under way (`verdicts.Look`), or was the last.
         self.look: Look | None = None
         #: When each sensor has spoken last, and when by the entries that are no longer kept.

@@ -137,7 +137,7 @@ def _watched(
     before = of_all(layout, moment)
     for k, key in enumerate(rows.keys.tolist()):
         stage(f"stamp {k} of {len(rows.keys)}")
-        entry = line.at(key)
+        entry, line.ends = line.at(key), k == len(rows.keys) - 1
         entry.z[:], entry.control = rows.zs[k], rows.inputs[k]
         moment = line.until()[0]
         into[0][k], into[1][k] = moment.state.x, moment.state.P

@@ -8,6 +8,7 @@ are again as they were.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Generator, Sequence
 from functools import partial
@@ -104,8 +105,8 @@ class Look:
         """Leave nothing in its place."""
         return type(None), ()
 
-    def by(self, stamps: int) -> _Conclusion | None:
-        """Return what it says once so many stamps have done their share, None if that is not all."""
+    def by(self, stamps: float) -> _Conclusion | None:
+        """Return what it says once so many stamps, if infinite all that it takes, have done their share, else None."""
         while self._stamps < stamps and self._says is None:
             self._stamps, done, last = self._stamps + 1, 0.0, 0.0
             try:
@@ -139,7 +140,7 @@ def watched(line: Any, i: int, moment: Moment) -> Moment:
         look, line.look = line.look, None
         if look is None or look.key != key:
             look = Look(key, _look(line, key, watch if at == i else line.entries[at].moment.watch))
-        says = look.by(i - at + 1)
+        says = look.by(math.inf if line.ends else i - at + 1)
         line.look = look
         watch = watch._replace(asked=key) if says is None else says(watch)
     if watch is before:

@@ -213,3 +213,24 @@ def test_arrays_of_other_shapes_are_refused():
     for wrong, given, last in [*calls, (numbers, readings, 2)]:
         with pytest.raises(ValueError, match="matching shapes"):
             extension.advance_hypotheses((wrong, x, P, sums), tuple(given), 0, last)
+
+
+def test_a_look_that_is_under_way_when_a_recording_ends_says_what_it_would_have_said():
+    rng = np.random.default_rng(1)
+    p, sensors = np.cumsum(0.1 * rng.normal(size=300)), {name: Sensor([1.0, 0.0], R=1.0) for name in "abc"}
+    z = p[:, None] + rng.normal(size=(300, 3)) + 4.0 * (np.arange(300) >= 200)[:, None] * [0.0, 1.0, 0.0]
+    fusion = Fusion(constant_velocity(1, 0.5), sensors, 1.0, P0=10.0 * np.eye(2), watch=True)
+    for k, row in enumerate(z):
+        for name, value in zip("abc", row.tolist(), strict=True):
+            fusion.observe(name, 0.1 * k, value)
+    fusion.estimate()
+    asked = [entry.moment.watch.asked for entry in fusion._timeline.entries]
+    begins = next(k for k, at in enumerate(asked) if k >= 200 and at is not None)
+    ends = next(k for k in range(begins, 300) if asked[k] is None)
+    assert ends > begins + 1
+    said = fusion.verdicts(0.1 * ends)["b"]
+    table = {"time": np.repeat(0.1 * np.arange(300), 3), "sensor": np.tile(list("abc"), 300), "value": z.ravel()}
+    for last in (begins, begins + 1):
+        recording = fusion.run({name: column[: 3 * last + 3] for name, column in table.items()})
+        stamp, name, verdict = recording.verdicts[-1]
+        assert (stamp, name) == (recording.times[-1], "b") and verdict[:2] == said[:2] != ("healthy", None)
