@@ -175,12 +175,12 @@ class Models(NamedTuple):
         return np.vstack((self.x, x)), np.concatenate((self.P, P[None])), np.vstack((self.belief, shown))
 
 
-def start(x: Array, P: Array, process: Scales) -> Models:
-    """Return the models before the first step, all at the same place."""
+def start(x: Array, P: Array, process: Scales, runs: bool = False) -> Models:
+    """Return the models before the first step, all at the same place; of a filter that runs no start is a guess."""
     n, count = len(x), process.count
     belief = np.empty((count + 2, n))
     belief[:-2] = process.begin[:, None]
-    belief[_UNSEEN] = _START if process.jump > 0.0 else 0.0
+    belief[_UNSEEN] = _START if process.jump > 0.0 and not runs else process.jump
     # A process that draws its scale anew in each step draws one for all.
     belief[_PART] = np.arange(n) if process.probabilities is None else 0.0
     given = None

@@ -94,6 +94,8 @@ def robust(kf: Any, **options: Unpack[Options]) -> Any:
         if name in ("y", "K", "M") and np.shape(value) != np.shape(getattr(ours, name)) and not np.any(value):
             continue
         setattr(ours, name, value)
+    if np.any(ours.K):
+        ours._start()
     return ours
 
 

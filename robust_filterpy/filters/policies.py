@@ -117,7 +117,7 @@ class Bounded:
         """Return the memory of sensors of which nothing was learned."""
         return spread.begin(sensors)
 
-    def start(self, x: Array, P: Array) -> None:
+    def start(self, x: Array, P: Array, runs: bool = False) -> None:
         """Return nothing: the memory is all that is kept."""
 
     def predicted(
@@ -268,9 +268,9 @@ class Mixture:
         """Return the memory of sensors of which nothing was learned."""
         return self.classes.start(sensors)
 
-    def start(self, x: Array, P: Array) -> Carried | None:
-        """Return the models, all at x, P; None where there is but one."""
-        begun = side_by_side.start(x, P, self.scales)
+    def start(self, x: Array, P: Array, runs: bool = False) -> Carried | None:
+        """Return the models, all at x, P, where a filter starts or runs; None where there is but one."""
+        begun = side_by_side.start(x, P, self.scales, runs)
         return Carried(*begun.packed, x.copy(), P.copy()) if self.scales.count > 1 else None
 
     def current(self, carried: Carried | None, x: Array, P: Array) -> Carried:

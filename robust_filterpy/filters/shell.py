@@ -121,7 +121,8 @@ class Shell(StateMixin):
     def _start(self) -> None:
         """Let what is kept with x and P begin at them; called at the end of a constructor."""
         x, P = state_of(self)
-        self._kept = self._policy.start(np.ravel(x), P)
+        # What readings have told, as a gain shows, is no guess that the next one may contradict.
+        self._kept = self._policy.start(np.ravel(x), P, bool(np.any(self.K)))
 
     @property
     def _inverse(self) -> Inverse | None:

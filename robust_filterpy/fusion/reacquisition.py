@@ -284,7 +284,7 @@ def _as_served(setup: Setup, before: Moment, moment: Moment, doubt: Doubt, near:
         apart = doubt.x[:, :n] - x
         P = np.einsum("i,ijk->jk", p, doubt.P[:, :n, :n] + apart[:, :, None] * apart[:, None, :])
     was, now = before.state, moment.state
-    state = now._replace(x=x, P=P, memory=was.memory, carried=setup.policy.start(x, P))
+    state = now._replace(x=x, P=P, memory=was.memory, carried=setup.policy.start(x, P, runs=True))
     # The tests of sensors were of another state.
     watch = moment.watch and begun_anew(before.watch, np.zeros(len(before.watch.fault), dtype=bool), setup.layout.party)
     return moment._replace(state=state, watch=watch, doubt=remaining, anew=True)
