@@ -115,9 +115,8 @@ def looped(name: str, plant: Plant, y: np.ndarray, u: np.ndarray, is_outlier: np
     variance = _known_variance(plant, is_outlier)
     path, prediction = np.empty((STEPS, len(plant.theta))), np.empty(STEPS)
     for k in range(STEPS):
-        if name == LABELS:
-            tracker.filter.R[0, 0] = variance[k]
-        prediction[k] = tracker.update(y[k], u[k]).prediction
+        R = variance[k] if name == LABELS else None
+        prediction[k] = tracker.update(y[k], u[k], R).prediction
         path[k] = tracker.theta
     return path, prediction
 

@@ -94,11 +94,9 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> FilterRecord:
     u = np.asarray(u) if hasattr(u, "to_numpy") else u
     if len(y) == 0:
         raise ValueError("zs: expected at least one output, got none")
-    tracker = copy.deepcopy(tracker)
-    kf = tracker.filter
     epochs: dict[str, list[Any]] = {}
-    for k, output in enumerate(y):
-        tracker.update(output, None if u is None else u[k])
+    kf: Any = None
+    for output, kf in zip(y, tracker.corrections(y, u), strict=True):
         _keep(epochs, kf, len(y))
         epochs["z"][-1] = output
     return _recording(epochs, kf)

@@ -22,7 +22,7 @@ from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
 from robust_filterpy.filters.notices import StuckSensorWarning, say_stuck_among
 from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
-from robust_filterpy.identification.recursive.tracker import ParameterTracker, keeps_spread
+from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.kernel import series as kernel
 from robust_filterpy.kernel.series import Model, Rows
 
@@ -237,9 +237,8 @@ _TRACKERS = 500
 
 
 def start_of_tracker(tracker: ParameterTracker) -> dict[str, Array]:
-    """Return what a tracker's steps move, as it is; of a sensor of which nothing was learned yet, zeros."""
-    unknown = {"filter_spread": spread.begin(1)} if keeps_spread(tracker) else {}
-    return {**unknown, **{name: value for name, value in tracker.state().items() if name not in _SETTINGS}}
+    """Return what a tracker's steps move, as it is."""
+    return {name: value for name, value in tracker.state().items() if name not in _SETTINGS}
 
 
 def shapes_of_tracker(tracker: ParameterTracker) -> dict[str, _state.Shape]:

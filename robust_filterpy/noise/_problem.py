@@ -7,7 +7,6 @@ gradient, the curvature and the steps of all starts of Newton's method are evalu
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -53,14 +52,12 @@ def of_tracker(tracker: Any, y: Any, u: Any) -> Problem:
     """Return the linear model that the filter of a copy of a tracker sees in a recording."""
     y = _checks.numbers("zs", _checks.entries("zs", y)).ravel()
     u = np.asarray(u) if hasattr(u, "to_numpy") else u
-    tracker, before = copy.deepcopy(tracker), copy.deepcopy(tracker.filter)
     zs, Hs = np.empty(len(y)), []
-    for k, output in enumerate(y):
-        tracker.update(output, None if u is None else u[k])
+    for k, kf in enumerate(tracker.corrections(y, u)):
         # The gain's gradient stands in H, and the measurement that belongs to it in z.
-        Hs.append(np.array(tracker.filter.H, dtype=float))
-        zs[k] = np.nan if np.isnan(output) else np.ravel(tracker.filter.z)[0]
-    return of_filter(before, zs, None, None, None, Hs, None)
+        Hs.append(np.array(kf.H, dtype=float))
+        zs[k] = np.nan if np.isnan(y[k]) else np.ravel(kf.z)[0]
+    return of_filter(tracker.filter, zs, None, None, None, Hs, None)
 
 
 def _narrowed(data: Problem) -> Problem:

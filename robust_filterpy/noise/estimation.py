@@ -143,10 +143,9 @@ class NoiseEstimate:
         KalmanFilter or ParameterTracker
             The same filter.
         """
-        inner = getattr(filter, "filter", filter)
-        inner.R, inner.Q = self.R.copy(), self.Q.copy()
-        if isinstance(getattr(inner, "noise", None), Contaminated):
-            inner.noise = self.noise
+        filter.R, filter.Q = self.R.copy(), self.Q.copy()
+        if isinstance(getattr(filter, "noise", None), Contaminated):
+            filter.noise = self.noise
         return filter
 
 

@@ -37,6 +37,7 @@ from robust_filterpy.identification import (
     select_structure,
     validate,
 )
+from robust_filterpy.identification.models.regressor import GUARDS
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 
 N = 300
@@ -281,23 +282,21 @@ def tracked():
     )
     yield (
         "tracker, from a model",
-        lambda: of_tracker(
-            ParameterTracker(identify(y[:200], u[:200], OutputError(2, 2))), y[200:], u[200:], 100
-        ),
+        lambda: of_tracker(ParameterTracker(identify(y[:200], u[:200], OutputError(2, 2))), y[200:], u[200:], 100),
     )
-    yield (
-        "tracker, tuned",
-        lambda: shown(ParameterTracker(ARX(2, 2), start=100).tuned(ya, u, over={"Q": [0.0, 1e-6, 1e-4]})),
-    )
+    for Q in (0.0, 1e-6, 1e-4):
+        yield (
+            f"tracker, likelihood of Q = {Q}",
+            lambda Q=Q: ParameterTracker(ARX(2, 2), start=100, Q=Q).run(ya, u).log_likelihood(),
+        )
     both = np.stack([ya, y, jumped], axis=1)
     yield "bank", lambda: of_tracker(TrackerBank(3, ARX(2, 2), start=100, Q=1e-6), both, u, 300)
-    guards = {"guard": ["halve", "reject", "none"]}
-    yield (
-        "bank, told",
-        lambda: of_tracker(
-            TrackerBank(3, OutputError(2, 2), theta=[-1.4, 0.6, 1.0, 0.5], R=0.01, **guards), both, u, 300
-        ),
-    )
+    for guard in GUARDS:
+        options = {"theta": [-1.4, 0.6, 1.0, 0.5], "R": 0.01, "guard": guard}
+        yield (
+            f"bank, given, {guard}",
+            lambda options=options: of_tracker(TrackerBank(3, OutputError(2, 2), **options), both, u, 300),
+        )
 
     def stepped():
         model = fleet.TrackerModel(OutputError(2, 2), {"start": 100}, measurements=["y"], inputs=["u"])

@@ -1,12 +1,10 @@
-"""A tracker that is given nothing: it starts by itself, follows R, says when it is lost; its drift can be tuned."""
+"""A tracker that is given nothing: it starts by itself, follows R, says when it is lost; its drift is found."""
 
 import numpy as np
-import pandas as pd
 import pytest
 import support
 from filterpy.kalman import KalmanFilter
-from numpy.testing import assert_array_equal
-from recordings import THETA, A, B, assert_refused, recording, same, silence
+from recordings import THETA, A, B, assert_refused, recording, silence
 from scipy.integrate import trapezoid
 from scipy.signal import lfilter
 from scipy.stats import norm
@@ -102,7 +100,9 @@ def test_R_is_found_from_far_away_follows_a_step_of_the_noise_and_stays_once_it_
     X = rng.normal(size=(4500, 3))
     y = X @ [1.0, 2.0, 3.0] + np.where(np.arange(4500) < 3000, 0.5, 1.5) * rng.normal(size=4500)
     tracker = ParameterTracker(LinearRegression(3), start=0)
-    tracker.filter.R = np.array([[0.25 * factor]])
+    state = tracker.state()
+    state["scale"][0] = 0.25 * factor
+    tracker.restore(state)
     for first, end, expected in ((0, 3000, 0.25), (3000, 3700, 2.25)):
         tracker.run(y[first:end], X[first:end])
         assert tracker.R == pytest.approx(expected, rel=0.4)
@@ -179,99 +179,29 @@ def drifting_gain(contamination=0.1, samples=1000, seed=1, q=Q_TRUE):
     return gain * u + noise, u
 
 
-def tracker(**options):
-    return ParameterTracker(FIR(1, nk=0), start=0, **options)
+def runs_of(y, u, over=GRID, **options):
+    return {Q: ParameterTracker(FIR(1, nk=0), Q=Q, **options).run(y, u) for Q in over}
 
 
 @pytest.mark.parametrize("contamination", [0.0, 0.2])
-def test_the_drift_is_found(contamination):
+def test_the_drift_is_found_by_the_likelihood_of_predictions(contamination):
     recordings = [drifting_gain(contamination, seed=seed) for seed in range(5)]
-    chosen = [tracker().tuned(*one, over={"Q": GRID}).best.values["Q"] for one in recordings]
+    recordings[0][0][600:650] = np.nan
+    each = [runs_of(*one, start=0) for one in recordings]
+    chosen = [max(GRID, key=lambda Q: runs[Q].log_likelihood()) for runs in each]
     assert Q_TRUE / 4.0 <= np.median(chosen) <= 4.0 * Q_TRUE
 
 
-def test_the_chosen_tracker_has_the_value_and_has_seen_nothing():
-    y, u = drifting_gain()
-    given = tracker(forgetting=0.99)
-    before = given.state()
-    found = given.tuned(y, u, over={"forgetting": [0.5, 0.9, 0.95, 0.98, 0.999]})
-    assert found.tracker.forgetting == pytest.approx(found.best.values["forgetting"])
-    same(given.state(), before)
-    assert_array_equal(found.tracker.theta, given.theta)
-    # The run is that of a tracker made with the value, also after a reset.
-    expected = tracker(forgetting=found.best.values["forgetting"]).run(y, u).theta
-    assert_array_equal(found.tracker.run(y, u).theta, expected)
-    found.tracker.reset()
-    assert_array_equal(found.tracker.run(y, u).theta, expected)
-
-
-def test_the_start_is_the_same_for_every_value_and_does_not_count():
+def test_the_start_and_the_samples_after_it_do_not_count_and_a_bank_has_one_of_each():
     y, u = drifting_gain(samples=900, q=1e-4)
-    found = ParameterTracker(FIR(1, nk=0)).tuned(y, u, over={"Q": [1e-6, 1e-4, 1e-2]})
-    assert found.samples == 900 - 400 - 20
-    for row in found.rows:
-        residual = ParameterTracker(FIR(1, nk=0), Q=row.values["Q"]).run(y, u).residual[420:]
-        scale = 1.4826 * np.median(np.abs(residual))
-        noise = Noise(START, scale**2).refitted(residual, 50)
-        assert row.log_likelihood == pytest.approx(noise.log_likelihood(residual), abs=1e-3)
-
-
-def test_every_pair_of_values_is_tried_and_shown_and_covariances_are_values_too():
-    rng = np.random.default_rng(2)
-    u = rng.choice([-1.0, 1.0], (1200, 2))
-    y = np.cumsum(0.05 * rng.normal(size=1200)) * u[:, 0] + 1.0 * u[:, 1] + 0.3 * rng.normal(size=1200)
-    right, wrong = np.diag([0.0025, 0.0]), np.diag([0.0, 0.0025])
-    over = {"Q": [wrong, right], "forgetting": [0.5, 0.9, 1.0]}
-    found = ParameterTracker(FIR((1, 1), nk=0), start=0).tuned(y, u, over=over)
-    assert_array_equal(found.best.values["Q"], right)
-    assert len(found.rows) == 6 and len(str(found).splitlines()) == 8
-    assert "chosen" in str(found) and "trace 0.0025" in str(found)
-    frame = found.to_frame()
-    assert list(frame) == ["Q", "forgetting", "log_likelihood"]
-    assert frame.log_likelihood.max() == found.best.log_likelihood
-
-
-@pytest.mark.parametrize("q, over, ones", [(Q_TRUE, [1e-9, 1e-8], "larger"), (1e-6, [0.0, 1e-5, 1e-2], "smaller")])
-def test_the_end_of_the_grid_is_said_though_0_was_tried(q, over, ones):
-    with pytest.warns(UserWarning, match=f"at the end of what was tried; try {ones} ones"):
-        found = tracker().tuned(*drifting_gain(q=q), over={"Q": over})
-    assert found.best.values == {"Q": over[1]} and "Doubtful" in str(found)
-
-
-def test_missing_samples_and_tables_are_taken():
-    y, u = drifting_gain()
-    y[600:650] = np.nan
-    table = pd.DataFrame({"y": y, "u": u}, index=pd.date_range("2024", periods=y.size, freq="s"))
-    found = tracker().tuned(table.y, table.u, over={"Q": GRID})
-    assert found.samples == 1000 - 50 - 20
-    assert found.best == tracker().tuned(y, u, over={"Q": GRID}).best
-    with pytest.raises(ValueError, match="uniform index"):
-        tracker().tuned(table.y.drop(table.index[9]), table.u.drop(table.index[9]), over={"Q": GRID})
-
-
-@pytest.mark.parametrize(("over", "match"), [
-    ({}, "over: expected values to try by name"),
-    ({"R": [1.0]}, "over: expected values to try by name"),
-    ([1e-6], "over: expected values to try by name"),
-    ({"Q": 1e-6}, r"over\['Q'\]: expected a sequence"),
-    ({"Q": []}, r"over\['Q'\]: expected a sequence.*got \[\]"),
-    ({"Q": [-1.0]}, "Q: expected"),
-    ({"forgetting": [1.5]}, "forgetting: expected"),
-])  # fmt: skip
-def test_what_cannot_be_tried_is_refused(over, match):
-    with pytest.raises((ValueError, TypeError), match=match):
-        tracker().tuned(*drifting_gain(), over=over)
-
-
-def test_too_short_a_recording_is_refused_and_a_frozen_tracker():
-    y, u = drifting_gain(samples=430)
-    words = "at least 50 measured samples after the first 420, of the start"
-    with pytest.raises(ValueError, match=words):
-        ParameterTracker(FIR(1, nk=0)).tuned(y, u, over={"Q": [1e-6, 1e-5]})
-    frozen = tracker()
-    frozen.enabled = False
-    with pytest.raises(ValueError, match="enabled=False"):
-        frozen.tuned(y, u, over={"Q": [1e-6]})
-    # The values are looked at before the recording is.
-    with pytest.raises(ValueError, match="Q: expected"):
-        ParameterTracker(OutputError(1, 1)).tuned(y, u, over={"Q": [np.nan]})
+    result = ParameterTracker(FIR(1, nk=0), start=100, Q=1e-4).run(y, u)
+    first = int(np.isinf(result.std[:, 0]).sum()) + 20
+    assert 40 < first < 125
+    residual = result.residual[first:]
+    noise = Noise(START, (1.4826 * np.median(np.abs(residual))) ** 2).refitted(residual, 50)
+    assert result.log_likelihood() == pytest.approx(noise.log_likelihood(residual), abs=1e-3)
+    assert result.log_likelihood() == result.log_likelihood(first) != result.log_likelihood(200)
+    bank = TrackerBank(2, FIR(1, nk=0), start=100, Q=1e-4).run(np.c_[y, y], u)
+    assert bank.log_likelihood() == pytest.approx(result.log_likelihood())
+    with pytest.raises(ValueError, match="50 measured samples or more from sample 870 on, got 30"):
+        result.log_likelihood(870)

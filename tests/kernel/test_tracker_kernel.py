@@ -32,12 +32,10 @@ def handed_back(monkeypatch):
     samples = []
     stepwise = track._by_definition
 
-    def counted(form, using, now, i, signals, out, part):
-        place = using.place(0, 0)
-        if place:
-            first = int(place.removeprefix("sample ").removesuffix(": "))
-            samples.extend(range(first + part.start, first + part.stop))
-        stepwise(form, using, now, i, signals, out, part)
+    def counted(form, now, enabled, place, *others):
+        if place(0, 0):
+            samples.extend(range(others[-1].start, others[-1].stop))
+        return stepwise(form, now, enabled, place, *others)
 
     monkeypatch.setattr(track, "_by_definition", counted)
     return samples
@@ -183,7 +181,7 @@ def test_a_model_that_was_made_unstable_by_hand(handed_back):
     for guard, gradient in itertools.product(("none", "reject", "halve"), ("pseudolinear", "filtered")):
         one, other = pair(OutputError(2, 2), guard=guard, gradient=gradient)
         for tracker in (one, other):
-            tracker.filter.x = np.array([-2.1, 1.3, 0.5, 0.0])
+            tracker._now = tracker._now.with_parts(theta=[-2.1, 1.3, 0.5, 0.0])
         assert_same_run(one, other, y, u, rtol=1e-6)
 
 
@@ -205,7 +203,7 @@ def test_a_psi_that_the_loop_does_not_know_and_a_crooked_p_are_not_for_it(handed
     assert handed_back == list(range(len(y)))
     handed_back.clear()
     crooked = support.paper_tracker(ARX(2, 2))
-    crooked.filter.P = np.eye(4) + np.triu(np.full((4, 4), 1e-6), 1)
+    crooked._now = crooked._now.with_parts(P=np.eye(4) + np.triu(np.full((4, 4), 1e-6), 1))
     crooked.run(y, u)
     assert handed_back[0] == 0
 
@@ -221,7 +219,7 @@ class Odd(Huber):
 def test_the_arrays_that_a_filter_held_before_a_run_are_left_alone(handed_back):
     y, u = recording()
     tracker = pair(OutputError(2, 2))[0]
-    held = tracker.filter.x, tracker.filter.P
+    held = tracker.theta, tracker.P
     copies = [value.copy() for value in held]
     tracker.run(y, u)
     for value, copy in zip(held, copies, strict=True):

@@ -216,8 +216,8 @@ def test_a_trackers_noise_is_estimated_with_its_regressors():
     assert found.R[0, 0] == pytest.approx(0.09, rel=0.25)
     assert found.contamination == pytest.approx(0.1, abs=0.05)
     np.testing.assert_array_equal(tracker.theta, theta)
-    assert tracker.filter.R == 10.0
-    assert found.apply(tracker) is tracker and tracker.filter.R == found.R
+    assert tracker.R == 10.0
+    assert found.apply(tracker) is tracker and tracker.R == found.R
     with pytest.raises(TypeError, match="Fs, Qs, Hs, Rs: expected only for a filter"):
         estimate_noise(tracker, y, us=u, Hs=[np.eye(1)] * n)
 

@@ -101,7 +101,7 @@ def test_what_a_name_returns_is_described_beside_it(monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
     results = pytest.importorskip("generated").results
     names = {thing.__name__ for thing in results([robust_filterpy.estimate_noise, robust_filterpy.ParameterTracker])}
-    assert {"NoiseEstimate", "NoiseIntervals", "Sample", "TunedTracker", "FrequencyResponse"} <= names
+    assert {"NoiseEstimate", "NoiseIntervals", "Sample", "FrequencyResponse"} <= names
     assert "TrackingResult" in names and not names & {"ParameterTracker", "Model", "OutputError"}
 
 

@@ -13,10 +13,16 @@ from scipy.special import ndtri
 from robust_filterpy._brief import Pictured, brief, lines_of, wrapped
 from robust_filterpy._checks import Array, count, numbers, real, shown
 from robust_filterpy._fill_values import FillValues
-from robust_filterpy.identification.models.noise import fit_percent
+from robust_filterpy.identification.models.noise import fit_percent, likelihood_of_mixture
 from robust_filterpy.identification.models.signals import TimeAxis, are_equal, recording, table
+from robust_filterpy.influence.regression import mad_scale
 
 _WIDTH: Final = 78
+# Samples that are not judged, for each parameter, and how many must be left.
+_SETTLING: Final = 20
+_LEAST: Final = 50
+# A residual this many times as large as y varies is as wild as any.
+_WILD: Final = 10.0
 
 
 class Finding(NamedTuple):
@@ -121,6 +127,47 @@ class Recorded(NamedTuple):
         """
         return intervals(self.theta, self.std, level)
 
+    def log_likelihood(self, first: int | None = None) -> Any:
+        """Return how likely the predictions one step ahead are: of several Q or ``forgetting`` the best has the most.
+
+        Parameters
+        ----------
+        first : int, optional
+            The first sample that is judged. Default: after those without a model, and 20 for each parameter after them,
+            in which P forgets how it began.
+
+        Returns
+        -------
+        float, of a bank ndarray, shape (n,)
+
+        Raises
+        ------
+        ValueError
+            If fewer than 50 samples are left to judge by.
+
+        Notes
+        -----
+        The density is the mixture that the residuals show, whatever the influence function of the tracker: an outlier
+        costs a bounded amount, whichever value it is held against.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from robust_filterpy.identification import FIR, ParameterTracker
+        >>> rng = np.random.default_rng(1)
+        >>> u, gain = rng.choice([-1.0, 1.0], 1000), 2.0 + np.cumsum(0.01 * rng.normal(size=1000))
+        >>> y = gain * u + np.where(rng.random(1000) < 0.1, 3.0, 0.3) * rng.normal(size=1000)
+        >>> runs = {Q: ParameterTracker(FIR(1, nk=0), Q=Q).run(y, u) for Q in (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)}
+        >>> max(runs, key=lambda Q: runs[Q].log_likelihood())
+        0.0001
+        """
+        usual = np.isinf(self.std).any(axis=-1).sum(axis=0) + _SETTLING * self.theta.shape[-1]
+        begins = np.atleast_1d(usual if first is None else count("first", first))
+        predictions, residuals = (np.atleast_2d(column.T) for column in (self.prediction, self.residual))
+        begins = np.broadcast_to(begins, len(residuals))
+        found = [_likelihood(*one) for one in zip(predictions, residuals, begins, strict=True)]
+        return found[0] if self.prediction.ndim == 1 else np.array(found)
+
 
 class TrackingResult(Pictured, Recorded):
     """What a recording of N samples gave, row k after sample k; a tuple of its first six attributes.
@@ -209,6 +256,17 @@ class TrackingResult(Pictured, Recorded):
         columns |= {f"{name}_std": std for name, std in zip(names, np.moveaxis(self.std, -1, 0), strict=True)}
         rest = {"prediction": self.prediction, "residual": self.residual, "weight": self.weights, "guard": self.guard}
         return columns | rest
+
+
+def _likelihood(prediction: Array, residual: Array, first: int) -> float:
+    """Return the log-likelihood of residuals from a sample on, or raise if they are too few."""
+    y, e = prediction + residual, residual[first:]
+    y, e = y[~np.isnan(y)], e[~np.isnan(e)]
+    if e.size < _LEAST:
+        raise ValueError(
+            f"expected at least {_LEAST} measured samples from sample {first} on, got {e.size}; record more"
+        )
+    return likelihood_of_mixture(e, _WILD * mad_scale(y - np.median(y)) or np.inf)
 
 
 def intervals(theta: Array, std: Array, level: float) -> Intervals:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -15,13 +14,19 @@ from robust_filterpy._checks import Array
 from robust_filterpy._fill_values import FillValues
 from robust_filterpy._progress import stages
 from robust_filterpy._warning import warn
-from robust_filterpy.filters.snapshot import put_back, snapshot
-from robust_filterpy.filters.states import go_on_with, kept_with
+from robust_filterpy.correction.options import Information, Scaling
+from robust_filterpy.identification.models.model import Model
+from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout
+from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive import setup, track
-from robust_filterpy.identification.recursive.recursion import REGRESSORS, Form, Regressor, State, checked
+from robust_filterpy.identification.recursive import recursion, setup, track
+from robust_filterpy.identification.recursive.recursion import GRADIENTS, REGRESSORS, Form, Gradient, Regressor, State
 from robust_filterpy.identification.recursive.watch import News
+from robust_filterpy.influence.functions import Influence
+
+#: Samples that a tracker looks at before it takes a stand: OutputError(4, 4) with 10 % outliers needs about as many.
+START = 400
 
 _Kind = TypeVar("_Kind", bound="Following")
 # What a user sets, by its name in a state, and as the user gave it.
@@ -29,84 +34,111 @@ _BY_HAND = {"Q": "Q", "F": "F", "alpha_sq": "forgetting"}
 
 
 def _matrix(name: str, doc: str) -> Any:
-    """Return a property that reads and writes the part of a matrix of the filters that is theta's."""
+    """Return a property that reads and sets the part of a matrix that is theta's."""
 
     def read(self: Following) -> Array:
         own = self.form.own
-        values = np.array([getattr(kf, name) for kf in self._filters], dtype=float)[:, own[:, None], own]
-        values = values[0] if (values == values[0]).all() else values
+        values = np.asarray(self._alone(self._now.settings[name][:, own[:, None], own]))
         # What is written into a copy would be lost without a word.
         values.flags.writeable = False
         return values
 
-    def write(self: Following, value: ArrayLike) -> None:
-        own = self.form.own
-        rows = setup.of_each(self.n, {name: value})
-        matrices = setup.for_each(lambda row: setup.checked_values(len(own), **row)[name], rows)
-        self._filters = self._apart() if len(rows) > 1 else self._filters
-        for kf, matrix in zip(self._filters, matrices * len(self._filters), strict=False):
-            setattr(kf, name, setup.embedded(getattr(kf, name), own, matrix))
-        self._used = None
-
-    return property(read, write, doc=doc)
+    return property(read, lambda self, value: self._set(**{name: value}), doc=doc)
 
 
 class Following:
     """n actuators whose parameters are followed; they can go back to a state or the start."""
 
     structure: Structure
-    n: int
+    n: int = 1
     form: Form
     #: Of the recording, for a tracker.
-    dt: float | None
+    dt: float | None = None
     _name: ClassVar[str] = "ParameterTracker"
-    #: What is set of each actuator, or of all alike, and the definition of a sample.
-    _filters: list[Any]
     _now: State
     _enabled: np.ndarray
     _initial: dict[str, Array]
-    #: Whether somebody has the filter, who may read and write in it without asking.
-    _asked: bool
-    _used: tuple[Any, track.Settings] | None
+    #: What the kernel is to do of each, with who learns: the same array until that changes.
+    _flags: np.ndarray
     #: The last time that a recording had, and how many samples came after it.
-    _time: tuple[Any, int] | None
+    _time: tuple[Any, int] | None = None
 
-    Q = _matrix("Q", "Covariance of a step of theta (paper 8), shape (d, d) or (n, d, d); may be set, to q for q I.")
-    F = _matrix("F", "Transition matrix C of (9), shape (d, d) or (n, d, d); may be set.")
+    def __init__(
+        self, structure: Structure | Model, *, filter: Any = None, theta: ArrayLike | None = None,
+        P: ArrayLike | None = None, Q: ArrayLike | None = None, R: ArrayLike | None = None, F: ArrayLike | None = None,
+        forgetting: ArrayLike | None = None, start: int | None = None, offset: bool | None = None,
+        regressor: Regressor | None = None, R_memory: int = 150, gradient: Gradient = "filtered",
+        guard: Guard = "halve", influence: Influence | None = None, scaling: Scaling | None = None,
+        information: Information | None = None,
+    ) -> None:  # fmt: skip
+        """Set up the filter and memories at rest; so many arguments, since each is one of a model's or a filter's."""
+        given = {"theta": theta, "P": P, "Q": Q, "R": R, "F": F, "forgetting": forgetting}
+        model = structure if isinstance(structure, Model) else None
+        self.structure = structure = setup.structure_of(structure)
+        _checks.option("gradient", gradient, GRADIENTS)
+        _checks.option("guard", guard, GUARDS)
+        ready = filter is not None and not isinstance(filter, type)
+        warm = theta is not None or P is not None or ready or model is not None
+        samples = (0 if warm else START) if start is None else _checks.count("start", start)
+        if samples and warm:
+            raise ValueError(f"start: expected 0 with theta, P or a filter object or model to begin with, got {start}")
+        default: Regressor = "cleaned" if samples or model is not None else "measured"
+        judges = "cleaned" == (default if regressor is None else _checks.option("regressor", regressor, REGRESSORS))
+        has_offset = setup.has_offset(offset, structure, model, bool(samples))
+        layout = Layout(structure.with_constant(), structure.n_inputs) if has_offset else Layout(structure)
+        cleans = judges and structure.na + structure.nd > 0
+        own = np.delete(np.arange(layout.n), [structure.constant_place] if has_offset else [])
+        flags = np.array([gradient == "filtered", GUARDS.index(guard), cleans, True, judges], dtype=np.intp)
+        choices = {"influence": influence, "scaling": scaling, "information": information}
+        kf = setup.make_filter(layout.n, filter, choices)
+        rules = track.rules_of(kf.choices) if setup.is_plain(kf) else None
+        self.form = Form(structure, layout, own, has_offset, cleans, judges, flags, kf, rules)
+        memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
+        now = recursion.at_rest(self.form, samples or START, not samples, memory)
+        if model is not None:
+            now, self.dt = track.gone_on(self.form, now, 0, model), model.dt
+        self._enabled, self._flags = np.ones(self.n, dtype=bool), np.tile(flags, (self.n, 1))
+        now = setup.with_given(self.form, now.rows(np.zeros(self.n, dtype=int)), given)
+        setup.require_stable(self.form, now.theta[:, own])
+        self._now = now.with_parts(windup=recursion.WINDUP * np.maximum(np.einsum("ijj->i", now.P), 1e-300))
+        if ready and Q is None:
+            setup.warn_of_default_noise(kf)
+        self._initial = self.state()
+
+    Q = _matrix(
+        "Q", "Covariance of a step of theta (paper 8), shape (d, d), of a bank (n, d, d); may be set, to q for q I."
+    )
+    F = _matrix("F", "Transition matrix C of (9), shape (d, d), of a bank (n, d, d); may be set.")
+
+    def _set(self, **given: Any) -> None:
+        """Set what is given, or raise; nothing has changed then."""
+        self._now = setup.with_given(self.form, self._now, given)
 
     def _alone(self, values: Any) -> Any:
         """Return what actuators have, of a tracker that of its one."""
         return values
 
-    def _standing(self) -> State:
-        """Return where they stand, samples that wait for a look among it."""
-        return self._now
-
     def _named(self, which: list[int]) -> str:
         """Return some actuators as a message begins with them."""
         return ""
 
+    def _place(self, k: int, i: int) -> str:
+        """Return how an error names a sample of an actuator."""
+        return f"sample {k}: {self._named([i])}"
+
     def _like(self, kind: type[_Kind], which: np.ndarray) -> _Kind:
         """Return some of the actuators as they stand, one of them several times too."""
         part = object.__new__(kind)
-        filters = self._filters if len(self._filters) == 1 else [self._filters[i] for i in which]
-        vars(part).update({
-            **vars(self), "n": len(which), "form": self.form._replace(flags=self.form.flags[which]),
-            "_now": self.now.rows(which), "_enabled": self._enabled[which], "_filters": filters, "_used": None,
-            "_asked": False,
-        })  # fmt: skip
+        own = {"n": len(which), "_now": self.now.rows(which), "_enabled": self._enabled[which]}
+        vars(part).update({**vars(self), **own, "_flags": self._flags[which]})
         return part
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is made anew, which holds functions."""
-        return {**vars(self), "_used": None}
 
     # The models as they stand.
 
     @property
     def now(self) -> State:
         """Everything that the recursion goes on from, with an axis of actuators in front."""
-        return track.settled(self.form, self._standing())[0]
+        return track.settled(self.form, self._now)[0]
 
     @property
     def regressor(self) -> Regressor:
@@ -121,31 +153,36 @@ class Following:
     @property
     def theta(self) -> Array:
         """Parameters, shape (d,), of a bank (n, d)."""
-        return np.asarray(self._alone(self._standing().theta[:, self.form.own]))
+        return np.asarray(self._alone(self._now.theta[:, self.form.own]))
 
     @property
     def P(self) -> Array:
         """Covariance of the parameters, shape (d, d), of a bank (n, d, d)."""
-        return np.asarray(self._alone(self._standing().P[:, self.form.own[:, None], self.form.own]))
+        return np.asarray(self._alone(self._now.P[:, self.form.own[:, None], self.form.own]))
 
     @property
     def std(self) -> Array:
         """Standard deviations of the parameters, of theta's shape; infinite until the start has found a model."""
-        std = np.sqrt(np.maximum(np.einsum("ijj->ij", self._standing().P), 0.0))[:, self.form.own]
+        std = np.sqrt(np.maximum(np.einsum("ijj->ij", self._now.P), 0.0))[:, self.form.own]
         return np.asarray(self._alone(np.where(self._now.begun[:, None], std, np.inf)))
 
     @property
     def R(self) -> Any:
         """Variance of the ordinary noise, of a bank shape (n,), as it is followed; may be set, and is then not."""
-        return self._alone(self._standing().scale[:, 0].copy())
+        return self._alone(self._now.scale[:, 0].copy())
 
     @R.setter
     def R(self, value: ArrayLike) -> None:
-        scale = self._now.scale.copy()
-        scale[:, 0], scale[:, 3] = setup.variances(value, self.n), 0.0
-        self._now = self._standing().with_parts(scale=scale)
-        if self._asked:
-            self._load()
+        self._set(R=value)
+
+    @property
+    def forgetting(self) -> Any:
+        """Forgetting factor, in (0, 1], of a bank shape (n,); may be set."""
+        return self._alone(1.0 / self._now.settings["alpha_sq"])
+
+    @forgetting.setter
+    def forgetting(self, value: ArrayLike) -> None:
+        self._set(forgetting=value)
 
     @property
     def offset(self) -> Any:
@@ -162,7 +199,7 @@ class Following:
     @property
     def _at_rest(self) -> tuple[Array, Array, Array]:
         """A(1), F(1) and the constant in phi' theta, for outputs from the center."""
-        theta, places = self._standing().theta, self.structure.polynomials
+        theta, places = self._now.theta, self.structure.polynomials
         a, f = (1.0 + theta[:, self.form.own[part]].sum(axis=1) for part in (places.a, places.f))
         constant = theta[:, self.structure.constant_place] if self.form.has_offset else np.zeros(self.n)
         return a, f, constant
@@ -202,56 +239,49 @@ class Following:
         setup.require_next_input(self.structure, u)
         width = self.structure.n_inputs
         values = np.zeros((self.n, width)) if u is None else setup.inputs(self.structure, u, self.n)
-        return self._alone(track.predicted(self.form, self._using(), self.now, values))
+        return self._alone(track.predicted(self.form, self.now, self._enabled, values))
 
     # The recursion.
 
-    def _using(self, first: int | None = None) -> track.Settings:
-        """Return what may have been changed since the last call; first: number of a recording's first sample."""
-        key = first, self._enabled.tobytes()
-        if self._used is not None and self._used[0] == key and not self._asked:
-            return self._used[1]
-        filters, n, names = self._filters, self.n, self._named
-
-        def place(k: int, i: int) -> str:
-            return names([i]) if first is None else f"sample {first + k}: {names([i])}"
-
-        plain = all(setup.is_plain(kf, self.form.layout.n) for kf in filters)
-        rules = track.rules_of(tuple(kf.choices for kf in filters)) if plain else None
-        F, Q = (np.array([getattr(kf, name) for kf in filters], dtype=float)[:, None] for name in "FQ")
-        alpha_sq, flags = np.array([float(vars(kf)["_alpha_sq"]) for kf in filters]), self.form.flags.copy()
-        flags[:, 3] = self._enabled
-        using = track.Settings(
-            rules, F, Q, alpha_sq.repeat(n // len(filters)), flags, lambda i: filters[i % len(filters)], place
-        )
-        self._used = key, using
-        return using
-
-    def _taken(self, first: int | None, y: Array, u: Array, R: Array | None) -> Array:
-        """Take checked samples (n, N), and say what is to be said; the caller undoes what is refused."""
-        using = self._using(first)
-        if self._asked and y.shape[1] == 1:
-            # By the definition, the filter shows its correction.
-            using = using._replace(rules=None)
-        self._now, out, news = track.advance(self.form, using, self._standing(), y, u, R)
-        if self._asked:
-            self._load()
+    def _advanced(self, y: Array, u: Array, R: Array | None, place: Callable[[int, int], str]) -> tuple[State, Array]:
+        """Return the state after checked samples (n, N), and a row for each; say what is to be said."""
+        if not np.array_equal(self._flags[:, 3], self._enabled):
+            self._flags = self._flags.copy()
+            self._flags[:, 3] = self._enabled
+        now, out, news = track.advance(self.form, self._now, self._flags, place, (y, u, R))
         self._say(news)
-        return out
+        return now, out
 
-    def _updated(self, y: Any, u: Any, R: Any) -> Array:
-        """Take one sample of each actuator and return prediction, residual, weight and guard, (n, 4)."""
+    def update(self, y: Any, u: ArrayLike | None = None, R: ArrayLike | None = None) -> Sample:
+        """Take one sample: the output y(k) and the input u(k).
+
+        Parameters
+        ----------
+        y : float or None, of a bank array_like, shape (n,), or None
+            Measured output; NaN or None if it is missing: the recursion then goes on with its own prediction.
+        u : float, or array_like, shape (n_inputs,), of a bank shape (n,) or (n, n_inputs), or one for all, optional
+            Input of the same sample (which first acts nk samples later); phi(k) for a LinearRegression.
+        R : float, of a bank or array_like, shape (n,), optional
+            Variance of the noise in this sample. Default: the attribute R.
+
+        Returns
+        -------
+        Sample
+            prediction, residual, weight, guard, of a bank each of shape (n,).
+
+        Raises
+        ------
+        ValueError, TypeError
+            If y is infinite, u not finite or of the wrong length, or R not positive; nothing has changed then.
+        LinAlgError
+            If a filter refuses its sample; nothing has changed then.
+        """
         outputs, inputs = setup.outputs(y, self.n)[:, None], setup.inputs(self.structure, u, self.n)[:, None]
         variances = None if R is None else setup.variances(R, self.n)[:, None]
-        before = self._held()
-        try:
-            out = self._taken(None, outputs, inputs, variances)
-            if self._time is not None:
-                self._time = self._time[0], self._time[1] + 1
-            return out[:, 0, -4:]
-        except BaseException:
-            self._put_back(before)
-            raise
+        now, out = self._advanced(outputs, inputs, variances, lambda k, i: self._named([i]))
+        self._now, self._time = now, self._time and (self._time[0], self._time[1] + 1)
+        prediction, residual, weight, guard = out[:, 0, -4:].T
+        return Sample(*map(self._alone, (prediction, residual, weight, guard.astype(np.int64))))
 
     def _recorded(
         self, axis: TimeAxis, fills: Sequence[FillValues], u: Array, R: Any, progress: bool | None,
@@ -259,26 +289,17 @@ class Following:
     ) -> list[Any]:  # fmt: skip
         """Take recordings; return theta, std, .. after every sample, axes (N, n, ..)."""
         axis.require_period(self.dt)
-        y, own = np.column_stack([fill.signal for fill in fills]), self.form.own
-        length, time = len(y), self._time_after(axis, len(y))
-        variances = None if R is None else setup.variances(R, self.n, length)
-        # If somebody has the filter, the last one by itself, which the filter shows.
-        ends, parts = sorted({0, length - self._asked, length}), []
-        before = self._held()
-        try:
-            with stages(self._name, progress):
-                for part in map(slice, ends, ends[1:]):
-                    noise = None if variances is None else variances[part].T
-                    parts.append(self._taken(part.start, y[part].T, u[part].swapaxes(0, 1), noise))
-            self.dt, self._time = axis.dt if self.dt is None else self.dt, time
-            filled = [f"{name}{fill.said}" for name, fill in zip(names or [""], fills, strict=True) if fill.values]
-            if filled:
-                which = "fill values, by actuator " if names else ""
-                warn(f"{self._name}: y has {which}{'; '.join(filled)}", UserWarning)
-        except BaseException:
-            self._put_back(before)
-            raise
-        out = np.concatenate(parts, axis=1).swapaxes(0, 1)
+        y, own = np.stack([fill.signal for fill in fills]), self.form.own
+        time = self._time_after(axis, y.shape[1])
+        variances = None if R is None else setup.variances(R, self.n, y.shape[1]).T
+        with stages(self._name, progress):
+            now, out = self._advanced(y, u.swapaxes(0, 1), variances, self._place)
+        filled = [f"{name}{fill.said}" for name, fill in zip(names or [""], fills, strict=True) if fill.values]
+        if filled:
+            which = "fill values, by actuator " if names else ""
+            warn(f"{self._name}: y has {which}{'; '.join(filled)}", UserWarning)
+        self._now, self.dt, self._time = now, axis.dt if self.dt is None else self.dt, time
+        out = out.swapaxes(0, 1)
         *others, guard = np.ascontiguousarray(np.moveaxis(out[..., -4:], -1, 0))
         std = np.sqrt(np.maximum(out[..., self.form.layout.n + own], 0.0))
         return [out[..., own], std, *others, guard.astype(np.int64)]
@@ -299,25 +320,6 @@ class Following:
                 UserWarning,
             )
         return last, 0
-
-    def _held(self) -> tuple[Any, ...]:
-        """Return what a call changes."""
-        # A filter that nobody has seen and that keeps nothing is written over when it is needed.
-        seen = self._filters if self._asked or self._using().rules is None else ()
-        return [snapshot(kf) for kf in seen], self._now, self._time, self.dt
-
-    def _put_back(self, before: tuple[Any, ...]) -> None:
-        """Undo what was refused, or interrupted."""
-        states, self._now, self._time, self.dt = before
-        for kf, state in zip(self._filters, states, strict=False):
-            put_back(kf, state)
-
-    def _load(self) -> None:
-        """Let a filter of its own hold theta, P and R of its actuator."""
-        now = self._now
-        if len(self._filters) == self.n:
-            for i, kf in enumerate(self._filters):
-                setup.load(kf, now.theta[i], now.P[i], float(now.scale[i, 0]))
 
     # Interruption.
 
@@ -342,14 +344,8 @@ class Following:
             ``format``: version, and name of tracker and structure as character codes. All of float64.
             ``numpy.savez(file, **state)`` stores it.
         """
-        arrays = {**self.now.arrays(), "enabled": self._enabled, **self._settings()}
+        arrays = {**self.now.arrays(), "enabled": self._enabled}
         return _state.labelled(self.kind, {name: self._alone(value) for name, value in arrays.items()})
-
-    def _settings(self) -> dict[str, Array]:
-        """Return what may be set of each actuator's filter, and what that keeps of its sensor."""
-        each = [{**setup.settings(kf), **kept_with(kf)} for kf in self._filters]
-        stacked = {name: np.stack([one[name] for one in each]) for name in each[0]}
-        return {name: values.repeat(self.n // len(each), axis=0) for name, values in stacked.items()}
 
     @property
     def _axes(self) -> tuple[int, ...]:
@@ -359,23 +355,12 @@ class Following:
     def _go_back(self, state: Any) -> None:
         """Take over a state, or raise; nothing has changed then."""
         _state.require_kind(state, self.kind)
-        axes, first = self._axes, setup.settings(self._filters[0])
-        stored = checked(state, self.form, axes, {name: (*axes, *value.shape) for name, value in first.items()})
-        rows = {name: value if axes and value.ndim else value[None] for name, value in stored.items()}
-        given = {name: rows[name] for name in first if name in rows}
-        filters = self._apart() if any((values != values[:1]).any() for values in given.values()) else self._filters
-        for i, kf in enumerate(filters):
-            kept = {name: state[name][i] if axes else state[name] for name in state if name.startswith("filter_")}
-            go_on_with(kf, rows["theta"][i], rows["P"][i], kept)
-            setup.apply_settings(kf, {name: values[i % len(values)] for name, values in given.items()})
-        self._filters, self._now, self._enabled = filters, self._now.restored(rows), rows["enabled"]
-        self._time, self._used = None, None
-        self._load()
-
-    def _apart(self) -> list[Any]:
-        """Return a filter for each actuator."""
-        filters = self._filters
-        return filters if len(filters) == self.n else [copy.deepcopy(filters[0]) for _ in range(self.n)]
+        kept = [name for name in state if name.startswith("filter_")]
+        rows = recursion.checked(state, self.form, self._axes, kept)
+        now = self._now.restored(rows)
+        for i in range(self.n) if kept else ():
+            recursion.load(self.form, now, i, now.theta[i], now.P[i], float(now.scale[i, 0]))
+        self._now, self._enabled, self._time = now, rows["enabled"], None
 
     def restore(self, state: Any) -> None:
         """Go back to a state of this one, or of another with the same structure, number and kind of filter.
@@ -400,14 +385,14 @@ class Following:
         there was a watch in it is watched from here on. Q, F and forgetting are the state's; a warning says which
         values they replace where it was made with others.
         """
-        before = self._settings()
+        before = self._now.settings
         self._go_back(state)
-        after = self._settings()
+        after = self._now.settings
         other = [
             f"{word} of the state, {_given(key, after[key])}, took the place of what was set, "
             f"{_given(key, before[key])}"
             for key, word in _BY_HAND.items()
-            if key in before and not np.array_equal(before[key], after[key])
+            if not np.array_equal(before[key], after[key])
         ]
         if other:
             warn(f"{self._name}.restore: {'; '.join(other)}; set it again after restore if yours is to hold")

@@ -10,17 +10,19 @@ replaced, correct theta along the gradient, restrain an unstable step, follow R,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import erfc, gammainc
 
 from robust_filterpy import _checks, _state
+from robust_filterpy._arrays import square, state_of
 from robust_filterpy._checks import Array
-from robust_filterpy.correction import repeats
+from robust_filterpy.correction import repeats, spread
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.filters.kalman import RobustKalmanFilter
+from robust_filterpy.filters.states import go_on_with, kept_with, moved_shapes
 from robust_filterpy.identification.models import regressor
 from robust_filterpy.identification.models.dependence import BLOCKS
 from robust_filterpy.identification.models.regressor import CLEANED_FROM, GUARDS, Layout, Memory, bounded, pushed
@@ -57,9 +59,13 @@ class Form(NamedTuple):
     cleans: bool
     #: Whether outputs are judged at all, so that a sensor may be found to be stuck.
     judges: bool
-    #: What the kernel is to do, (n, 5): gradient filtered, place in `GUARDS`, cleans, learns (written by the driver),
-    #: judges.
+    #: What the kernel is to do, (5,): gradient filtered, place in `GUARDS`, cleans, learns (each actuator or not, which
+    #: the driver says), judges.
     flags: np.ndarray
+    #: The filter that the definition goes by: it is given all that it holds before it is used. How its correction is
+    #: for the kernel, (1, 1, 8), None where that does not serve.
+    filter: Any
+    rules: Array | None
 
     @property
     def record(self) -> np.dtype[Any]:
@@ -166,6 +172,10 @@ class State(NamedTuple):
     #: longer the plant's; samples, how many a start may look at.
     moved: Array
     record: np.dtype[Any]
+    #: What may be set between samples: Q and F, (n, d, d), and alpha_sq, (n,).
+    settings: Mapping[str, Array]
+    #: What the filter of each actuator keeps besides, as ``filter_..``; of a plain one nothing.
+    kept: tuple[dict[str, Array], ...]
     #: The actuators that look for a model.
     starts: Mapping[int, ColdStart]
     watch: Watch
@@ -209,8 +219,11 @@ class State(NamedTuple):
 
     def rows(self, which: np.ndarray) -> State:
         """Return the state of some actuators."""
+        settings = {name: values[which] for name, values in self.settings.items()}
+        kept = tuple(self.kept[i] for i in which) if self.kept else ()
         starts = {j: self.starts[i] for j, i in enumerate(which.tolist()) if i in self.starts}
-        return State(self.moved[which], self.record, starts, Watch(*(values[which] for values in self.watch)))
+        watch = Watch(*(values[which] for values in self.watch))
+        return State(self.moved[which], self.record, settings, kept, starts, watch)
 
     def arrays(self) -> dict[str, Array]:
         """Return it as plain arrays with a leading axis, what was warned of not among them."""
@@ -223,7 +236,8 @@ class State(NamedTuple):
         return {
             **{name: self.part(name) for name in self.record.names or ()}, "waits": waits, "start": padded(each),
             "kept": np.array([len(one) for one in each]), "seen": seen, "usual": usual, "scores": scores,
-            "followed": rows[:, rows.shape[1] - shown :],
+            "followed": rows[:, rows.shape[1] - shown :], **self.settings,
+            **{name: np.stack([one[name] for one in self.kept]) for one in self.kept[:1] for name in one},
         }  # fmt: skip
 
     def restored(self, stored: Mapping[str, Array]) -> State:
@@ -233,7 +247,10 @@ class State(NamedTuple):
             part = recorded[i, recorded.shape[1] - int(stored["kept"][i]) :]
             starts[i] = ColdStart(int(stored["samples"][i]), part[:, 0], part[:, 1:], int(stored["waits"][i]))
         parts = {name: stored[name] for name in self.record.names or ()}
-        return State(np.zeros(self.moved.shape), self.record, starts, self.watch.restored(stored)).with_parts(**parts)
+        settings = {name: stored.get(name, values) for name, values in self.settings.items()}
+        kept = tuple({name: stored[name][i] for name in one if name in stored} for i, one in enumerate(self.kept))
+        now = State(self.moved, self.record, settings, kept, starts, self.watch.restored(stored))
+        return now.with_parts(**parts)
 
 
 def part_of(moved: Array, record: np.dtype[Any], name: str) -> Array:
@@ -253,39 +270,52 @@ def apart(whole: Array, lengths: np.ndarray) -> np.ndarray:
     """Return the last rows of each of several arrays, so many, as an array of objects."""
     parts = np.empty(len(whole), dtype=object)
     for i, length in enumerate(lengths.tolist()):
-        parts[i] = whole[i, whole.shape[1] - length :].copy()
+        parts[i] = whole[i, whole.shape[1] - int(length) :].copy()
     return parts
 
 
-def at_rest(form: Form, theta: Array, P: Array, scale: Array, samples: int, begun: bool) -> State:
+def at_rest(form: Form, samples: int, begun: bool, memory: float) -> State:
     """Return the state of an actuator that has seen nothing; begun: whether it is to begin without a start."""
-    structure, record = form.structure, form.record
+    kf, structure, record = form.filter, form.structure, form.record
     starts = {} if begun else {0: ColdStart.of(structure.n_theta, structure.n_inputs, samples)}
+    (x, P), scale = state_of(kf), (noise_variance(kf), 0.0, ordinary_mean(None), memory, 0.0)
+    settings = {name: square(name, getattr(kf, name), len(P), "{} parameters")[None].copy() for name in "QF"}
+    settings["alpha_sq"] = np.array([vars(kf)["_alpha_sq"]])
     moved = np.zeros((1, record.itemsize // 8))
-    return State(moved, record, starts, Watch.none(1, form.n_signals)).with_parts(
-        theta=theta, P=P, scale=scale, windup=WINDUP * max(float(np.trace(P)), 1e-300), begun=begun,
-        restarts=not begun, samples=samples,
-    )  # fmt: skip
+    now = State(moved, record, settings, kept_of(kf), starts, Watch.none(1, form.n_signals))
+    return now.with_parts(theta=np.ravel(x), P=P, scale=scale, begun=begun, restarts=not begun, samples=samples)
 
 
-def checked(state: Any, form: Form, axes: tuple[int, ...], settings: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the arrays of a state, copied, or raise; settings: the shapes of what is set, with their axes."""
+def kept_of(kf: RobustKalmanFilter) -> tuple[dict[str, Array], ...]:
+    """Return what a filter keeps besides x and P, of one that keeps nothing no dictionary."""
+    unknown = {"filter_spread": spread.begin(1)} if "spread" in moved_shapes(kf) else {}
+    kept = {**unknown, **kept_with(kf)}
+    return (kept,) if kept else ()
+
+
+def checked(state: Any, form: Form, axes: tuple[int, ...], kept: Iterable[str]) -> dict[str, Array]:
+    """Return the arrays of a state with an axis of actuators in front, copied, or raise."""
+    d = form.layout.n
     shapes: dict[str, Any] = {name: form.record[name].shape for name in form.record.names or ()}
     shapes |= {"usual": (USUAL,), "scores": (BLOCKS, 2), **dict.fromkeys(("enabled", "waits", "kept", "seen"), ())}
     shapes |= {"start": (None, form.n_signals), "followed": (None, 1 + form.n_signals)}
     whole = {name: (*axes, *shape) for name, shape in shapes.items()}
+    settings = {name: (*axes, *shape) for name, shape in {"Q": (d, d), "F": (d, d), "alpha_sq": ()}.items()}
     stored = _state.checked(state, None, whole, settings, ("start", "followed"))
     plausible = (*_PLAUSIBLE, ("kept", "no more samples than in start", lambda kept: kept <= stored["start"].shape[-2]))
     for name, what, is_good in plausible:
         if name in stored and not np.all(is_good(stored[name])):
             raise _state.StateError(f"state: expected {what} in {name}, got {_checks.shown(stored[name])}")
-    guarded = form.flags[:, 1] > GUARDS.index("none")
-    if not all(regressor.are_stable(row, form.layout.stable) for row in np.atleast_2d(stored["theta"])[guarded]):
+    theta = np.atleast_2d(stored["theta"])
+    if form.flags[1] > GUARDS.index("none") and not all(regressor.are_stable(row, form.layout.stable) for row in theta):
         raise _state.StateError(
             "state: expected theta of a stable model, got coefficients that feed back with roots outside the unit "
             "circle"
         )
-    return {**stored, "enabled": stored["enabled"].astype(bool)}
+    stored |= {name: np.array(np.broadcast_to(stored[name], settings[name])) for name in settings if name in stored}
+    stored |= {name: np.asarray(state[name], dtype=float) for name in kept if name in state}
+    rows = stored if axes else {name: value[None] for name, value in stored.items()}
+    return {**rows, "enabled": rows["enabled"].astype(bool)}
 
 
 # What arrays of a state hold, each with what must be so of it.
@@ -345,11 +375,11 @@ class NoiseScale(NamedTuple):
 class Recursion:
     """One of the actuators of a form on its way: a filter with theta as its state, what it remembers, how R moves."""
 
-    def __init__(self, form: Form, flags: np.ndarray, kf: Any, parts: Any) -> None:
-        """Go on from what moves of an actuator, a record, as its flags say."""
-        self.filter, self.layout, self.cleans, self.enabled = kf, form.layout, form.cleans, bool(flags[3])
+    def __init__(self, form: Form, enabled: bool, parts: Any) -> None:
+        """Go on from what moves of an actuator, a record, by the form's filter, which is its own for now."""
+        self.filter, self.layout, self.cleans, self.enabled = form.filter, form.layout, form.cleans, enabled
         self.judges, self.readings = form.judges, parts["readings"].copy()
-        self.guard, self.filtered = GUARDS[flags[1]], bool(flags[0]) and form.layout.is_filtered
+        self.guard, self.filtered = GUARDS[form.flags[1]], bool(form.flags[0]) and form.layout.is_filtered
         self.memory, self.windup = Memory(*(parts[name] for name in Memory._fields)), float(parts["windup"])
         self.scale = NoiseScale(*parts["scale"][1:].tolist())
 
@@ -520,17 +550,19 @@ def repaired(P: Array) -> Array:
 
 def noise_variance(kf: RobustKalmanFilter) -> float:
     """Return a filter's R as a number, or raise."""
-    r = given_variance(kf)
-    if math.isnan(r):
+    R = np.ravel(np.asarray(kf.R, dtype=float))
+    if not (R.size and 0.0 < R[0] < math.inf):
         raise ValueError(f"R: expected a variance > 0, got {kf.R!r}; NaN in y is for a sample that is missing")
-    return r
+    return float(R[0])
 
 
-def given_variance(kf: RobustKalmanFilter) -> float:
-    """Return that, NaN where it would raise: the next sample that needs it does."""
-    R = kf.R
-    try:
-        r = float(R.item() if type(R) is np.ndarray and R.size == 1 else np.ravel(R)[0])
-    except (TypeError, ValueError, IndexError):
-        return math.nan
-    return r if 0.0 < r < math.inf else math.nan
+def load(form: Form, now: State, i: int, theta: Array, P: Array, R: float) -> None:
+    """Let the form's filter be that of an actuator, with these."""
+    kf = form.filter
+    if now.kept:
+        go_on_with(kf, theta, P, now.kept[i])
+    kf.x, kf.P, kf.R = theta.reshape(np.shape(kf.x)).copy(), P.copy(), np.array([[R]])
+    for name, values in now.settings.items():
+        attribute = "_alpha_sq" if name == "alpha_sq" else name
+        if not np.array_equal(getattr(kf, attribute), values[i]):
+            setattr(kf, attribute, values[i].copy() if values[i].ndim else float(values[i]))

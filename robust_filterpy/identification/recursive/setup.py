@@ -1,16 +1,17 @@
-"""From the arguments of a tracker or a bank to filters and arrays, what is asked of a filter, samples of a bank."""
+"""From the arguments of a tracker or a bank to a filter and arrays, and samples as they are given; what is refused."""
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 
 from robust_filterpy import _checks
 from robust_filterpy._arrays import square
-from robust_filterpy._checks import FLOAT, Array, described, numbers
+from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.conversion import robust
@@ -20,17 +21,11 @@ from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.signals import require_finite, with_squares
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.recursion import given_variance
+from robust_filterpy.identification.recursive.recursion import Form, State
 from robust_filterpy.influence.functions import Linear
 
-_Made = TypeVar("_Made")
 # Before the data have spoken the parameters may be anything of moderate size.
 _VAGUE = 100.0
-
-
-def is_array(value: Any, shape: tuple[int, ...]) -> bool:
-    """Tell whether value is a float array of this shape."""
-    return type(value) is np.ndarray and value.dtype == FLOAT and value.shape == shape
 
 
 def require_next_input(structure: Structure, u: Any) -> None:
@@ -59,7 +54,7 @@ def has_offset(offset: Any, structure: Structure, model: Model | None, starts: b
 
 
 def make_filter(n: int, given: Any, choices: dict[str, Any]) -> RobustKalmanFilter:
-    """Return the filter that a tracker wraps, or raise if it cannot serve."""
+    """Return a filter of its own for a tracker or bank, or raise if what is given cannot serve."""
     chosen = {name: value for name, value in choices.items() if value is not None}
     if given is not None and chosen:
         raise ValueError(f"{', '.join(chosen)}: expected only without filter=; set them on the filter that you pass")
@@ -74,47 +69,15 @@ def make_filter(n: int, given: Any, choices: dict[str, Any]) -> RobustKalmanFilt
             "filter: expected a RobustKalmanFilter, an AdaptiveKalmanFilter, or filterpy's KalmanFilter itself as the "
             f"baseline, or the class of one, got {_checks.shown(given)}"
         )
-    if given is None:
-        kf.x = np.zeros(n)
     if given is None or makes:
-        kf.P, kf.Q = _VAGUE * np.eye(n), np.zeros((n, n))
+        kf.x, kf.P, kf.Q = np.zeros(n), _VAGUE * np.eye(n), np.zeros((n, n))
     if np.size(kf.x) != n:
         raise ValueError(f"filter: expected dim_x={n} for the structure's parameters, got {np.size(kf.x)}")
     if kf.dim_z != 1:
         raise ValueError(f"filter: expected dim_z=1, got {kf.dim_z}; a tracker has one output")
+    kf = copy.deepcopy(kf)
     leave_unwatched(kf)
     return kf
-
-
-def configure(kf: Any, structure: Structure, own: np.ndarray, given: Mapping[str, Any]) -> None:
-    """Check theta, P, Q, R, F and forgetting as given and write them into the filter; own: where theta stands in it."""
-    theta, P, Q, R, F, forgetting = (given.get(name) for name in ("theta", "P", "Q", "R", "F", "forgetting"))
-    n, size = structure.n_theta, np.size(kf.x)
-    given_start = np.ravel(kf.x)[own] if theta is None else np.full(n, theta) if np.ndim(theta) == 0 else theta
-    start = _checks.finite("theta", given_start, (n,), reshaped=True).copy()
-    if not are_stable(start, structure.stable_parts):
-        got = " and ".join(str(start[part]) for part in structure.stable_parts)
-        raise ValueError(
-            f"theta: expected a stable model to start from, got {got} as the coefficients that feed back, whose roots "
-            "leave the unit circle"
-        )
-    values = checked_values(n, P, Q, R, F)
-    values = {name: value if name == "R" else embedded(getattr(kf, name), own, value) for name, value in values.items()}
-    if forgetting is not None:
-        forget(kf, forgetting)
-    if theta is not None:
-        x = np.zeros(size)
-        x[own] = start
-        kf.x = x.reshape(np.shape(kf.x))
-    for name, value in values.items():
-        setattr(kf, name, value)
-
-
-def embedded(whole: Any, own: np.ndarray, values: Array) -> Array:
-    """Return a matrix of all that a filter estimates, with these values in the places of theta."""
-    matrix = np.array(whole, dtype=float)
-    matrix[np.ix_(own, own)] = values
-    return matrix
 
 
 def warn_of_default_noise(kf: Any) -> None:
@@ -127,61 +90,88 @@ def warn_of_default_noise(kf: Any) -> None:
         )
 
 
-def checked_values(n: int, P: Any = None, Q: Any = None, R: Any = None, F: Any = None) -> dict[str, Array]:
-    """Return those matrices that are given, as a filter of n parameters wants them, or raise."""
-    values = {name: covariance(name, value, n) for name, value in (("P", P), ("Q", Q)) if value is not None}
-    if R is not None:
-        values["R"] = variances(R, 1)[:, None].copy()
-    if F is not None:
-        values["F"] = _checks.finite("F", _checks.matrix("F", F, (n, n), f"{n} parameters"), (n, n)).copy()
-    return values
+def is_plain(kf: RobustKalmanFilter) -> bool:
+    """Tell whether a filter is our own as it comes: the kernel then gives the numbers of `update`."""
+    return not (type(kf) is not RobustKalmanFilter or replaced(kf) or kf.policy.noise or kf.choices.patience)
 
 
-def forget(kf: Any, forgetting: Any) -> None:
-    """Give a filter a forgetting factor, or raise."""
-    if not 0.0 < _checks.real("forgetting", forgetting) <= 1.0:
-        raise ValueError(f"forgetting: expected a number in (0, 1], got {forgetting!r}")
-    kf.alpha = 1.0 / math.sqrt(forgetting)
+# What may be set: of a tracker, or of all actuators or each.
+
+
+def with_given(form: Form, now: State, given: Mapping[str, Any]) -> State:
+    """Return a state with those of theta, P, Q, R, F and forgetting that are given, or raise."""
+    n, d = len(now.moved), form.structure.n_theta
+    values = {name: of_each(n, name, given[name], d) for name in _AXES if given.get(name) is not None}
+    parts: dict[str, Array] = {}
+    if "theta" in values:
+        parts["theta"] = np.zeros(now.theta.shape)
+        parts["theta"][:, form.own] = values["theta"]
+    whole = {"P": now.P, **now.settings}
+    for name in values.keys() & {"P", "Q", "F"}:
+        whole[name] = whole[name].copy()
+        whole[name][:, form.own[:, None], form.own] = values[name]
+    parts["P"] = whole.pop("P")
+    if given.get("R") is not None:
+        parts["scale"] = now.scale.copy()
+        parts["scale"][:, 0], parts["scale"][:, 3] = variances(given["R"], n), 0.0
+    return now.with_parts(**parts)._replace(settings={**whole, "alpha_sq": values.get("forgetting", whole["alpha_sq"])})
+
+
+def require_stable(form: Form, theta: Array) -> None:
+    """Raise if parameters (n, d) to start from are those of a model that is not stable."""
+    parts = form.structure.stable_parts
+    which = [i for i, row in enumerate(theta) if not are_stable(row, parts)]
+    if which:
+        got = " and ".join(str(theta[which[0]][part]) for part in parts)
+        raise ValueError(
+            f"theta: expected a stable model to start from, got {got} as the coefficients that feed back, whose roots "
+            f"leave the unit circle{_among(len(theta), which)}"
+        )
+
+
+# How many axes an option has that all actuators share, of any other it is a list of one for each; and what it may be.
+_AXES: Final[dict[str, tuple[tuple[int, ...], Callable[[Any, int], Any]]]] = {
+    "theta": ((0, 1), lambda value, d: _checks.finite(
+        "theta", np.full(d, value) if np.ndim(value) == 0 else value, (d,), reshaped=True)),
+    "P": ((0, 2), lambda value, d: covariance("P", value, d)),
+    "Q": ((0, 2), lambda value, d: covariance("Q", value, d)),
+    "F": ((2,), lambda value, d: _checks.finite("F", _checks.matrix("F", value, (d, d), f"{d} parameters"), (d, d))),
+    "forgetting": ((0,), lambda value, d: forgetting_factor(value)),
+}  # fmt: skip
+
+
+def of_each(n: int, name: str, value: Any, d: int) -> Array:
+    """Return what is set of each of n actuators, of one value for all or a list of n, or raise with the actuators."""
+    (axes, checked), values, refused = _AXES[name], numbers(name, value), {}
+    rows: Any = [values] if values.ndim in axes else values
+    if len(rows) not in (1, n):
+        if n == 1:
+            checked(values, d)
+        raise ValueError(f"{name}: expected one for all or a list of {n}, got {len(rows)}")
+    made = []
+    for i, row in enumerate(rows):
+        try:
+            made.append(checked(row, d))
+        except ValueError as error:
+            refused[i] = error
+    for first in refused.values():
+        first.args = (f"{first}{_among(len(rows), list(refused))}", *first.args[1:])
+        raise first
+    return np.array(made) if len(made) == n else np.repeat(made, n, axis=0)
+
+
+def forgetting_factor(value: Any) -> float:
+    """Return by how much P grows in a step, or raise."""
+    if not 0.0 < _checks.real("forgetting", value) <= 1.0:
+        raise ValueError(f"forgetting: expected a number in (0, 1], got {value!r}")
+    return (1.0 / math.sqrt(value)) ** 2
 
 
 def covariance(name: str, value: Any, n: int) -> Array:
     """Return a covariance of the parameters; a number stands for a multiple of I."""
     matrix = square(name, value, n, "{} parameters")
     _checks.covariance(name, matrix)
-    return matrix.copy()
-
-
-def load(kf: RobustKalmanFilter, theta: Array, P: Array, R: float) -> None:
-    """Let a filter go on from these."""
-    kf.x, kf.P = theta.reshape(np.shape(kf.x)).copy(), P.copy()
-    if given_variance(kf) != R == R:
-        kf.R = np.array([[R]])
-
-
-def is_plain(kf: Any, n: int) -> bool:
-    """Tell whether a filter of n parameters is our own as it comes: the kernel then gives the numbers of `update`."""
-    if type(kf) is not RobustKalmanFilter or replaced(kf) or kf.policy.noise or kf.choices.patience:
-        return False
-    square = all(is_array(getattr(kf, name), (n, n)) for name in "FQP")
-    x_fits = is_array(kf.x, (n,)) or is_array(kf.x, (n, 1))
-    return square and x_fits and is_array(kf.R, (1, 1)) and 0.0 < kf.R.item() < math.inf
-
-
-def settings(kf: RobustKalmanFilter) -> dict[str, Array]:
-    """Return what a filter's behavior depends on besides x, P and R."""
-    values = {"Q": kf.Q, "F": kf.F, "alpha_sq": vars(kf)["_alpha_sq"]}
-    return {name: np.array(value, dtype=float) for name, value in values.items() if value is not None}
-
-
-def apply_settings(kf: RobustKalmanFilter, state: Mapping[str, Array]) -> None:
-    """Write them back where they differ."""
-    for name, value in settings(kf).items():
-        if name in state and not np.array_equal(state[name], value):
-            attribute = "_alpha_sq" if name == "alpha_sq" else name
-            setattr(kf, attribute, state[name].item() if state[name].ndim == 0 else state[name])
-
-
-# A bank: options and samples, shared by all actuators or with an axis of n.
+    return matrix
 
 
 def actuators(where: np.ndarray) -> str:
@@ -191,26 +181,9 @@ def actuators(where: np.ndarray) -> str:
     return f"actuator{'s' if len(places) > 1 else ''} {names}"
 
 
-# How many axes an option has that all actuators share; of any other a list is one for each.
-_AXES: Final = {"theta": (0, 1), "P": (0, 2), "Q": (0, 2), "F": (2,), "R": (0,), "forgetting": (0,)}
-
-
-def of_each(n: int, given: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the options of each actuator, of one where none has its own."""
-    own, shared = {}, dict(given)
-    for name, value in given.items():
-        if value is None:
-            continue
-        values: Any = numbers(name, value) if name in _AXES else value
-        if isinstance(values, np.ndarray) and not values.ndim:
-            shared[name] = values = values.item()
-        several = np.ndim(values) not in _AXES[name] if name in _AXES else isinstance(values, (list, tuple, np.ndarray))
-        if several and len(values) != n:
-            raise ValueError(f"{name}: expected one for all or a list of {n}, got {len(values)}")
-        if several:
-            own[name] = values
-            del shared[name]
-    return [{**shared, **{name: values[i] for name, values in own.items()}} for i in range(n if own else 1)]
+def _among(n: int, which: list[int]) -> str:
+    """Return the end of a message that names some of n actuators, if there are several."""
+    return f": {actuators(np.isin(np.arange(n), which))}" if n > 1 else ""
 
 
 def variances(value: Any, n: int, length: int | None = None) -> Array:
@@ -228,22 +201,6 @@ def variances(value: Any, n: int, length: int | None = None) -> Array:
             f"R: expected variances > 0, got {values[~good][0]}{_where(~good)}; NaN in y is for a missing sample"
         )
     return values
-
-
-def for_each(make: Callable[[dict[str, Any]], _Made], rows: list[dict[str, Any]]) -> list[_Made]:
-    """Return what is made of the options of each actuator, or raise with the actuators whose options are refused."""
-    made: list[_Made] = []
-    refused: dict[int, Exception] = {}
-    for i, row in enumerate(rows):
-        try:
-            made.append(make(row))
-        except (ValueError, TypeError) as error:
-            refused[i] = error
-    for first in refused.values():
-        if len(rows) > 1:
-            first.args = (f"{first}: {actuators(np.isin(np.arange(len(rows)), list(refused)))}", *first.args[1:])
-        raise first
-    return made
 
 
 # Samples.

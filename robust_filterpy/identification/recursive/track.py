@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Callable
 from itertools import repeat
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
 from robust_filterpy.identification.models.signals import operating_point
-from robust_filterpy.identification.recursive import recursion, setup
+from robust_filterpy.identification.recursive import recursion
 from robust_filterpy.identification.recursive.recursion import ColdStart, Form, Recursion, State, Unjudged
 from robust_filterpy.identification.recursive.watch import OF_START, OF_STUCK, STUCK, News, Trouble, is_right, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
@@ -35,32 +35,18 @@ _LEARNT = float(SCALINGS.index("learnt"))
 _SAID = ("step", "ramp", "input outliers")
 # With F(1) below this a constant before 1/F has no level.
 _INTEGRATES = 1e-9
+_Signals = tuple[Array, Array, Array | None]
 
 
-class Settings(NamedTuple):
-    """What may be changed between two calls, and is then as it is for a whole call."""
-
-    #: Options of the correction, (1 or n, 1, 8); None where the kernel does not serve.
-    rules: Array | None
-    #: (1 or n, 1, d, d); the definition takes those of the filters.
-    F: Array
-    Q: Array
-    #: (n,)
-    alpha_sq: Array
-    #: Those of the form, and which actuators learn, (n, 5).
-    flags: np.ndarray
-    #: The filter of an actuator, for the definition.
-    filter_of: Callable[[int], Any]
-    #: How an error names a sample of an actuator.
-    place: Callable[[int, int], str]
-
-
-def rules_of(choices: tuple[Choices, ...]) -> Array | None:
+def rules_of(choices: Choices) -> Array | None:
     """Return the options for the kernel, None where it does not serve: a tracker's spread is not learned, R is."""
-    rules = [rule(choice) for choice in choices]
-    if kernel.extension() is None or any(one is None or one[4] == _LEARNT for one in rules):
-        return None
-    return np.array(rules)[:, None]
+    one = rule(choices)
+    return None if one is None or one[4] == _LEARNT else np.array([[one]])
+
+
+def goes_by_kernel(form: Form) -> bool:
+    """Tell whether the kernel takes the samples, as long as nothing is out of the ordinary."""
+    return form.rules is not None and kernel.extension() is not None
 
 
 def settled(form: Form, now: State) -> tuple[State, News]:
@@ -72,19 +58,23 @@ def settled(form: Form, now: State) -> tuple[State, News]:
     return _judged(form, now._replace(unjudged=Unjudged()), waiting, y, u, out[:, :, -4:])
 
 
-def advance(form: Form, using: Settings, now: State, y: Array, u: Array, R: Array | None) -> tuple[State, Array, News]:
+def advance(
+    form: Form, now: State, flags: np.ndarray, place: Callable[[int, int], str], signals: _Signals
+) -> tuple[State, Array, News]:
     """Return what checked samples make of now, a row for each with the axes (n, N, ..), and what is to be said."""
-    # y and R (n, N), u (n, N, n_inputs), y NaN where it is missing, R None for that of the state. In a row stand theta,
-    # its variances, prediction, residual, weight and guard.
+    # The signals are y (n, N), NaN where it is missing, u (n, N, n_inputs), and R (n, N), None for that of the state.
+    # In a row stand theta, its variances, prediction, residual, weight and guard. Flags are those of the form with who
+    # learns, (n, 5); place names a sample of an actuator in an error.
+    y, u, _ = signals
     said: News = []
     length, d, k, waiting = y.shape[1], form.layout.n, 0, now.unjudged
     # What is looked at from time to time waits until that is due, of samples that come one by one.
-    waits = length == 1 and using.rules is not None and not (now.starts and not now.begun.all())
-    if waiting.samples and not (waits and waiting.flags is using.flags):
+    waits = length == 1 and goes_by_kernel(form) and not (now.starts and not now.begun.all())
+    if waiting.samples and not (waits and waiting.flags is flags):
         now, said = settled(form, now)
     out = np.empty((*y.shape, form.width))
     while k < length:
-        waiting = now.unjudged if now.unjudged.samples else _begun(form, using, now)
+        waiting = now.unjudged if now.unjudged.samples else _begun(form, now, flags)
         part = slice(k, min(k + waiting.looked_at, length))
         if not waits:
             stage(f"sample {k} of {length}")
@@ -95,11 +85,11 @@ def advance(form: Form, using: Settings, now: State, y: Array, u: Array, R: Arra
                 out[i, part, -4:] = np.column_stack(
                     (level, y[i, part] - level, np.full(level.size, np.nan), 0.0 * level)
                 )
-        moved = _through(form, using, now, (y, u, R), out, part)
+        now = _through(form, now, flags, place, signals, out, part)
         # What views cost, of one sample is much.
         here = (y, u, out) if length == 1 else (y[:, part], u[:, part], out[:, part])
         samples = (*waiting.samples, here)
-        now = State(moved, *now[1:-1], Unjudged(samples, *waiting[1:]))
+        now = State(*now[:-1], Unjudged(samples, *waiting[1:]))
         # Of a sensor that is stuck the user hears at once.
         stuck = form.judges and now.part("readings")[:, -1].any()
         if not waits or len(samples) >= waiting.due or stuck:
@@ -109,14 +99,14 @@ def advance(form: Form, using: Settings, now: State, y: Array, u: Array, R: Arra
     return now, out, said
 
 
-def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
+def predicted(form: Form, now: State, enabled: np.ndarray, u: Array) -> Array:
     """Return the next outputs (n,), the inputs (n, n_inputs) being u."""
     u, past = form.with_constant(u), now.past
     phi = past.regressor(form.layout, past.with_input(form.layout, u))
-    wound_up = (using.alpha_sq != 1.0) & (np.einsum("ijj->i", now.P) > now.part("windup"))
+    wound_up = (now.settings["alpha_sq"] != 1.0) & (np.einsum("ijj->i", now.P) > now.part("windup"))
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = (using.F[:, 0] @ now.theta[:, :, None])[:, :, 0]
-        theta = np.where((using.flags[:, 3] & ~wound_up)[:, None], moved, now.theta)
+        moved = (now.settings["F"] @ now.theta[:, :, None])[:, :, 0]
+        theta = np.where((enabled & ~wound_up)[:, None], moved, now.theta)
         y = np.nan_to_num(np.einsum("ij,ij->i", phi, theta), posinf=LARGEST, neginf=-LARGEST)
     y = np.clip(y, -LARGEST, LARGEST) + now.part("centre")
     for i in np.flatnonzero(~now.begun).tolist():
@@ -127,14 +117,14 @@ def predicted(form: Form, using: Settings, now: State, u: Array) -> Array:
 # From one look to the next.
 
 
-def _begun(form: Form, using: Settings, now: State) -> Unjudged:
+def _begun(form: Form, now: State, flags: np.ndarray) -> Unjudged:
     """Return what is needed before the first of some samples to look at them together."""
-    mask = (now.part("restarts") > 0.0) & (using.flags[:, 3] > 0) & bool(form.structure.n_inputs)
+    mask = (now.part("restarts") > 0.0) & (flags[:, 3] > 0) & bool(form.structure.n_inputs)
     mask[list(now.starts)] = False
     watched = np.flatnonzero(mask)
     looked_at = min([now.watch.waits(watched), *(max(start.waits, 1) for start in now.starts.values())])
     due = min(looked_at, now.watch.fills)
-    return Unjudged((), due, looked_at, watched, using.flags, now.part("readings")[:, -1])
+    return Unjudged((), due, looked_at, watched, flags, now.part("readings")[:, -1])
 
 
 def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Array) -> tuple[State, News]:
@@ -326,56 +316,62 @@ def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
 
 # Through the samples.
 
-_Signals = tuple[Array, Array, Array | None]
 
-
-def _through(form: Form, using: Settings, now: State, signals: _Signals, out: Array, part: slice) -> Array:
-    """Return what moves after samples of the actuators that have begun, of which the kernel may decline some."""
+def _through(
+    form: Form, now: State, flags: np.ndarray, place: Callable[[int, int], str], signals: _Signals, out: Array,
+    part: slice,
+) -> State:  # fmt: skip
+    """Return the state after samples of the actuators that have begun, of which the kernel may decline some."""
     everyone = not now.starts or bool(now.begun.all())
     which: Any = slice(None) if everyone else np.flatnonzero(now.begun)
     moved = now.moved.copy() if everyone else now.moved[which]
-    done, length = [0] * len(moved), part.stop - part.start
-    if using.rules is not None and done:
-        done = _by_kernel(form, using, moved, which, signals, out, part)
+    kept, places = list(now.kept), np.arange(len(now.moved))[which]
+    done, length, by_kernel = [0] * len(moved), part.stop - part.start, goes_by_kernel(form)
+    if by_kernel and done:
+        done = _by_kernel(form, now, flags, moved, which, signals, out, part)
     for row in [row for row, count in enumerate(done) if count < length]:
-        i, one, k = int(np.arange(len(now.moved))[which][row]), moved[row : row + 1], part.start + done[row]
+        i, one, k = int(places[row]), moved[row : row + 1], part.start + done[row]
         while k < part.stop:
-            until = part.stop if using.rules is None else k + 1
-            _by_definition(form, using, one.view(now.record)[0, 0], i, signals, out, slice(k, until))
+            until = k + 1 if by_kernel else part.stop
+            parts, of = one.view(now.record)[0, 0], slice(k, until)
+            kept[i : i + 1] = _by_definition(form, now, bool(flags[i, 3]), place, parts, i, signals, out, of)
             k = until
             if k < part.stop:
-                k += _by_kernel(form, using, one, np.array([i]), signals, out, slice(k, part.stop))[0]
-    if everyone:
-        return moved
-    whole = now.moved.copy()
-    whole[which] = moved
-    return whole
+                k += _by_kernel(form, now, flags, one, np.array([i]), signals, out, slice(k, part.stop))[0]
+    if not everyone:
+        rest, moved = moved, now.moved.copy()
+        moved[which] = rest
+    return now._replace(moved=moved, kept=tuple(kept))
 
 
 def _by_kernel(
-    form: Form, using: Settings, moved: Array, own: np.ndarray | slice, signals: _Signals, out: Array, part: slice
-) -> list[int]:
+    form: Form, now: State, flags: np.ndarray, moved: Array, own: np.ndarray | slice, signals: _Signals, out: Array,
+    part: slice,
+) -> list[int]:  # fmt: skip
     """Advance what moves of some actuators in place, and return how many samples of each the kernel has taken."""
-    (y, u, R), done = signals, np.zeros(len(moved), dtype=np.intp)
-    (rules, F, Q, alpha_sq, flags), taken, written = using[:5], signals, out
+    (y, u, R), done, settings = signals, np.zeros(len(moved), dtype=np.intp), now.settings
+    (F, Q, alpha_sq), taken, written = (settings[name] for name in ("F", "Q", "alpha_sq")), signals, out
     if len(done) < len(y):
-        rules, F, Q = [a if len(a) == 1 else a[own] for a in (rules, F, Q) if a is not None]
-        alpha_sq, flags = alpha_sq[own], flags[own]
+        F, Q, alpha_sq, flags = F[own], Q[own], alpha_sq[own], flags[own]
     # What a view costs, of one sample is much.
     if len(done) < len(y) or part.stop - part.start < y.shape[1]:
         taken = y[own, part], u[own, part], None if R is None else R[own, part]
         written = np.ascontiguousarray(out[own, part])
-    kernel.extension().track(*taken, form.layout.numbers, rules, F, Q, alpha_sq, flags, moved, written, done)
+    track, numbers = kernel.extension().track, form.layout.numbers
+    track(*taken, numbers, form.rules, F[:, None], Q[:, None], alpha_sq, flags, moved, written, done)
     if written is not out:
         out[own, part] = written
     return done.tolist()
 
 
-def _by_definition(form: Form, using: Settings, parts: Any, i: int, signals: _Signals, out: Array, part: slice) -> None:
-    """Take samples of actuator i by the definition, and write into the record of what moves of it."""
-    (y, u, R), kf, centre, k = signals, using.filter_of(i), float(parts["centre"]), part.start
-    setup.load(kf, parts["theta"], parts["P"], float(parts["scale"][0]))
-    one = Recursion(form, using.flags[i], kf, parts)
+def _by_definition(
+    form: Form, now: State, enabled: bool, place: Callable[[int, int], str], parts: Any, i: int, signals: _Signals,
+    out: Array, part: slice,
+) -> tuple[dict[str, Array], ...]:  # fmt: skip
+    """Take samples of actuator i by the definition, write into the record of what moves of it, return what it keeps."""
+    (y, u, R), kf, centre, k = signals, form.filter, float(parts["centre"]), part.start
+    recursion.load(form, now, i, parts["theta"], parts["P"], float(parts["scale"][0]))
+    one = Recursion(form, enabled, parts)
     inputs, outputs = form.with_constant(u[i, part]), (y[i, part] - centre).tolist()
     variances = repeat(None) if R is None else R[i, part].tolist()
     try:
@@ -383,9 +379,10 @@ def _by_definition(form: Form, using: Settings, parts: Any, i: int, signals: _Si
             sample = one.step(output, v, r)
             out[i, k] = *np.ravel(kf.x), *np.diagonal(kf.P), sample.prediction + centre, *sample[1:]
     except (ValueError, TypeError, np.linalg.LinAlgError) as error:
-        error.args = (f"{using.place(k, i)}{error}", *error.args[1:])
+        error.args = (f"{place(k, i)}{error}", *error.args[1:])
         raise
-    scale = recursion.given_variance(kf), *one.scale
+    scale = recursion.noise_variance(kf), *one.scale
     after = {"theta": np.ravel(kf.x), "P": kf.P, "scale": scale, "readings": one.readings, **one.memory._asdict()}
     for name, value in after.items():
         parts[name] = value
+    return recursion.kept_of(kf) if now.kept else ()
