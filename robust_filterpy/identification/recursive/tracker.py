@@ -436,7 +436,7 @@ class TrackerBank(Following):
         Transition matrix C of (9). Default: the identity.
     forgetting : float, or array_like, shape (n,), optional
         Forgetting factor in (0, 1].
-    **options
+    **options : optional
         All others of `ParameterTracker`, which all actuators share.
 
     Attributes
@@ -484,10 +484,14 @@ class TrackerBank(Following):
 
     _name = "TrackerBank"
 
-    def __init__(self, n: int, structure: Structure | Model, **options: Any) -> None:
+    def __init__(
+        self, n: int, structure: Structure | Model, *, theta: ArrayLike | None = None, P: ArrayLike | None = None,
+        Q: ArrayLike | None = None, R: ArrayLike | None = None, F: ArrayLike | None = None,
+        forgetting: ArrayLike | None = None, **options: Any,
+    ) -> None:  # fmt: skip
         """Set up n memories at rest."""
         self.n = _checks.count("n", n, 1)
-        super().__init__(structure, **options)
+        super().__init__(structure, theta=theta, P=P, Q=Q, R=R, F=F, forgetting=forgetting, **options)
 
     def __repr__(self) -> str:
         """Show the size and the structure."""
