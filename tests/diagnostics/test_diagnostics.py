@@ -302,13 +302,6 @@ def test_more_outliers_than_given_are_advised_on_in_the_words_of_the_filter():
     assert "more outliers" not in found(noise=Learnt()).causes
 
 
-def test_a_diagnosis_fits_a_screen():
-    rng = np.random.default_rng(6)
-    kf = of_matrices(RobustKalmanFilter, F, np.tile(H[:1], (6, 1)), Q)
-    for zs in (9.0 * rng.normal(size=(200, 6)), np.full((30, 6), np.nan)):
-        assert max(map(len, str(diagnose(kf, zs)).splitlines())) <= 100
-
-
 def test_a_long_diagnosis_says_what_it_is_at(monkeypatch, capsys):
     monkeypatch.setattr(time, "monotonic", itertools.count(0.0, 1.0).__next__)
     diagnose(*R_too_small(0))

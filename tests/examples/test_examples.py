@@ -54,10 +54,6 @@ def run(script, *arguments):
     )
 
 
-def test_small_settings_belong_to_a_script():
-    assert {*SMALL, *QUICK} <= {name_of(s) for s in SCRIPTS}
-
-
 def test_every_example_imports_what_it_uses(monkeypatch):
     """And does nothing before it is asked to."""
     for script in SCRIPTS:

@@ -13,8 +13,6 @@ from recordings import silence
 from robust_filterpy import Contaminated
 from robust_filterpy.correction import Scales
 from robust_filterpy.fusion import Fusion, FusionWarning, Reacquisition, Sensor, angle, constant_velocity, from_function
-from robust_filterpy.fusion.recording import Recording
-from robust_filterpy.fusion.verdicts import described
 from robust_filterpy.influence import Linear
 
 
@@ -261,22 +259,6 @@ def test_a_motion_that_raises_says_so_once_and_takes_readings_all_the_same():
     with pytest.raises(ArithmeticError):
         fusion.estimate()
     assert fusion.estimate(3.0).x[0] < 4.0
-
-
-def test_a_recording_prints_on_a_screen_with_what_was_said_of_its_sensors():
-    verdict = described("biased", since=3.0)
-    found = Recording(
-        np.arange(500.0),
-        np.ones((500, 2)),
-        np.ones((500, 2, 2)),
-        np.ones((500, 1)),
-        0,
-        ("p", "v"),
-        tuple((float(t), "left", described("departs", since=3.0) if t < 4 else verdict) for t in range(20)),
-    )
-    lines = repr(found).split("\n")
-    assert lines[0] == "Recording(500 stamps, 0.0 to 499.0; at the end p=1, v=1)"
-    assert lines[1:] == ["  left biased, since 3.0, first said at 4.0; before that departs"]
 
 
 @pytest.mark.parametrize("bad", [None, np.nan, [], {}, np.array(1.0), np.zeros((2, 2)), object()], ids=range(7))

@@ -2,18 +2,20 @@
 
 import numpy as np
 import pytest
-from support import POLICIES, by_night, through
+from support import POLICIES, by_night, of_matrices, through
 
 from robust_filterpy import (
     ARX,
     ParameterTracker,
     RobustKalmanFilter,
+    diagnose,
     estimate_noise,
     filter_series,
     smooth,
 )
 from robust_filterpy.fleet import TrackerModel
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
+from robust_filterpy.fusion.recording import Recording
 from robust_filterpy.fusion.verdicts import described
 from robust_filterpy.identification import BoxJenkins, StateSpace, TrackerBank, identify
 from robust_filterpy.smoothing import FixedLagSmoother
@@ -66,6 +68,18 @@ def fused():
     return fusion
 
 
+def recorded():
+    """A fusion's recording in which somebody departs, and is biased."""
+    said = [(float(t), "left", described("departs" if t < 4 else "biased", since=3.0)) for t in range(20)]
+    shapes = ((500, 2), (500, 2, 2), (500, 1))
+    return Recording(np.arange(500.0), *map(np.ones, shapes), 0, ("p", "v"), tuple(said))
+
+
+def six():
+    """A filter of six sensors of one place."""
+    return of_matrices(RobustKalmanFilter, [[1.0, 0.5], [0.0, 1.0]], np.eye(1, 2).repeat(6, axis=0), 0.01)
+
+
 LABELED = draw("constant velocity", 300, rng=0, contamination="mixture")
 
 
@@ -94,6 +108,9 @@ SHOWN = {
     "estimate": (lambda: watched().estimate(4.0), "a 0.2, b 0.1"),
     "forecast": (lambda: watched().forecast([4.0, 5.0]), "a, b"),
     "smoother": (smoother, "x, 3 steps before"),
+    "recording of a fusion": (recorded, "  left biased, since 3.0, first said at 4.0; before that departs"),
+    "diagnosis": (lambda: diagnose(six(), 9.0 * np.random.default_rng(6).normal(size=(200, 6))), "\nRemedies: "),
+    "diagnosis of nothing": (lambda: diagnose(six(), np.full((30, 6), np.nan)), "Nothing was measured"),
     "verdict": (lambda: described("biased", since=3.0, size=5.0), "calibrate"),
 }
 

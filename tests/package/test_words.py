@@ -67,15 +67,9 @@ def test_sentences_are_short():
 
 
 def test_the_field_s_words_are_used():
-    wrong = [f"{where}: {word[0]}: {said}" for where, said in messages() for word in NOT_OURS.finditer(said)]
+    every = list(messages())
+    wrong = [f"{where}: {word[0]}: {said}" for where, said in every for word in NOT_OURS.finditer(said)]
     for page in PAGES:
         text = re.sub(r"\]\([^)]*\)", "]", without_code(page.read_text(encoding="utf-8")))
         wrong += [f"{page.name}: {word[0]}: {line}" for line in text.splitlines() for word in NOT_OURS.finditer(line)]
-    assert not wrong, "\n".join(wrong)
-
-
-def test_the_tests_see_words_and_sentences():
-    assert list(sentences("# A b\n\nOne `x` two. Three\nfour!\n\n* five\n* six (a).\n\n| a |\n")) == [
-        "One code two.", "Three four!", "five", "six (a).",
-    ]  # fmt: skip
-    assert len(list(messages())) > 1000 and NOT_OURS.search("nobody told") and not NOT_OURS.search("given")
+    assert len(every) > 1000 and not wrong, "\n".join(wrong)
