@@ -24,9 +24,6 @@ from robust_filterpy._checks import Array
 
 __all__ = ["Motion", "constant_acceleration", "constant_velocity", "from_continuous", "from_function"]
 
-# What a stretch of time is halved to before van Loan's exponential: exp(-A dt) of a stable A overflows.
-_SHORT = 0.5
-
 
 class Moved(NamedTuple):
     """A stretch of time: x goes to F x + drift."""
@@ -329,7 +326,8 @@ def _grown(Q: Any, n: int, dim_u: int, dt: float) -> tuple[Array, Array, Array]:
 def _van_loan(A: Array, driven: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:
     """Return F, Q and B(dt): by the exponential for a short stretch, which is then doubled."""
     n, p = len(A), B.shape[1]
-    doublings = max(0, math.ceil(math.log2(max(float(np.abs(A).sum(axis=1).max()) * dt / _SHORT, 1e-300))))
+    # As many as it takes for |A| h < 1: exp(-A dt) of a stable A overflows.
+    doublings = max(0, math.frexp(np.abs(A).sum(axis=1).max() * dt)[1])
     h = dt / 2.0**doublings
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -A * h, driven * h, A.T * h

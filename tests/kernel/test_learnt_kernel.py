@@ -95,6 +95,8 @@ def test_noise_that_is_correlated_with_the_states_error_is_by_both(noise, proces
 @pytest.mark.parametrize("seed, dims, M", [(0, (2, 1), None), (1, (4, 2), None), (2, (3, 3), 0.01)])
 def test_a_wrong_factor_is_learned_by_both(c, seed, dims, M):
     problem, zs = recording(seed, dims, 130)
+    # Read in steps, which hide a factor.
+    zs = 4.0 * np.round(zs / 4.0) if seed == 1 else zs
     wrong = with_(problem, P=c * problem.P, Q=c * problem.Q, R=c * problem.R)
     M = None if M is None else c * M * np.random.default_rng(7).normal(size=dims)
     states = []
