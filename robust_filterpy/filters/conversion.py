@@ -1,5 +1,5 @@
 """Code of filterpy's made robust: a filter that is set up, by `robust`; an import line, by `AdaptiveKalmanFilter`; the
-functions `update`, `predict`, `batch_filter` and `rts_smoother`, with a bounded correction.
+functions `update`, `batch_filter` and `rts_smoother`, with a bounded correction.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from robust_filterpy.filters.sigma_point import RobustCubatureKalmanFilter, Robu
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["AdaptiveKalmanFilter", "batch_filter", "predict", "robust", "rts_smoother", "update"]
+__all__ = ["AdaptiveKalmanFilter", "batch_filter", "robust", "rts_smoother", "update"]
 
 _OURS: dict[type, Any] = {
     KalmanFilter: RobustKalmanFilter,
@@ -238,48 +238,6 @@ def update(
     if not return_all:
         return x_post, P_post
     return x_post, P_post, kf.y, kf.K, kf.S, kf.log_likelihood
-
-
-def predict(x: Any, P: Any, F: Any = 1, Q: Any = 0, u: Any = 0, B: Any = 1, alpha: float = 1.0) -> tuple[Any, Any]:
-    """Predict the next state: `filterpy.kalman.predict`, with shapes checked and a scalar Q taken as times I.
-
-    Parameters
-    ----------
-    x : array_like, shape (dim_x,) or (dim_x, 1), or float
-        Mean.
-    P : array_like, shape (dim_x, dim_x), or float
-        Its covariance.
-    F : array_like, shape (dim_x, dim_x), or float
-        Transition matrix; a float means times I.
-    Q : array_like, shape (dim_x, dim_x), or float
-        Process noise covariance; a float means times I.
-    u : array_like, shape (dim_u,) or (dim_u, 1), or float
-        Control input.
-    B : array_like, shape (dim_x, dim_u), or float
-        Control matrix; a float means times I.
-    alpha : float, default 1
-        Fading memory factor, >= 1.
-
-    Returns
-    -------
-    x, P : as given
-        Predicted mean and covariance; floats if x is one.
-
-    Raises
-    ------
-    ValueError, TypeError
-        As in `RobustKalmanFilter.predict`.
-    """
-    mean = _checks.numbers("x", x)
-    kf = _filter(x, P, 1)
-    kf.alpha = alpha
-    n = kf.dim_x
-    moved = np.dot(_checks.numbers("B", B), _checks.numbers("u", u))
-    if moved.size not in (1, n) or not np.isfinite(moved).all():
-        raise ValueError(f"B, u: expected a finite product B u of {n} number(s), got {moved}")
-    kf.predict(F=np.eye(n) * F if np.ndim(F) == 0 else F, Q=Q)
-    kf.x = kf.x + (moved.reshape(kf.x.shape) if moved.size == n else moved)
-    return _as_given(kf, mean)
 
 
 @with_options

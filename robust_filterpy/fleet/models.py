@@ -48,10 +48,6 @@ class Model:
     late : {"refuse", "drop"}, optional
         What is done with a sample that is not later than the one before it: named in ``error``, or left out and
         counted. Default: streams of messages drop it, tables and batches name it.
-    expires : float, optional
-        How long a state is good for after its last sample, in seconds, or in the units of times that are numbers: a
-        sample that comes later than that starts its key anew, and ``error`` says so. A state that holds no time does
-        not expire. Default: for ever.
     """
 
     #: Names of what it gives for each sample; number of measurements and of inputs; what its states belong to; entries
@@ -70,7 +66,6 @@ class Model:
     time: str | None = field(default=None, kw_only=True)
     dt: float | None = field(default=None, kw_only=True)
     late: Late | None = field(default=None, kw_only=True)
-    expires: float | None = field(default=None, kw_only=True)
 
     def __str__(self) -> str:
         """Return what it is made of, on lines that a screen holds."""
@@ -85,15 +80,10 @@ class Model:
             object.__setattr__(self, name, None if value is None else tuple(value))
         if self.late is not None:
             _checks.option("late", self.late, POLICIES)
-        for name in ("dt", "expires"):
-            if getattr(self, name) is not None:
-                _checks.positive(name, getattr(self, name))
-                if self.time is None:
-                    raise ValueError(f"time: expected the name of the column of times for {name}, got None")
-        if self.dt is not None and self.expires is not None and self.expires <= self.dt:
-            raise ValueError(
-                f"expires: expected more than dt={self.dt:g}, got {self.expires:g}; every sample would start anew"
-            )
+        if self.dt is not None:
+            _checks.positive("dt", self.dt)
+            if self.time is None:
+                raise ValueError("time: expected the name of the column of times for dt, got None")
 
     @cached_property
     def shapes(self) -> dict[str, Shape]:
@@ -174,7 +164,7 @@ class FilterModel(Model):
         a copy.
     update : mapping of str to Any
         Further arguments of the filter's ``update``, such as ``HJacobian`` and ``Hx``.
-    measurements, inputs, time, dt, late, expires : optional
+    measurements, inputs, time, dt, late : optional
         Where a sample's numbers stand, and when it came, as in `Model`.
 
     Raises
@@ -298,7 +288,7 @@ class TrackerModel(Model):
         ARX, OutputError, ARMAX, FIR or LinearRegression.
     options : mapping of str to Any
         Arguments of `ParameterTracker`, by name. No filter object: its class, if any.
-    measurements, inputs, time, dt, late, expires : optional
+    measurements, inputs, time, dt, late : optional
         Where a sample's numbers stand, and when it came, as in `Model`.
 
     Raises

@@ -407,22 +407,6 @@ def strays(times: Array, starts: np.ndarray, dt: float) -> np.ndarray:
     return np.unique([row for a, b in zip(begins[lone], after[lone], strict=True) for row in range(a, b)]).astype(int)
 
 
-def silences(times: Array, starts: np.ndarray, last: Array) -> Array:
-    """Return how long after its key's latest sample so far each one comes, shape (N,), NaN where there is none."""
-    n, counts = len(times), np.diff(starts)
-    of = np.repeat(np.arange(len(counts)), counts)
-    timed = np.where(np.isnan(times), -np.inf, times)
-    # The ranks of a later key's times begin beyond those of the one before: one running maximum for all keys.
-    ranks = np.empty(n, dtype=int)
-    ranks[np.argsort(timed, kind="stable")] = np.arange(n)
-    latest: Array = np.sort(timed)[np.maximum.accumulate(of * n + ranks) - of * n] if n else timed
-    before = np.concatenate(([-np.inf], latest[:-1]))[:n]
-    before[starts[:-1][counts > 0]] = -np.inf
-    before = np.fmax(before, last[of])
-    with np.errstate(over="ignore"):
-        return times - np.where(np.isinf(before), np.nan, before)
-
-
 def grouped(keys: Sequence[object] | None, n: int) -> tuple[list[object], np.ndarray, np.ndarray]:
     """Return the keys, the rows in the order of the keys, and where each key's rows begin."""
     if keys is None:

@@ -67,8 +67,7 @@ def step_stream(frame: Any, model: Model, *, key: str = "device", forget_after: 
         order.
     forget_after : float, optional
         Seconds of the cluster's clock without a sample of a key after which the next micro-batch without one takes its
-        state out of the checkpoint, so that the key begins anew. Default: states are kept for ever; ``model.expires``
-        judges them by the samples' own times.
+        state out of the checkpoint, so that the key begins anew. Default: states are kept for ever.
 
     Returns
     -------

@@ -14,7 +14,7 @@ from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy.fleet._advancing import Work
 from robust_filterpy.fleet.models import Model
-from robust_filterpy.fleet.reading import Clocks, Placed, Reasons, Rows, placed, say, silences
+from robust_filterpy.fleet.reading import Clocks, Placed, Reasons, Rows, placed, say
 from robust_filterpy.fleet.states import checked, empty
 
 
@@ -86,37 +86,6 @@ def advance(
     model: Model, entries: dict[str, np.ndarray], begun: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
 ) -> Outcome:
     """Take the samples of many keys, whose states are written over."""
-    if model.expires is None or rows.times is None or not len(order):
-        return _advanced(model, entries, begun, rows, order, starts)
-    ages = silences(rows.times[order], starts, entries["time"][:, 0])
-    anew = np.flatnonzero(ages > model.expires)
-    for place in anew.tolist():
-        say(
-            rows.said, int(order[place]),
-            f"state: expected one at most expires={model.expires:g} old, got {ages[place]:.6g}; started anew",
-        )  # fmt: skip
-    # What a key has sent since it started anew is as if of another one, and the last of these is the key's.
-    parts = np.union1d(starts, anew)
-    of = np.searchsorted(starts, parts[:-1], side="right") - 1
-    fresh = np.isin(parts[:-1], anew)
-    lives = {name: column[of] for name, column in entries.items()}
-    for name, column in started(model, int(fresh.sum())).items():
-        lives[name][fresh] = column
-    outcome = _advanced(model, lives, begun[of] & ~fresh, rows, order, parts)
-    standing = np.flatnonzero(outcome.moved & ~np.isin(np.arange(len(of)), list(outcome.refused)))
-    last = dict(zip(of[standing].tolist(), standing.tolist(), strict=True))
-    for name, column in entries.items():
-        column[list(last)] = lives[name][list(last.values())]
-    moved = begun.copy()
-    moved[list(last)] = True
-    refused = {int(of[part]): text for part, text in outcome.refused.items() if int(of[part]) not in last}
-    return outcome._replace(entries=entries, moved=moved, refused=refused)
-
-
-def _advanced(
-    model: Model, entries: dict[str, np.ndarray], begun: np.ndarray, rows: Rows, order: np.ndarray, starts: np.ndarray
-) -> Outcome:
-    """Take the samples of many keys, none of which starts anew among them."""
     of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     z, u = rows.z[order], None if rows.u is None else rows.u[order]
     times = None if rows.times is None else rows.times[order]

@@ -2,7 +2,7 @@
 
 ``from filterpy.kalman import KalmanFilter`` becomes ``from robust_filterpy.kalman import KalmanFilter``. Ours are
 `KalmanFilter`, `ExtendedKalmanFilter`, `UnscentedKalmanFilter`, `CubatureKalmanFilter`, `EnsembleKalmanFilter`,
-`FixedLagSmoother` and the functions `update`, `predict`, `batch_filter` and `rts_smoother`; the rest is filterpy's, and
+`FixedLagSmoother` and the functions `update`, `batch_filter` and `rts_smoother`; the rest is filterpy's, and
 takes our filters as its own (`IMMEstimator`, `MMAEFilterBank`, ..). With ``influence=Linear()`` results are filterpy's.
 
 The modules are filterpy's too, so that ``from robust_filterpy.kalman.EKF import ExtendedKalmanFilter`` is ours:

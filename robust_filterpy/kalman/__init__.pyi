@@ -7,13 +7,13 @@ from filterpy.kalman import MMAEFilterBank as MMAEFilterBank
 from filterpy.kalman import SimplexSigmaPoints as SimplexSigmaPoints
 from filterpy.kalman import SquareRootKalmanFilter as SquareRootKalmanFilter
 from filterpy.kalman import ckf_transform as ckf_transform
+from filterpy.kalman import predict as predict
 from filterpy.kalman import predict_steadystate as predict_steadystate
 from filterpy.kalman import spherical_radial_sigmas as spherical_radial_sigmas
 from filterpy.kalman import unscented_transform as unscented_transform
 from filterpy.kalman import update_steadystate as update_steadystate
 
 from robust_filterpy.filters.conversion import batch_filter as batch_filter
-from robust_filterpy.filters.conversion import predict as predict
 from robust_filterpy.filters.conversion import rts_smoother as rts_smoother
 from robust_filterpy.filters.conversion import update as update
 from robust_filterpy.filters.ensemble import RobustEnsembleKalmanFilter as EnsembleKalmanFilter

@@ -1,9 +1,10 @@
 """`filterpy.kalman.kalman_filter` with ours in place."""
 
+from filterpy.kalman.kalman_filter import predict as predict
 from filterpy.kalman.kalman_filter import predict_steadystate as predict_steadystate
 from filterpy.kalman.kalman_filter import update_steadystate as update_steadystate
 
-from robust_filterpy.filters.conversion import batch_filter, predict, rts_smoother, update
+from robust_filterpy.filters.conversion import batch_filter, rts_smoother, update
 from robust_filterpy.filters.kalman import RobustKalmanFilter as KalmanFilter
 
 __all__ = [

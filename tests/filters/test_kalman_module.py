@@ -88,10 +88,6 @@ def test_update_and_predict_are_filterpys_and_update_is_the_filters(ndim):
     kf = support.make(theirs.KalmanFilter, problem, ndim)
     kf.update(z)
     assert found[5] == pytest.approx(kf.log_likelihood, rel=1e-9)
-    B, u = np.ones((3, 1)), np.array([[0.5]]) if ndim == 2 else np.array([0.5])
-    given = x, problem.P, problem.F, problem.Q, u, B
-    for one, other in zip(ours.predict(*given, alpha=1.1), theirs.predict(*given, alpha=1.1), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-13)
     for options in ({"influence": Huber(1.0), "grouping": "joint"}, {"noise": Contaminated(0.1, 8.0)}):
         kf = support.make(RobustKalmanFilter, problem, ndim, **options)
         kf.update(1e3 * z)
@@ -107,9 +103,6 @@ def test_functions_show_every_option_of_a_filter():
 
 
 def test_numbers_stay_numbers():
-    assert ours.predict(1.0, 2.0) == (1.0, 2.0)
-    x, P = ours.predict(1.0, 2.0, F=2.0, Q=0.5, u=3.0, B=2.0)
-    assert (type(x), x, P) == (float, 8.0, 8.5)
     x, P = ours.update(1.0, 2.0, 3.0, 1.0, influence=Linear())
     assert (type(x), x, P) == (float, pytest.approx(1.0 + 4.0 / 3.0), pytest.approx(2.0 / 3.0))
     assert ours.update(1.0, 2.0, None, 1.0) == (1.0, 2.0)
@@ -144,8 +137,6 @@ def test_batch_filter_and_rts_smoother_are_filterpys(update_first):
     (lambda: ours.update(0.0, 1.0, np.inf, 1.0), "z: expected a finite"),
     (lambda: ours.update(0.0, 1.0, 1.0, 1.0, influence="x"), "influence"),
     (lambda: ours.update(0.0, 1.0, 1.0, 1.0, noise="learnt", process="scales"), "process: expected 'given'"),
-    (lambda: ours.predict(np.zeros(2), np.eye(2), F=np.eye(3)), "F: expected shape"),
-    (lambda: ours.predict(np.zeros(2), np.eye(2), u=np.ones(3), B=np.ones((3, 3))), "B, u: expected"),
     (lambda: ours.batch_filter(np.zeros(2), np.eye(2), [1.0], [np.eye(2)], [np.eye(2)], [], [1.0]), "Hs: expected"),
     *((lambda given=given: common.kinematic_kf(*given), match) for given, match in (
         ((0, 1), "dim"), ((2, -1), "order"), ((3, 1, 1.0, 2), "dim_z"), ((2, 1, 1.0, 0), "dim_z"),

@@ -22,7 +22,6 @@ pd = pytest.importorskip("pandas")
 MODELS = {
     "filter": FilterModel(FILTERS["linear"](), time="t", measurements=["z"]),
     "grid": FilterModel(FILTERS["linear"](), time="t", measurements=["z"], dt=1.0),
-    "expiring": FilterModel(FILTERS["linear"](), time="t", measurements=["z"], dt=1.0, expires=3.0),
     "refusing": FilterModel(FILTERS["two-sided"](), time="t", measurements=["z"], dt=1.0, late="refuse"),
     "tracker": TrackerModel(ARX(2, 1), {"start": 0}, time="t", measurements=["z"], inputs=["u"]),
 }
