@@ -80,7 +80,7 @@ def from_truth(truth, y, u, influence=HUBER):
     order = len(truth) // 2
     model = PolynomialModel(OutputError(order, order), y, u[:, None], True)
     start, rows = np.concatenate((truth, np.zeros(1 + order))), model.conditioned
-    return minimised(model, start, Noise(influence, SIGMA**2, influence is not HUBER), rows, rows).p[: 2 * order]
+    return minimised(model, start, Noise(influence, SIGMA**2, influence is not HUBER), rows).p[: 2 * order]
 
 
 class KnownNoise:
@@ -292,7 +292,7 @@ def arx(arguments):
             estimates = {
                 "identify": identify(y, u, ARX(2, 2)).theta,
                 "Huber, measured": minimised(
-                    measured, np.zeros(5), Noise(Huber(), 1.0), measured.conditioned, measured.conditioned
+                    measured, np.zeros(5), Noise(Huber(), 1.0), measured.conditioned
                 ).p[:4],
                 "label-knowing": identify(np.where(labels, np.nan, y), u, ARX(2, 2)).theta,
                 "label-knowing, rows left out": np.linalg.lstsq(X[good], y[good], rcond=None)[0],

@@ -55,7 +55,7 @@ def label_knowing(A, B, C, y, u, wrong):
     rows = ~wrong.ravel()
     which = np.tile(np.arange(OUTPUTS), len(y))[rows]
     noise = Noises(tuple(Noise(Linear(), 1.0) for _ in range(OUTPUTS)), which)
-    found = model.matrices(minimised(model, q, noise, rows, rows).p)
+    found = model.matrices(minimised(model, q, noise, rows).p)
     return steps(found.A, found.B, found.C)
 
 

@@ -16,10 +16,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.drawn import drawn
-from robust_filterpy.identification.estimation.missing import response
+from robust_filterpy.identification.estimation.outliers import End, drawn
 from robust_filterpy.identification.estimation.prediction_error import Limits, evidence, one_thread, sandwich
-from robust_filterpy.identification.estimation.search import End, Ranked, ends, known_part, searched_again
+from robust_filterpy.identification.estimation.search import Ranked, ends, searched
 from robust_filterpy.identification.estimation.starts import in_directions, require_informative
 from robust_filterpy.identification.models.model import Ending, Model, filled_memory, resting_level
 from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
@@ -237,7 +236,9 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         at = None if begin is None else units.forth(model, problem.of_zero(begin, centre - problem.rest))
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
-        best = drawn(model, _exact(ranked[0].end, least_variance(y, unit, in_steps=False)), missing, limits)
+        best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))
+        if best.P is not None:
+            best = drawn(model, best, missing, limits)
     output = _output(model, ranked[0].end)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
     # What the noise makes of the output of any model with so many parameters.
@@ -246,7 +247,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
     recorded = problem.residuals_of(best.y * unit + units.centre[:, 0], signal)
     recorded = recorded.with_output(recorded.y, columns)
     # Where an outlier stood in the regressor: what was measured, less what stands there now.
-    replaced = np.where(best.outliers.wrong & ~missing, y - recorded.y, 0.0)
+    replaced = np.where(best.wrong & ~missing, y - recorded.y, 0.0)
     p, held = units.back(model, best.p), np.zeros(model.n, dtype=bool)
     if given is not None and limits is not None:
         # Exactly as given, not as units have rounded it.
@@ -276,7 +277,7 @@ def _with_levels(
         return model, ranked
     whole, sizes = model.with_output(model.y, columns), np.zeros(columns.shape[1])
     best, *others = [one._replace(end=one.end._replace(p=np.concatenate((one.end.p, sizes)))) for one in ranked]
-    end = searched_again(whole, best.end, missing, limits)
+    end = searched(whole, best.end, missing, limits)
     return whole, [best._replace(end=end), *others]
 
 
@@ -343,18 +344,18 @@ def _as_model(
     # One parameter more is one residual less to tell of the noise.
     samples = int(rows.sum())
     noise = end.noise.times(unit)
-    jacobian, shown = known_part(model, end)
+    jacobian, shown = model.jacobian(p)[rows], residual[rows]
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
     P, colour = sandwich(jacobian, shown, noise, n)
     P, bent = np.where(held | held[:, None], 0.0, P), False
     if end.P is not None:
         P = end.P * colour**2
-    elif not (end.outliers.wrong.any() and response(model, p).size > 1):
+    else:
         P, bent = profiled(model, p, noise, rows, P, held, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)
-    weights[end.outliers.wrong] = 0.0
+    weights[end.wrong] = 0.0
     weights[missing] = np.nan
     offset, offset_std = (float(p[at]), float(np.sqrt(max(P[at, at], 0.0)))) if model.offset else (0.0, 0.0)
     # Differences show nothing of the constant.

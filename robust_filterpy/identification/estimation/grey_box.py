@@ -81,7 +81,7 @@ def _modelled(structure: GreyBox, recording: Recording, influence: Influence | N
     noise = Noises(tuple(Noise(influence or Huber(), 1.0, False, float(one)) for one in least), model.which)
     stage("search from the first guesses")
     limits = Limits(model.lower, model.upper)
-    end = minimised(model, model.first, noise, rows, rows, limits=limits, precision=_NEAR)
+    end = minimised(model, model.first, noise, rows, limits=limits, precision=_NEAR)
     model.steps = 1
     model.settled(end.p)
     stage("noise learned, search again")
@@ -89,7 +89,7 @@ def _modelled(structure: GreyBox, recording: Recording, influence: Influence | N
     # What the steps of the integration leave wrong is no noise that could be smaller.
     parts = zip(learnt.parts, np.maximum(least, model.error**2).tolist(), strict=True)
     learnt = learnt._replace(parts=tuple(replace(one, least=low) for one, low in parts))
-    end = minimised(model, end.p, learnt, rows, rows, limits=limits, precision=_NEARER)
+    end = minimised(model, end.p, learnt, rows, limits=limits, precision=_NEARER)
     residual = np.where(rows, end.residual, np.nan).reshape(recording.y.shape)
     return _as_model(structure, model, end, limits), residual
 

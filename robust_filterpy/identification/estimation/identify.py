@@ -28,7 +28,7 @@ from robust_filterpy.identification.estimation.disturbances import (
 )
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
 from robust_filterpy.identification.estimation.grey_box import identified_grey_box
-from robust_filterpy.identification.estimation.missing import cleaned
+from robust_filterpy.identification.estimation.outliers import cleaned
 from robust_filterpy.identification.estimation.prediction_error import Limits, colour_of
 from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.models.dependence import another_delay, driven, parts_of, wraps

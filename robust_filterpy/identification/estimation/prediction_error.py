@@ -22,7 +22,6 @@ from scipy.signal import fftconvolve, lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.missing import CompletedModel
 from robust_filterpy.identification.estimation.starts import in_directions
 from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -167,21 +166,16 @@ class Optimum(NamedTuple):
 
 
 def minimised(
-    model: Any, p: Array, noise: _Noise, rows: Array, clear: Array, most_steps: int = MOST_STEPS,
+    model: Any, p: Array, noise: _Noise, rows: Array, most_steps: int = MOST_STEPS,
     limits: Limits | None = None, precision: float = 0.0,
 ) -> Optimum:  # fmt: skip
     """Minimise the loss of the residuals from p on."""
-    unknown = model if isinstance(model, CompletedModel) else None
     residual, damping = model.residuals(p), 1e-3
     for _ in range(most_steps):
-        noise = noise.refitted(residual[clear])
+        noise = noise.refitted(residual[rows])
         root = np.sqrt(noise.weights(residual[rows]) / noise.variance)
         jacobian, target = model.jacobian(p)[rows] * root[:, None], root * residual[rows]
         cost = noise.cost(residual[rows])
-        if unknown is not None:
-            further, derivatives = unknown.further(p)
-            jacobian, target = np.concatenate((jacobian, derivatives)), np.concatenate((target, further))
-            cost += unknown.half_log_det(p)
         if limits is not None:
             jacobian[:, limits.held(p, jacobian.T @ target)] = 0.0
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
@@ -196,8 +190,7 @@ def minimised(
             trial = p - step / size if limits is None else limits.inside(p - step / size)
             if model.is_stable(trial):
                 new = model.residuals(trial)
-                price = noise.cost(new[rows]) + (0.0 if unknown is None else unknown.half_log_det(trial))
-                if np.isfinite(new).all() and price < cost:
+                if np.isfinite(new).all() and noise.cost(new[rows]) < cost:
                     taken = trial, new
                     break
             damping = max(4.0 * damping, 1e-6)
@@ -206,8 +199,8 @@ def minimised(
         p, residual = taken
         damping = max(damping / 10.0, 1e-12)
         if change <= max(_PRECISION * np.linalg.norm(target), precision):
-            return Optimum(p, noise.refitted(residual[clear]), residual, True)
-    return Optimum(p, noise.refitted(residual[clear]), residual, False)
+            return Optimum(p, noise.refitted(residual[rows]), residual, True)
+    return Optimum(p, noise.refitted(residual[rows]), residual, False)
 
 
 def _step(triangle: Array, damping: float) -> tuple[Array, float]:

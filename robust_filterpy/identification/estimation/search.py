@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import compress
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -13,15 +12,8 @@ from scipy.signal import lfilter
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import START, Contaminated
-from robust_filterpy.identification.estimation.missing import (
-    CompletedModel,
-    Outliers,
-    Unknowns,
-    found_outliers,
-    response,
-    touched,
-)
-from robust_filterpy.identification.estimation.prediction_error import Limits, Optimum, minimised
+from robust_filterpy.identification.estimation.outliers import FORGOTTEN, End, begun, drawn
+from robust_filterpy.identification.estimation.prediction_error import MOST_STEPS, Limits, minimised
 from robust_filterpy.identification.estimation.starts import (
     Start,
     autocorrelation_start,
@@ -38,76 +30,18 @@ from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 
-# An outlier in the regressor changes the residuals, and these show which samples are outliers.
-# Where few of them are estimated yet, parameters that follow the others go astray: the first steps are few.
-# Residuals may move by less than this share between two turns of weights and parameters.
-_SETTLED: Final = 1e-5
-# Parameters within so many standard deviations of the optimum tell which samples are outliers.
-_NEAR: Final = 0.1
 # Ends whose residuals differ by less than this share of their size are the same.
 _SAME: Final = 1e-3
-# Residuals for each parameter that must show the noise.
-_SHOWN: Final = 5
-
-# A recording with measured outputs in its regressor, where each cleaning takes its time, is searched in so many samples
-# of its middle; ends so much less likely there are not followed in the whole.
+# The same where nothing measured is in a regressor: within so many standard deviations of the optimum.
+_NEAR: Final = 0.1
+#: Standard deviations that each outlier of an output in its regressor costs.
+THRESHOLD: Final = 3.6
+# A recording with measured outputs in its regressor, where draws take their time, is searched in so many samples of its
+# middle; ends so much less likely there are not followed in the whole.
 _MOST_SEARCHED: Final = 4000
 _HOPELESS: Final = 30.0
 # Residuals that differ by no more of their scale show the same outliers, and lead to the same end.
 _UNMOVED: Final = 0.2
-
-
-class _Effort(NamedTuple):
-    """How often outliers are looked for, steps of the parameters in between, turns of weights and steps at the end."""
-
-    # Where no outlier is in a regressor, a step of so many standard deviations ends the search.
-
-    cleanings: int
-    steps: int
-    turns: int
-    near: float = 0.0
-
-
-_ROUGH: Final = _Effort(4, 2, 1, _NEAR)
-_FULL: Final = _Effort(10, 10, 10)
-# From where the search in a part of the recording ended.
-_AGAIN: Final = _Effort(1, 10, 10)
-
-
-class End(NamedTuple):
-    """Where the search ended.
-
-    Attributes
-    ----------
-    starts : tuple of str
-        The starts that led here.
-    p : ndarray, shape (n,)
-        Free parameters.
-    noise : Noise
-        Noise of the residuals.
-    y : ndarray, shape (N,)
-        Output with wrong and missing samples interpolated.
-    outliers : Outliers
-        Which samples these are.
-    rows : ndarray of bool, shape (N - first,)
-        Which residuals count.
-    residual : ndarray, shape (N - first,)
-        Residuals of ``y``.
-    converged : bool
-        Whether the search ended by itself.
-    P : ndarray, shape (n, n), or None
-        Covariance of the parameters, where outliers were drawn.
-    """
-
-    starts: tuple[str, ...]
-    p: Array
-    noise: Noise
-    y: Array
-    outliers: Outliers
-    rows: Any
-    residual: Array
-    converged: bool
-    P: Array | None = None
 
 
 class Ranked(NamedTuple):
@@ -124,35 +58,41 @@ def ends(
     """Search from every start."""
     loss = START if influence is None else influence
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
-
     if begin is not None:
         # A start that is near the end shows how large the noise is; a rough search would lead away from it.
-        shown = model.residuals(begin)[_counting(model, True, missing)]
-        near = replace(noise, influence=loss, R=noise.R if noise.given else max(mad_scale(shown) ** 2, least))
-        end = _searched(model, begin, near, missing, ("one start",), _FULL, limits)
-        return _best_first(model, missing, [end], limits)
+        near = begun(model, begin, replace(noise, influence=loss), missing, "one start")
+        return _best_first(model, missing, [searched(model, near, missing, limits)], limits)
     inner, part = _middle(model, missing)
     if inner is not None:
         # From every start in the middle of a long recording, and from what is found there in all of it.
-        chosen: list[End] = []
-        for end, excess in ends(inner, missing[part], influence, R, limits, least):
-            apart = [mad_scale(end.residual - other.residual) > _UNMOVED * other.noise.R**0.5 for other in chosen]
-            if excess < _HOPELESS and all(apart):
-                chosen.append(end)
-        rows = np.ones(model.y.size - model.first, dtype=bool)
-        again = [end._replace(outliers=end.outliers._replace(wrong=missing, counts=rows)) for end in chosen]
-        return _best_first(model, missing, [searched_again(model, end, missing, limits) for end in again], limits)
-    results = [_searched(model, s.p, noise, missing, (s.name,), _ROUGH, limits) for s in _starts(model, missing)]
-    same, hopeless = _SAME, np.inf
-    if not (model.na or model.structure.nc or model.structure.nd):
-        # No outlier is in a regressor: all that is left to find is within the precision of the search.
-        same, hopeless = max(same, _NEAR * (model.n / model.y.size) ** 0.5), _HOPELESS
-    rough = [end for end, excess in _best_first(model, missing, results, limits, same) if not excess > hopeless]
-    learnt = [end._replace(noise=replace(end.noise, influence=loss)) for end in rough]
-    followed = [
-        _searched(model, end.p, end.noise, missing, end.starts, _FULL, limits, sure=end.outliers) for end in learnt
-    ]
-    return _best_first(model, missing, followed, limits)
+        ranked = ends(inner, missing[part], influence, R, limits, least)
+        chosen = _apart([end for end, excess in ranked if excess < _HOPELESS])
+        again = [end._replace(y=model.y, wrong=missing, residual=model.residuals(end.p)) for end in chosen]
+        return _best_first(model, missing, [searched(model, end, missing, limits) for end in again], limits)
+    starts = [begun(model, s.p, noise, missing, s.name) for s in _starts(model, missing)]
+    if model.remembers:
+        learnt = _apart([one._replace(noise=replace(one.noise, influence=loss)) for one in starts])
+        ranked = [searched(model, one, missing, limits, True) for one in learnt]
+        return _best_first(model, missing, ranked, limits, _UNMOVED)
+    # All that is left to find is within the precision of the search.
+    rough = [_minimised(model, one, missing, limits, _NEAR) for one in starts]
+    ranked = _best_first(model, missing, rough, limits, max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5))
+    likely = [end for end, excess in ranked if not excess > _HOPELESS]
+    learnt = [end._replace(noise=replace(end.noise, influence=loss)) for end in likely]
+    return _best_first(model, missing, [_minimised(model, end, missing, limits) for end in learnt], limits)
+
+
+def _apart(ends: list[End]) -> list[End]:
+    """Return ends of which none shows the same outliers as another."""
+    chosen: list[End] = []
+    for end in ends:
+        for i, other in enumerate(chosen):
+            if mad_scale(end.residual - other.residual) <= _UNMOVED * other.noise.R**0.5:
+                chosen[i] = other._replace(starts=(*other.starts, *end.starts))
+                break
+        else:
+            chosen.append(end)
+    return chosen
 
 
 def _middle(model: PolynomialModel, missing: Any) -> tuple[PolynomialModel | None, slice]:
@@ -170,86 +110,24 @@ def _middle(model: PolynomialModel, missing: Any) -> tuple[PolynomialModel | Non
     return inner, part
 
 
-def searched_again(model: Any, end: End, missing: Any, limits: Limits | None) -> End:
-    """Return where the search goes on to from an end, for a model with more free parameters."""
-    return _searched(model, end.p, end.noise, missing, end.starts, _AGAIN, limits, end.outliers)
+def searched(model: PolynomialModel, end: End, missing: Any, limits: Limits | None, afresh: bool = False) -> End:
+    """Return where the search goes on to; afresh: from parameters that no outlier has been seen with."""
+    stage(f"search from: {end.starts[0]}")
+    if limits is not None:
+        end = end._replace(p=limits.start(model, end.p))
+    if model.remembers and (missing.any() or end.noise.has_outliers):
+        end = drawn(model, end, missing, limits, FORGOTTEN, afresh)
+    return end if model.remembers and end.wrong.any() else _minimised(model, end, missing, limits)
 
 
-def known_part(model: PolynomialModel, end: End) -> tuple[Array, Array]:
-    """Return the derivatives of the residuals that count less what unknown outputs may make of them, and residuals."""
-    derivatives, residual, h = model.jacobian(end.p), model.residuals(end.p), response(model, end.p)
-    if h.size > 1 and end.outliers.wrong.any():
-        weights = end.noise.weights(end.residual)
-        for rows, samples in model.pieces:
-            unknowns = Unknowns(residual[rows], h, end.outliers.wrong[samples], weights[rows], model.first)
-            derivatives[rows] = unknowns.within(derivatives[rows])
-            residual[rows] /= np.sqrt(np.maximum(1.0 - unknowns.leverages(), 1e-3))
-    return derivatives[end.rows], residual[end.rows]
-
-
-def _searched(
-    model: PolynomialModel, p: Array, noise: Noise, missing: Any, starts: tuple[str, ...], effort: _Effort,
-    limits: Limits | None = None, before: Outliers | None = None, sure: Outliers | None = None,
+def _minimised(
+    model: PolynomialModel, end: End, missing: Any, limits: Limits | None, precision: float = 0.0
 ) -> End:  # fmt: skip
-    """Minimise the loss from p on, looking for outliers again as often as the parameters change what is one."""
-    stage(f"search from: {starts[0]}")
-    p = p if limits is None else limits.start(model, p)
-    sure = previous = sure or Outliers(missing, np.ones(model.y.size - model.first, dtype=bool))
-    outliers = found_outliers(model, p, missing, noise, before)
-    for turn in range(effort.cleanings):
-        if turn:
-            stage(f"{int((outliers.wrong & ~missing).sum())} outliers taken for missing, search again")
-        optimum, _ = _maximised(model, p, noise, outliers, 1, effort, limits)
-        if np.isnan(optimum.noise.R):
-            # Outliers are in every residual, and nothing shows the noise: there were too many.
-            outliers = previous
-            break
-        moved = np.inf if before is None else mad_scale(model.residuals(optimum.p) - model.residuals(p))
-        p, noise = optimum.p, optimum.noise
-        if moved < _UNMOVED * noise.R**0.5:
-            break
-        previous, outliers = outliers, found_outliers(model, p, missing, noise, outliers)
-        if np.array_equal(outliers.wrong, previous.wrong):
-            break
-    optimum, full = _maximised(model, p, noise, outliers, effort.turns, effort, limits)
-    if np.isnan(optimum.noise.R):
-        outliers = sure
-        optimum, full = _maximised(model, p, noise, sure, effort.turns, effort, limits, anyhow=True)
-    rows = _counting(full, full is model, outliers.wrong)
-    y = full.output(optimum.p) if isinstance(full, CompletedModel) else full.y
-    return End(starts, optimum.p, optimum.noise, y, outliers, rows, optimum.residual, optimum.converged)
-
-
-def _maximised(
-    model: PolynomialModel, p: Array, noise: Noise, outliers: Outliers, turns: int, effort: _Effort,
-    limits: Limits | None = None, anyhow: bool = False,
-) -> tuple[Optimum, PolynomialModel | CompletedModel]:  # fmt: skip
-    """Minimise the loss with outliers in the regressor as unknowns; weights of residuals take turns with the rest."""
-    if not (outliers.wrong.any() and response(model, p).size > 1):
-        rows = _counting(model, True, outliers.wrong)
-        near = 0.0 if model.na or model.structure.nc or model.structure.nd else effort.near
-        return minimised(model, p, noise, rows, rows, limits=limits, precision=near), model
-    weights = outliers.counts.astype(float)
-    for _ in range(turns):
-        full = CompletedModel(model, outliers.wrong, weights)
-        clear = full.conditioned & ~touched(outliers.wrong, response(model, p), model.first)
-        if anyhow and not clear.any():
-            clear = full.conditioned
-        if not (clear.any() or (noise.given and not isinstance(noise.influence, Contaminated))):
-            # Outliers are in every residual: nothing shows the noise.
-            return Optimum(p, replace(noise, R=np.nan), full.residuals(p), False), full
-        before = full.residuals(p)
-        optimum = minimised(full, p, noise, full.conditioned, clear, effort.steps, limits, _NEAR if turns == 1 else 0.0)
-        moved = np.linalg.norm(optimum.residual - before)
-        p, noise, weights = optimum.p, optimum.noise, optimum.noise.weights(optimum.residual)
-        if moved <= _SETTLED * np.linalg.norm(optimum.residual):
-            break
-    return optimum._replace(converged=True), full
-
-
-def _counting(model: Any, measured: bool, unknown: Any) -> Any:
-    """Return which residuals count: all of an interpolated output, else those of samples that are measured."""
-    return model.conditioned & ~unknown[model.first :] if measured else model.conditioned
+    """Return the least loss of the residuals that hold nothing missing, from an end on."""
+    rows = model.conditioned & ~missing[model.first :]
+    p = end.p if limits is None else limits.start(model, end.p)
+    optimum = minimised(model, p, end.noise, rows, 2 * MOST_STEPS, limits, precision)
+    return End(end.starts, optimum.p, optimum.noise, model.y, missing, rows, optimum.residual, optimum.converged)
 
 
 def _best_first(
@@ -266,26 +144,21 @@ def _best_first(
             f"y: expected a recording that {model.structure!r} explains, got numbers that are not finite from every "
             "start of the search; take fewer parameters, or make NaN of values that are no measurements"
         )
-    # Where unknown outputs enter nearly every residual, they explain what they like, and the noise looks small.
-    shown = [_showing(model, end) for end in ends]
-    enough = [n >= _SHOWN * model.n for n in shown]
-    ends = list(compress(ends, enough if any(enough) else [n > model.n for n in shown])) or ends
     likeliest = min(ends, key=lambda end: end.noise.R)
     noise = likeliest.noise
     if noise.has_outliers and not isinstance(noise.influence, Contaminated):
         shown = likeliest.residual[likeliest.rows]
         noise = replace(noise, influence=START).settled(shown)
-    threshold = min(end.outliers.threshold for end in ends)
     losses, n = [], model.structure.n_theta
     free = np.arange(model.n) if limits is None else np.flatnonzero(np.append(~limits.fixed, np.ones(model.n - n)))
     for end in ends:
-        jacobian, _ = known_part(model.with_output(end.y), end)
+        jacobian = model.with_output(end.y).jacobian(end.p)[end.rows]
         root = np.sqrt(noise.weights(end.residual[end.rows]) / noise.R)
         # Offset and start first: what follows on the diagonal is what the data tell of theta without knowing them.
         backwards = np.asarray(np.linalg.qr(jacobian[:, free[::-1]] * root[:, None], mode="r"))
         diagonal = np.abs(np.diag(backwards))[-np.count_nonzero(free < n) :]
         information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
-        price = 0.5 * threshold**2 * (end.outliers.wrong.sum() - missing.sum())
+        price = 0.5 * THRESHOLD**2 * (end.wrong.sum() - missing.sum())
         losses.append(noise.cost(end.residual[end.rows]) + price + information)
     ranked: list[Ranked] = []
     for i in np.argsort(losses, kind="stable"):
@@ -296,14 +169,6 @@ def _best_first(
         else:
             ranked.append(Ranked(ends[i], float(losses[i] - min(losses))))
     return ranked
-
-
-def _showing(model: PolynomialModel, end: End) -> int:
-    """Return how many residuals no unknown output enters: these alone show the noise."""
-    h = response(model, end.p)
-    if h.size == 1 or not end.outliers.wrong.any():
-        return int(end.rows.sum())
-    return int((model.conditioned & ~touched(end.outliers.wrong, h, model.first)).sum())
 
 
 def _starts(model: PolynomialModel, missing: Any) -> Iterator[Start]:

@@ -67,7 +67,7 @@ class _Found(NamedTuple):
     def descended(self, most_steps: int = MOST_STEPS) -> _Found:
         """Return where the search goes on to."""
         rows = self.model.rows
-        end = minimised(self.model, self.q, self.noise, rows, rows, most_steps)
+        end = minimised(self.model, self.q, self.noise, rows, most_steps)
         return self._replace(q=end.p, noise=end.noise, converged=end.converged)
 
     def reweighed(self) -> _Found:

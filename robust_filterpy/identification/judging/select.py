@@ -30,7 +30,7 @@ from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.disturbances import PRICE, Settled
 from robust_filterpy.identification.estimation.identify import identify
-from robust_filterpy.identification.estimation.missing import THRESHOLDS
+from robust_filterpy.identification.estimation.search import THRESHOLD
 from robust_filterpy.identification.models import structures
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import ordinary_fit, ordinary_samples
@@ -472,7 +472,7 @@ class _Comparison:
             model = identify(y, u, structure, trend=trend, progress=False)
         residual, output = (signal[before:] for signal in _signals(model, y, u))
         # Outliers that stand in a regressor are in no residual.
-        likelihood = model.log_likelihood - 0.5 * THRESHOLDS[1] ** 2 * int((model.weights == 0.0).sum())
+        likelihood = model.log_likelihood - 0.5 * THRESHOLD**2 * int((model.weights == 0.0).sum())
         price = _CRITERIA[self.criterion](self.samples)
         breaks = PRICE * math.log(self.samples) * len(self.settled.trend.breaks)
         value = -2.0 * likelihood + price * (structure.n_theta + 1) + breaks

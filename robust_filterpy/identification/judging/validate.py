@@ -34,7 +34,7 @@ from scipy.stats import chi2, norm
 from robust_filterpy import _checks
 from robust_filterpy._brief import Pictured, tabulated
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.missing import cleaned
+from robust_filterpy.identification.estimation.outliers import cleaned
 from robust_filterpy.identification.models.dependence import basis_of
 from robust_filterpy.identification.models.grey_box import GreyBoxModel
 from robust_filterpy.identification.models.model import Model, as_model

@@ -110,6 +110,16 @@ class PolynomialModel:
         self._places = [np.array([*range(n), *[n + i] * offset, *own], dtype=int) for i, own in enumerate(starts)]
 
     @property
+    def is_linear(self) -> bool:
+        """Whether residuals are linear in the free parameters."""
+        return not (self.nf or self.structure.nc or self.nd)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a residual depends on outputs that were measured before its own."""
+        return bool(self.na or self.structure.nc or self.nd)
+
+    @property
     def n(self) -> int:
         """How many free parameters there are."""
         return self._own + self.columns.shape[1]
