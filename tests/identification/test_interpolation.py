@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robust_filterpy import ARX, Contaminated
+from robust_filterpy import ARX, Contaminated, identify
 from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification.estimation.outliers import Chain, begun
+from robust_filterpy.identification.estimation.prediction_error import Limits
 from robust_filterpy.identification.models.model import cleaned_residuals
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
@@ -109,6 +110,25 @@ def test_outliers_that_do_not_agree_for_long_move_no_prediction(wild):
     level[200 : 200 + len(wild)] += wild
     moved = np.abs(predicts(level)[200 : 210 + len(wild)] - before)
     assert moved.max() < 6.0 and moved[len(wild) + 3 :].max() < 0.1
+
+
+def test_a_draw_beyond_a_limit_is_refused():
+    # A draw that were moved to the limit would stand there, with the likelihood of where it was.
+    rng = np.random.default_rng(4)
+    u, wild = rng.normal(size=600), np.where(rng.random(600) < 0.1, 5.0, 0.0) * rng.normal(size=600)
+    y, missing = lfilter([0.0, 1.0], [1.0, -0.9], u) + lfilter([1.0], [1.0, -0.9], rng.normal(size=600)), wild > 9.0
+    y += wild
+    model, infinite = PolynomialModel(ARX(1, 1), y, u[:, None], False), np.array([np.inf, np.inf])
+    limits = Limits(np.array([-0.9, -np.inf]), infinite)
+    start = begun(model, np.array([-0.89, 1.0]), Noise(START, 1.0), missing, "")
+    chain = Chain(model, start, missing, np.arange(2), limits)
+    drawn = []
+    for _ in range(200):
+        chain._turn(False)
+        drawn.append(chain.p[0])
+    assert min(drawn) > -0.9 and np.ptp(drawn) > 0.005
+    model = identify(y, u, ARX(1, 1), bounds={"a1": (-0.8, None)}, offset=False, progress=False)
+    assert model.theta[0] == -0.8 and model.std[0] == 0.0 and "a1 ended at a bound" in model.warning
 
 
 def _mistaken(a, b, u, e, wild):

@@ -6,8 +6,7 @@
 * `estimate`: one model of one output, in the units of the recording, and how sure its parameters are, by
 * `search`: from several `starts` down to the least loss (`prediction_error`, with parameters that are fixed, or between
   bounds), and which end to believe;
-* `missing`: outliers that the regressor holds, and outputs that it holds and nobody measured;
-* `drawn`: which of its samples are outliers, drawn from what the search says, for parameters that depend on no choice.
+* `outliers`: which outputs in the regressor are outliers, drawn, with those that nobody measured.
 
 Imports from below: `models`.
 """

@@ -348,10 +348,9 @@ def _as_model(
     # What is held has no variance, and what the others then have.
     jacobian[:, held] = 0.0
     P, colour = sandwich(jacobian, shown, noise, n)
-    P, bent = np.where(held | held[:, None], 0.0, P), False
-    if end.P is not None:
-        P = end.P * colour**2
-    else:
+    P = np.where(held | held[:, None], 0.0, P if end.P is None else end.P * colour**2)
+    bent = False
+    if end.P is None:
         P, bent = profiled(model, p, noise, rows, P, held, colour)
     weights = np.full(missing.size, np.nan)
     weights[model.first :] = noise.weights(residual)

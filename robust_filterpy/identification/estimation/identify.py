@@ -323,9 +323,9 @@ def identify(
     the units of y and u, nor, with ``offset=True``, on where y has its zero. What was in motion when the recording
     began is estimated with the parameters of an OutputError; an ARX or ARMAX begins where its regressor does.
 
-    An outlier of y in an ARX or ARMAX stands in the regressor of the samples after it. Such samples are found by the
-    pattern they leave, and from then on drawn: theta is the mean over all that they may be, and its covariance counts
-    it (`drawn`).
+    An outlier of y in an ARX or ARMAX stands in the regressor of the samples after it. Which samples these are, and
+    what stands in their place and in that of missing ones, is drawn: theta is the mean over all that they may be, and
+    its covariance counts it (`outliers`).
 
     What the model does not explain, but repeats, lasts or never dies, is a finding: fill values are taken for missing,
     steps and ramps of the level are taken off (`trend`; each must explain 6 log N in units of twice the log-likelihood

@@ -153,17 +153,15 @@ class _Line(NamedTuple):
         To its mean.
     cost : float
         Sum of the squares of the residuals in units of their deviations.
+    volume : float
+        Log of the product of all deviations.
     """
 
     effect: Array
     inverse: Array
     step: Array
     cost: float
-
-    @property
-    def volume(self) -> float:
-        """Log of how much the deviations are."""
-        return float(np.log(np.linalg.svd(self.effect, compute_uv=False)).sum())
+    volume: float
 
 
 class Chain:
@@ -244,23 +242,23 @@ class Chain:
         if taken and not model.is_linear:
             there = self._line(model, trial)
             back = there.inverse @ (-change - self.reach * there.step) / spread
-            odds = here.cost - there.cost + noise @ noise - back @ back + 2.0 * (here.volume - there.volume)
-            taken = bool(2.0 * np.log(self.rng.random()) < odds)
+            odds = here.cost - there.cost + np.square(noise).sum() - np.square(back).sum()
+            taken = bool(2.0 * np.log(self.rng.random()) < odds + 2.0 * (here.volume - there.volume))
         self.p = trial if taken else self.p
         self.reach = min(1.25 * self.reach, 1.0) if taken else 0.5 * self.reach
         return mean, P
 
     def _line(self, model: PolynomialModel, p: Array) -> _Line:
         """Return what derivatives of the residuals say of the free parameters."""
-        residual, root = model.residuals(p), np.sqrt(self.precision)
-        J = model.jacobian(p)[:, self.free] * root[:, None]
-        left, values, right, size = in_directions(J)
+        columns = np.column_stack((model.jacobian(p)[:, self.free], model.residuals(p)))
+        triangle = np.asarray(np.linalg.qr(columns * np.sqrt(self.precision)[:, None], mode="r"))
+        left, values, right, size = in_directions(triangle[:-1, :-1])
         shown = values > _FLAT * values[0]
         effect = right[shown].T / values[shown] / size[:, None]
-        step = -effect @ (left[:, shown].T @ (root * residual))
+        step = -effect @ (left[:, shown].T @ triangle[:-1, -1])
+        volume = -float(np.log(values[shown]).sum() + np.log(size).sum())
         inverse = values[shown, None] * right[shown] * size
-        return _Line(effect, inverse, step, float(np.sum((root * residual) ** 2)))
-
+        return _Line(effect, inverse, step, float(np.sum(triangle[:, -1] ** 2)), volume)
 
     def _redraw_outliers(self, residual: Array) -> None:
         """Draw which samples are outliers, and how large; samples with no residual in common at once."""

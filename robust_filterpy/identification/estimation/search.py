@@ -65,15 +65,15 @@ def ends(
     inner, part = _middle(model, missing)
     if inner is not None:
         # From every start in the middle of a long recording, and from what is found there in all of it.
-        ranked = ends(inner, missing[part], influence, R, limits, least)
-        chosen = _apart([end for end, excess in ranked if excess < _HOPELESS])
+        inside = ends(inner, missing[part], influence, R, limits, least)
+        chosen = _apart([end for end, excess in inside if excess < _HOPELESS])
         again = [end._replace(y=model.y, wrong=missing, residual=model.residuals(end.p)) for end in chosen]
         return _best_first(model, missing, [searched(model, end, missing, limits) for end in again], limits)
     starts = [begun(model, s.p, noise, missing, s.name) for s in _starts(model, missing)]
     if model.remembers:
         learnt = _apart([one._replace(noise=replace(one.noise, influence=loss)) for one in starts])
-        ranked = [searched(model, one, missing, limits, True) for one in learnt]
-        return _best_first(model, missing, ranked, limits, _UNMOVED)
+        followed = [searched(model, one, missing, limits, True) for one in learnt]
+        return _best_first(model, missing, followed, limits, _UNMOVED)
     # All that is left to find is within the precision of the search.
     rough = [_minimised(model, one, missing, limits, _NEAR) for one in starts]
     ranked = _best_first(model, missing, rough, limits, max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5))
