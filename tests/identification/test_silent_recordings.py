@@ -356,3 +356,36 @@ def test_what_one_pulse_does_is_no_outlier(sigma):
 def test_what_is_at_rest_after_its_first_sample_has_no_color():
     with np.errstate(all="raise"):
         assert colour_of(np.eye(1, 200).ravel()).polynomial.size == 1
+
+
+GAINS = {
+    "even": lambda x, k: np.abs(x),
+    "alternating": lambda x, k: np.where(k // 20 % 2, x, -x),
+    "square": lambda x, k: x * x / x.std(),
+}
+
+
+def _said_of_gain(gain, structure, u, seed):
+    """What is said of a plant whose output is some function of a linear one's, and the sample."""
+    rng, x = np.random.default_rng(seed), lfilter(B, A, u)
+    y = gain(x, np.arange(x.size)) + 0.1 * x.std() * rng.normal(size=x.size)
+    with unheard(UserWarning):
+        return [one.kind for one in identify(y, u, structure, progress=False).findings]
+
+
+@pytest.mark.parametrize("structure", [OutputError(2, 2), ARX(2, 2)], ids=str)
+@pytest.mark.parametrize("gain", support.by_night([*GAINS], "even", "alternating"))
+def test_a_gain_that_no_linear_plant_has_is_said(gain, structure):
+    for seed, u in enumerate((np.random.default_rng(1).normal(size=1000), binary(2, 1000)[1])):
+        assert "nonlinear" in _said_of_gain(GAINS[gain], structure, u, seed)
+
+
+@pytest.mark.parametrize("pole", support.by_night([0.0, 0.9, 0.95], 0.95))
+def test_noise_of_its_own_color_is_no_gain(pole):
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 95])
+        u = rng.normal(size=800) if seed % 2 else np.repeat(rng.uniform(-1.0, 1.0, 40), 20)
+        left = lfilter([1.0], [1.0, -pole], np.where(rng.random(800) < 0.1, 5.0, 1.0) * rng.normal(size=800))
+        with unheard(UserWarning):
+            model = identify(lfilter(B, A, u) + 0.3 * left, u, OutputError(2, 2), progress=False)
+        assert "nonlinear" not in [one.kind for one in model.findings]

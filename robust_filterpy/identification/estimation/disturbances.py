@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from robust_filterpy._checks import Array
@@ -24,7 +23,7 @@ from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import START
 from robust_filterpy.identification.estimation.prediction_error import evidence
 from robust_filterpy.identification.estimation.starts import robust_regression
-from robust_filterpy.identification.models.dependence import another_gain, feedback, unlike, wraps
+from robust_filterpy.identification.models.dependence import another_gain, feedback, slow_inputs, uneven, unlike, wraps
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.identification.models.signals import held
@@ -43,8 +42,6 @@ _LEAST_EDGE: Final = 10
 _BEGINNING: Final = 0.03
 #: The longest impulse response.
 LAGS_OF_IMPULSES: Final = 60
-# Means of so many samples of an input are what a plant makes of it where it is slow.
-_SLOW: Final = (1, 4, 16, 64)
 
 
 class Break(NamedTuple):
@@ -139,8 +136,7 @@ class _Fit(NamedTuple):
     @classmethod
     def of(cls, r: Array, rows: Any, u: Array, breaks: list[Break]) -> _Fit:
         """Return the regression."""
-        slow = [uniform_filter1d(u, w, axis=0, mode="nearest", origin=(w - 1) // 2) for w in _SLOW if 8 * w < r.size]
-        X = np.column_stack((np.ones(r.size), *slow, *(one.column(r.size) for one in breaks)))
+        X = np.column_stack((np.ones(r.size), *slow_inputs(u), *(one.column(r.size) for one in breaks)))
         size = np.abs(X[rows]).max(axis=0, initial=0.0)
         size[size == 0.0] = 1.0
         theta = robust_regression(X[rows] / size, r[rows], 30) / size
@@ -343,7 +339,7 @@ class Search(NamedTuple):
                     other = unlike(shown[part, j], signals, several)
                     if not (other or several):
                         other = another_gain(shown[part, j], own if driven is None else driven[:, j])
-                    more += other
+                    more += other or uneven(shown[part, j], best.u[part] - rest)
                 findings += self._named(i, j, more)
         # Of what is rounding alone nothing went back to the input.
         if best.u.shape[1] and not all(one.is_rounding for one in best.noises):

@@ -1,6 +1,8 @@
 """What any model leaves that it should not: what follows its inputs, jumps where y wraps round, a closed loop.
 
-What follows the inputs says that the plant has another gain, sign or pole than the model.
+What follows the inputs says that the plant has another gain, sign or pole than the model. Where a gain changes its
+sign time and again, or y is as |u|, nothing follows them, but how large it is follows their squares: what any linear
+plant leaves of its inputs depends on neither.
 
 Given its own past, an input of an open loop tells nothing of the noise before it. So each input is regressed on its
 past and then on past residuals of the model too, clipped so that outliers count little; what these explain is feedback.
@@ -11,6 +13,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
@@ -61,6 +64,8 @@ _EACH_LAG: Final = 12
 _PAST: Final = 16
 _RESIDUALS: Final = 6
 _CHANCE_OF_FEEDBACK: Final = 1e-7
+# Means of so many samples of an input are what a plant makes of it where it is slow.
+_SLOW: Final = (1, 4, 16, 64)
 # Columns that add no more than this to others, as a change of basis makes them.
 _NOTHING: Final = 1e-8
 # What the residuals must explain of what the past of the input leaves of it.
@@ -279,6 +284,27 @@ def another_delay(residual: Array, signals: Array) -> tuple[Finding, ...]:
                 "before: its delay nk is longer than the structure has it, or the structure too small for a slow plant"
             )
             return (Finding("another delay", text, _evidence(test.chance), (0, residual.size)),)
+    return ()
+
+
+def slow_inputs(u: Array) -> list[Array]:
+    """Return means of inputs over the last samples, as plants of several speeds make them, shape (N, m) each."""
+    return [uniform_filter1d(u, w, axis=0, mode="nearest", origin=(w - 1) // 2) for w in _SLOW if 8 * w < len(u)]
+
+
+def uneven(residual: Array, inputs: Array) -> tuple[Finding, ...]:
+    """Find out whether the size of what a model leaves follows the inputs, in whichever direction these move."""
+    size = np.where(np.isnan(residual), np.nan, np.abs(_ordinary(residual)))
+    whitening = whitening_of(autocovariances(size))
+    for j, means in enumerate(np.moveaxis(slow_inputs(inputs), -1, 0)):
+        products = [a * b for i, a in enumerate(means) for b in means[i:]]
+        test = dependence(size, np.column_stack(products), 2, whitening)
+        if test.chance < _CHANCE and test.share > _LEAST:
+            text = (
+                f"{100 * float(test.share):.0f} % of how large it is what the model leaves follow input {j}, whichever "
+                "way that moves: the gain changes its sign or size, y goes as |u|, or noise grows with u"
+            )
+            return (Finding("nonlinear", text, _evidence(test.chance), (0, residual.size)),)
     return ()
 
 

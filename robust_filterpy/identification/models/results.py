@@ -32,7 +32,7 @@ class Finding(NamedTuple):
     ----------
     kind : str
         "fill value", "stuck", "copy", "step", "ramp", "slow start", "another plant", "input outliers", "gap", "wraps",
-        "another delay", "closed loop", "noise that follows itself".
+        "another delay", "closed loop", "noise that follows itself", "nonlinear".
     text : str
         In words, with time and size.
     evidence : float
