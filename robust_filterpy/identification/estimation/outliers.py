@@ -173,7 +173,6 @@ class Chain:
         self.p, self.R, self.given, self.least = end.p, end.noise.R, end.noise.given, end.noise.least
         self.counts, self.wide, self.reach = model.conditioned, np.zeros(model.conditioned.size, dtype=bool), 1.0
         self.recording = np.repeat(np.arange(len(model.spans)), [part.stop - part.start for part in model.spans])
-        self.judged = np.concatenate([np.arange(part.start + model.first, part.stop) for part in model.spans])
         # What of each sample is added to y, whether it is an outlier, and whether it may be one.
         self.correction, self.wrong = end.y - model.y, end.wrong.copy()
         self.possible, self.missing = ~missing & end.noise.has_outliers, missing
@@ -317,7 +316,7 @@ class Chain:
         """Return the pattern of a sample, and the places of samples and residuals, of recordings a pattern apart."""
         h = response(self.model, self.p)
         places = np.arange(self.wrong.size) + self.recording * h.size
-        return h, places, places[self.judged]
+        return h, places, places[self.model.first :]
 
 
 def begun(model: PolynomialModel, p: Array, noise: Noise, missing: Any, name: str) -> End:
@@ -339,7 +338,7 @@ def drawn(
         free = np.flatnonzero(~limits.held(end.p, 0.0 * pull if afresh else pull))
     if not free.size:
         return end
-    stage(f"{int((end.wrong & ~missing).sum())} outliers, drawn again and again")
+    stage(f"outliers are drawn, search from: {end.starts[0]}")
     chain = Chain(model, end, missing, free, limits)
     chain.possible &= robust
     draws = chain.draws(count, afresh)

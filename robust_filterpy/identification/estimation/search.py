@@ -112,7 +112,6 @@ def _middle(model: PolynomialModel, missing: Any) -> tuple[PolynomialModel | Non
 
 def searched(model: PolynomialModel, end: End, missing: Any, limits: Limits | None, afresh: bool = False) -> End:
     """Return where the search goes on to; afresh: from parameters that no outlier has been seen with."""
-    stage(f"search from: {end.starts[0]}")
     if limits is not None:
         end = end._replace(p=limits.start(model, end.p))
     if model.remembers and (missing.any() or end.noise.has_outliers):
@@ -124,6 +123,7 @@ def _minimised(
     model: PolynomialModel, end: End, missing: Any, limits: Limits | None, precision: float = 0.0
 ) -> End:  # fmt: skip
     """Return the least loss of the residuals that hold nothing missing, from an end on."""
+    stage(f"search from: {end.starts[0]}")
     rows = model.conditioned & ~missing[model.first :]
     p = end.p if limits is None else limits.start(model, end.p)
     optimum = minimised(model, p, end.noise, rows, 2 * MOST_STEPS, limits, precision)
