@@ -238,7 +238,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
         best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))
         if best.P is not None:
-            best = drawn(model, best, missing, limits)
+            best = drawn(model, best, missing, limits) or best
     output = _output(model, ranked[0].end)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
     # What the noise makes of the output of any model with so many parameters.

@@ -330,14 +330,12 @@ def begun(model: PolynomialModel, p: Array, noise: Noise, missing: Any, name: st
 def drawn(
     model: PolynomialModel, end: End, missing: Any, limits: Limits | None, count: int = DRAWS, afresh: bool = False,
     robust: bool = True,
-) -> End:  # fmt: skip
-    """Return the end of a search with the mean of what is drawn, and with the covariance of its parameters."""
+) -> End | None:  # fmt: skip
+    """Return where a search goes on to: the mean of what is drawn and its covariance; None if no outliers explain y."""
     free = np.arange(model.n)
     if limits is not None:
         pull = model.with_output(end.y).jacobian(end.p)[end.rows].T @ end.noise.psi(end.residual[end.rows])
         free = np.flatnonzero(~limits.held(end.p, 0.0 * pull if afresh else pull))
-    if not free.size:
-        return end
     stage(f"outliers are drawn, search from: {end.starts[0]}")
     chain = Chain(model, end, missing, free, limits)
     chain.possible &= robust
@@ -346,7 +344,7 @@ def drawn(
     p = means.mean(axis=0) if limits is None else limits.inside(means.mean(axis=0))
     if not model.is_stable(p) or draws.wrong[:, ~missing].mean() > 0.5:
         # What most samples have is no outlier but noise of the sensor, of which the model has none.
-        return drawn(model, end, missing, limits, count, afresh, False) if robust and missing.any() else end
+        return drawn(model, end, missing, limits, count, afresh, False) if robust and missing.any() else None
     share, ratio = np.clip(draws.share.mean(), *CONTAMINATIONS), np.sqrt(draws.variance.mean() / R)
     mixed = isinstance(end.noise.influence, Contaminated)
     influence = Contaminated(float(share), float(ratio)) if mixed else end.noise.influence

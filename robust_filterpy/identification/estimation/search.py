@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
@@ -22,7 +21,6 @@ from robust_filterpy.identification.estimation.starts import (
     output_error_starts,
     regression_start,
     require_informative,
-    whitened,
 )
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
@@ -115,8 +113,10 @@ def searched(model: PolynomialModel, end: End, missing: Any, limits: Limits | No
     if limits is not None:
         end = end._replace(p=limits.start(model, end.p))
     if model.remembers and (missing.any() or end.noise.has_outliers):
-        end = drawn(model, end, missing, limits, FORGOTTEN, afresh)
-    return end if model.remembers and end.wrong.any() else _minimised(model, end, missing, limits)
+        further = drawn(model, end, missing, limits, FORGOTTEN, afresh)
+        if further is not None and further.wrong.any():
+            return further
+    return _minimised(model, end, missing, limits)
 
 
 def _minimised(
@@ -199,30 +199,10 @@ def _starts(model: PolynomialModel, missing: Any) -> Iterator[Start]:
         yield from starts
         return
     best = _best_of(simple, missing, starts)
-    yield Start("output-error model", model.from_output_error(simple.parts(best)))
+    p = model.from_output_error(simple.parts(best))
+    yield Start("output-error model", p)
     if model.nf + model.nd:
-        yield from _whitened_starts(model, simple, best, missing)
-
-
-def _whitened_starts(model: PolynomialModel, simple: PolynomialModel, p: Array, missing: Any) -> Iterator[Start]:
-    """Yield starts of a model with a disturbance, from output-error models of whitened signals."""
-    rows = ~missing[simple.first :]
-    q = model.from_output_error(simple.parts(p))
-    yield disturbance_start("output-error model and its disturbance", model, q, rows)
-    order = model.structure.nd + 2 * model.structure.nc
-    for name, polynomial in (
-        ("whitened by the disturbance", whitened(simple, p, rows, order)),
-        ("differences", np.array([1.0, -1.0])),
-    ):
-        first = polynomial.size - 1
-        y, u = (lfilter(polynomial, [1.0], signal, axis=0)[first:] for signal in (simple.y, simple.u))
-        gaps = np.convolve(missing, np.ones(first + 1))[first : missing.size] > 0.5
-        filtered = PolynomialModel(simple.structure, y, u, simple.offset, simple.moving)
-        q = _best_of(filtered, gaps, output_error_starts(filtered, ~gaps[filtered.first :]))
-        q[simple.structure.n_theta :] = 0.0
-        if model.offset:
-            q[simple.structure.n_theta] = np.median(simple.equation_error(q)[rows])
-        yield disturbance_start(name, model, model.from_output_error(simple.parts(q)), rows)
+        yield disturbance_start("output-error model and its disturbance", model, p, ~missing[model.first :])
 
 
 def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:

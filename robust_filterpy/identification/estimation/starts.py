@@ -4,8 +4,7 @@
   the singular values of its Hankel matrix (Kung 1978).
 * For models with the measured output in their regressor: plain regression; without input also the Yule-Walker
   equations with autocorrelations from robust scales (Ma and Genton 2000).
-* For Box and Jenkins' model: the same for the disturbance that an output-error model leaves, and an output-error model
-  of signals that have been whitened so.
+* For Box and Jenkins' model: the same for the disturbance that an output-error model leaves.
 * For several outputs: a long autoregression, of the outputs as they are and cleaned by the model that this leads to,
   which tells what inputs to come do to them: what is left is regressed on the past, and its principal directions are
   the state (SSARX: Jansson 2003). It serves slow plants, whose impulse responses are too long, and closed loops.
@@ -161,21 +160,10 @@ def autocorrelation_start(model: PolynomialModel) -> Start:
 
 
 def disturbance_start(name: str, model: PolynomialModel, p: Array, rows: Any) -> Start:
-    """Return parameters whose D is that of an autoregression of the disturbance."""
-    p = p.copy()
-    p[model.structure.polynomials.d] = _autoregression(_disturbance(model, p, rows), model.nd)[1:]
+    """Return parameters whose D is that of an autoregression of what the inputs do not explain."""
+    p, v = p.copy(), model.equation_error(p)
+    p[model.structure.polynomials.d] = _autoregression(np.where(rows, v - np.median(v[rows]), 0.0), model.nd)[1:]
     return Start(name, p)
-
-
-def whitened(model: PolynomialModel, p: Array, rows: Any, order: int) -> Array:
-    """Return the polynomial that makes the disturbance white."""
-    return _autoregression(_disturbance(model, p, rows), order)
-
-
-def _disturbance(model: PolynomialModel, p: Array, rows: Any) -> Array:
-    """Return what the inputs do not explain, its median taken off, 0 where it is missing."""
-    v = model.equation_error(p)
-    return np.where(rows, v - np.median(v[rows]), 0.0)
 
 
 def _autoregression(signal: Array, order: int) -> Array:

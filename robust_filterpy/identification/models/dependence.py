@@ -287,17 +287,18 @@ def another_delay(residual: Array, signals: Array) -> tuple[Finding, ...]:
     return ()
 
 
-def slow_inputs(u: Array) -> list[Array]:
-    """Return means of inputs over the last samples, as plants of several speeds make them, shape (N, m) each."""
-    return [uniform_filter1d(u, w, axis=0, mode="nearest", origin=(w - 1) // 2) for w in _SLOW if 8 * w < len(u)]
+def slow_inputs(u: Array) -> Array:
+    """Return means of inputs over the last samples, as plants of several speeds make them, shape (speeds, N, m)."""
+    spans = [w for w in _SLOW if 8 * w < len(u)]
+    return np.array([uniform_filter1d(u, w, axis=0, mode="nearest", origin=(w - 1) // 2) for w in spans])
 
 
 def uneven(residual: Array, inputs: Array) -> tuple[Finding, ...]:
     """Find out whether the size of what a model leaves follows the inputs, in whichever direction these move."""
     size = np.where(np.isnan(residual), np.nan, np.abs(_ordinary(residual)))
     whitening = whitening_of(autocovariances(size))
-    for j, means in enumerate(np.moveaxis(slow_inputs(inputs), -1, 0)):
-        products = [a * b for i, a in enumerate(means) for b in means[i:]]
+    for j, means in enumerate(slow_inputs(inputs).T):
+        products = [a * b for i, a in enumerate(means.T) for b in means.T[i:]]
         test = dependence(size, np.column_stack(products), 2, whitening)
         if test.chance < _CHANCE and test.share > _LEAST:
             text = (
