@@ -21,7 +21,7 @@ from robust_filterpy.influence import Linear
 pytestmark = pytest.mark.core
 OURS = {
     "CubatureKalmanFilter", "EnsembleKalmanFilter", "ExtendedKalmanFilter", "FixedLagSmoother", "KalmanFilter",
-    "UnscentedKalmanFilter", "batch_filter", "predict", "rts_smoother", "update",
+    "UnscentedKalmanFilter", "batch_filter", "rts_smoother", "update",
 }  # fmt: skip
 MODULES = {info.name for info in pkgutil.iter_modules(theirs.__path__)} - {"tests"}
 COMMON = {info.name for info in pkgutil.iter_modules(filterpy.common.__path__)} - {"tests"}
@@ -74,7 +74,7 @@ def test_kinematic_kf_sees_the_position_of_each_dimension(dim, order, order_by_d
 
 
 @pytest.mark.parametrize("ndim", [1, 2])
-def test_update_and_predict_are_filterpys_and_update_is_the_filters(ndim):
+def test_update_is_filterpys_and_the_filters(ndim):
     problem = support.random_problem(1, 3, 2)
     x = problem.x if ndim == 2 else problem.x[:, 0]
     z = np.array([[1.0], [2.0]]) if ndim == 2 else np.array([1.0, 2.0])
