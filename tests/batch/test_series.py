@@ -8,6 +8,7 @@ from recordings import same
 from robust_filterpy import Contaminated, Learnt, RobustKalmanFilter, StudentT, filter_series
 from robust_filterpy.correction import NotPositiveDefiniteError, Scales, SingularInnovationError
 from robust_filterpy.correction.learning import NoiseClasses
+from robust_filterpy.influence import Hampel, Linear
 
 SERIES, N = 3, 25
 LEARNING = {"noise": "learnt", "process": "scales"}
@@ -59,6 +60,8 @@ def assert_same(found, expected, rtol=1e-8):
 OPTIONS = {
     "default": {}, "recovering": {**support.RECOVERING, "patience": 4}, "innovation": {"scaling": "innovation"},
     "joint": {"influence": StudentT(3), "scaling": "bounded", "grouping": "joint"},
+    "hampel": {"influence": Hampel(), "scaling": "innovation", "information": "weight"},
+    "linear": {"influence": Linear(), "scaling": "bounded", "information": "expected"},
     "learnt noise": LEARNING, "learnt noise, joint": {**LEARNING, "grouping": "joint"},
     "learnt noise, groups": {**LEARNING, "grouping": ((0, 1),)},
     "other classes": {"noise": Learnt((1.0, 30.0), 50.0, 10.0), "process": Scales((1.0, 0.1), dwell=20.0)},

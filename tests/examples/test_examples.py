@@ -6,17 +6,14 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from numpy.testing import assert_allclose
 from PIL import Image
 
 from robust_filterpy import Contaminated, RobustKalmanFilter
-from robust_filterpy.plants import simulate_output_error
 from robust_filterpy.plants.servo import simulate_servo
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -101,26 +98,10 @@ PAPER = Path(__file__).parents[2] / "examples" / "paper"
 
 
 @pytest.fixture
-def paper(monkeypatch):
-    """Import a module of the paper's folder."""
-    monkeypatch.syspath_prepend(str(PAPER))
-    return importlib.import_module
-
-
-@pytest.fixture
 def example(monkeypatch):
     """Import an example by its name."""
     monkeypatch.syspath_prepend(str(PAPER.parent))
     return importlib.import_module
-
-
-def test_verdicts_are_one_sided_and_join(paper):
-    report, Interval = paper("report"), paper("studies").Interval
-    # Far better than asked for is no failure of "no worse".
-    for low, high, verdict in ((0.4, 0.6, True), (1.2, 1.6, False), (1.0, 1.2, None)):
-        assert report.judged(Interval((low + high) / 2, low, high, 0.1), high=1.1) is verdict
-    for verdicts, joined in (([True, True], True), ([True, None], None), ([None, False], False)):
-        assert report.together(verdicts) is joined
 
 
 def test_the_report_in_the_repository_gives_every_claim_a_criterion_a_figure_and_its_failures_a_reason():
@@ -136,29 +117,6 @@ def test_the_report_in_the_repository_gives_every_claim_a_criterion_a_figure_and
     assert len({tuple(row[:3]) for row in claims}) == len(claims)
     for name in (line.split("](")[1][:-1] for line in lines if line.startswith("![")):
         assert (PAPER / "figures" / name).stat().st_size > 3000
-
-
-def test_information_is_made_of_the_derivative_of_the_output(paper):
-    identification = paper("identification")
-    rng = np.random.default_rng(2)
-    theta = [-1.5, 0.7, 1.0, 0.5] + np.cumsum(0.002 * rng.standard_normal((50, 4)), axis=0)
-    u = rng.standard_normal(50)
-
-    def output(step):
-        return simulate_output_error(theta + step, u, na=2, nb=2).y_clean
-
-    steps = 1e-6 * np.eye(4)
-    g = np.transpose([(output(step) - output(-step)) / 2e-6 for step in steps])
-    information = identification._information(theta, u, output(0.0), 2, 0.25)
-    assert_allclose(information, g[:, :, None] * g[:, None, :] / 0.25, rtol=1e-6, atol=1e-6)
-
-
-def test_bound_without_drift_and_prior_is_the_cramer_rao_bound(paper):
-    identification = paper("identification")
-    plant = replace(identification.WELL, contamination=0.0, P0=1e8, Q=0.0)
-    g = np.repeat(np.random.default_rng(1).standard_normal((1, identification.STEPS, 4)), 2, axis=0)
-    bound, cramer_rao = identification.bounds(g[..., :, None] * g[..., None, :], plant)
-    assert bound[-1] ** 0.5 == pytest.approx(cramer_rao, rel=1e-4)
 
 
 def test_outliers_move_the_piston_less_when_the_robust_filter_runs_the_loop(example):

@@ -121,6 +121,9 @@ def test_what_is_passed_or_an_attribute(name, method, passed):
         goes_on(kf, ndim)
 
 
+SMOOTHED = {"Xs": np.zeros((5, 4, 1)), "Ps": np.zeros((5, 4, 4))}
+
+
 def in_words(call, match, **choices):
     return pytest.param(call, match, choices, id=f"{match[:30]}{len(match)}")
 
@@ -154,6 +157,15 @@ def written(kf, name):
     in_words(lambda kf: kf.batch_filter({0.1, 0.2}), "^zs: expected a sequence"),
     in_words(lambda kf: kf.batch_filter([Z], us={0: 1.0}), "^us: expected a sequence"),
     in_words(lambda kf: kf.batch_filter([Z], saver=3), r"^saver: expected an object with save\(\)"),
+    # A fault in the middle undoes a batch.
+    in_words(lambda kf: kf.batch_filter([Z, [0.1, NAN], [0.1, INF]]), "step 2: z: expected"),
+    in_words(lambda kf: kf.batch_filter([Z] * 5, Rs=[kf.R] * 3 + [np.eye(7)] * 2), r"step 3: R\b"),
+    in_words(lambda kf: kf.batch_filter([Z] * 5, Qs=[kf.Q] * 3 + [np.eye(7)] * 2, update_first=True), r"step 3: Q\b"),
+    *(in_words(lambda kf, given=given: kf.rts_smoother(**{**SMOOTHED, **given}), f"^{match}") for given, match in (
+        ({"Fs": [np.eye(4)] * 4}, "Fs: expected an entry for each of the 5"), ({"Qs": 0.1}, "Qs: expected a sequence"),
+        ({"Qs": [np.eye(4)] * 4}, "Qs: expected an entry for each of the 5"), ({"Xs": None}, "Xs: expected"),
+        ({"Ps": None}, "Ps: expected"), ({"Ps": np.zeros((4, 4, 4))}, "Ps: expected shape"),
+    )),
     # Of what is written into an array that was good.
     in_words(lambda kf: kf.R.__setitem__((0, 0), -1.0) or kf.update(Z), r"^R\b|\bR\b", influence=Linear()),
     *(in_words(lambda kf, name=name, method=method: written(kf, name) or getattr(kf, method)(Z), f"^{name}: expected")
@@ -166,20 +178,6 @@ def test_in_these_words(call, match, choices):
     assert re.search(match, message), message
     kf.H[:], kf.R[:] = H, R
     goes_on(kf, **choices)
-
-
-@pytest.mark.parametrize("update_first", [False, True])
-@pytest.mark.parametrize("fault", ["z", "R", "Q"])
-def test_a_fault_in_the_middle_of_a_batch_undoes_the_batch(update_first, fault):
-    kf = started()
-    zs, lists = [[[0.1], [0.2]] for _ in range(5)], {"Rs": [kf.R] * 5, "Qs": [kf.Q] * 5}
-    if fault == "z":
-        zs[3] = [[0.1], [INF]]
-    else:
-        lists[fault + "s"] = [*lists[fault + "s"][:3], np.eye(7), np.eye(7)]
-    message = refuse(kf, lambda kf: kf.batch_filter(zs, update_first=update_first, **lists), match=rf"\b{fault}\b")
-    assert "3" in message, "the step is named"
-    goes_on(kf)
 
 
 def nonlinear(cls, n=2, **options):
@@ -260,21 +258,6 @@ def test_what_does_not_fit_a_filter_is_not_set(kf, name, value, words):
     with pytest.raises((*REFUSED, AttributeError), match=words):
         setattr(kf, name, value)
     assert repr(kf) == before
-
-
-@pytest.mark.parametrize(("arguments", "match"), [
-    ({"Fs": [np.eye(4)] * 4}, "Fs: expected an entry for each of the 5"),
-    ({"Qs": [np.eye(4)] * 4}, "Qs: expected an entry for each of the 5"),
-    ({"Qs": 0.1}, "Qs: expected a sequence"),
-    ({"Xs": None}, "Xs: expected"),
-    ({"Ps": None}, "Ps: expected"),
-    ({"Ps": np.zeros((4, 4, 4))}, "Ps: expected shape"),
-])  # fmt: skip
-def test_the_smoother(arguments, match):
-    kf = started()
-    means, covariances, _, _ = kf.batch_filter([[0.1, 0.2]] * 5)
-    with pytest.raises(REFUSED, match=f"^{match}"):
-        kf.rts_smoother(**{"Xs": means, "Ps": covariances} | arguments)
 
 
 @pytest.mark.parametrize("bad, words", [

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 import support
-from filterpy.common import Saver
 from filterpy.kalman import KalmanFilter
 from support import column
 
@@ -251,38 +250,3 @@ def test_h_of_another_height_for_one_call(ndim, height):
     robust.update(column(robust, z), R=other.R, H=other.H)
     plain.update(z)
     support.assert_same_state(robust, plain, ("x", "P", "x_post", "P_post", "y", "K", "S", "SI"))
-
-
-def batches(problem, n, rng, ndim):
-    """The ways to call batch_filter."""
-    us = {"us": list(rng.normal(size=(n, 1, 1) if ndim == 2 else (n, 1)))}
-    others = [support.random_problem(k, 4, 2, 1) for k in range(n)]
-    lists = {f"{name}s": [getattr(other, name) for other in others] for name in "FQHRB"}
-    return {"plain": {}, "update_first": {"update_first": True}, "control": us, "lists": {**us, **lists}}
-
-
-@pytest.mark.parametrize("ndim", NDIMS)
-@pytest.mark.parametrize("case", ["plain", "update_first", "control", "lists"])
-@pytest.mark.parametrize("missing", [False, True])
-def test_batch_filter_and_smoother(ndim, case, missing):
-    problem, n = support.random_problem(14, 4, 2, dim_u=1), 40
-    arguments = batches(problem, n, np.random.default_rng(0), ndim)[case]
-    robust, plain = pair(problem, ndim)
-    if "us" not in arguments:
-        # Without B, so that filterpy's default us=0 multiplies nothing.
-        robust.B = plain.B = None
-    zs = [column(plain, z) for z in support.simulate(problem, n, seed=3)[0]]
-    if missing:
-        zs[3] = zs[20] = zs[21] = None
-    saver = Saver(robust)
-    ours = robust.batch_filter(zs, saver=saver if case == "control" else None, **arguments)
-    theirs = plain.batch_filter(zs, **arguments) if support.FILTERPY_2 else support.by_loop(plain, zs, **arguments)
-    for a, b in zip(ours, theirs, strict=True):
-        support.assert_close(a, b)
-    support.assert_same_state(robust, plain, (*support.STATE, "K", "S", "SI"))
-    if case == "control":
-        support.assert_close(np.array(saver.x), ours[0])
-    matrices = {name: arguments.get(name) for name in ("Fs", "Qs")}
-    smoothed = robust.rts_smoother(*ours[:2], **matrices), plain.rts_smoother(*theirs[:2], **matrices)
-    for a, b in zip(*smoothed, strict=True):
-        support.assert_close(a, b, rtol=1e-9)
