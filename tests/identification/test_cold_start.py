@@ -203,5 +203,5 @@ def test_the_start_and_the_samples_after_it_do_not_count_and_a_bank_has_one_of_e
     assert result.log_likelihood() == result.log_likelihood(first) != result.log_likelihood(200)
     bank = TrackerBank(2, FIR(1, nk=0), start=100, Q=1e-4).run(np.c_[y, y], u)
     assert bank.log_likelihood() == pytest.approx(result.log_likelihood())
-    with pytest.raises(ValueError, match="50 measured samples or more from sample 870 on, got 30"):
+    with pytest.raises(ValueError, match="at least 50 measured samples from sample 870 on, got 30"):
         result.log_likelihood(870)

@@ -234,11 +234,15 @@ class Settled(NamedTuple):
         These in words, and that outliers of its inputs are held back.
     begin : ndarray or None
         Free parameters of a model near by, from which alone the search begins.
+    draws : bool
+        Whether outliers of a regressor are drawn, for parameters and intervals that depend on no choice of them; it
+        takes as long as the search.
     """
 
     values: Array
     findings: tuple[Finding, ...] = ()
     begin: Array | None = None
+    draws: bool = True
 
     @classmethod
     def of(cls, model: Any, samples: int) -> Settled:

@@ -157,6 +157,8 @@ class Problem(NamedTuple):
         First sample of each recording, for several that follow each other.
     limits : Limits or None
         Where theta may be.
+    draws : bool
+        Whether outliers of a regressor are drawn.
     """
 
     structure: Structure
@@ -169,6 +171,7 @@ class Problem(NamedTuple):
     moving: bool = True
     begins: tuple[int, ...] = (0,)
     limits: Limits | None = None
+    draws: bool = True
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -237,7 +240,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
         best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))
-        if best.P is not None:
+        if best.P is not None and problem.draws:
             best = drawn(model, best, missing, limits) or best
     output = _output(model, ranked[0].end)
     endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)

@@ -387,7 +387,7 @@ def _of_polynomials(
     problem = Problem(
         structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), influence, offset,
         None if R is None else _checks.positive("R", R), recording.axis.dt, limits=limits,
-        begins=tuple(part.start for part in recording.spans),
+        begins=tuple(part.start for part in recording.spans), draws=not isinstance(trend, Settled) or trend.draws,
     )  # fmt: skip
     begin = trend.begin if isinstance(trend, Settled) else None
     if isinstance(trend, Settled) and not trend.values.size:

@@ -194,9 +194,9 @@ def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State
 def _identified(form: Form, now: State, i: int, start: ColdStart, begin: Array | None = None) -> Model:
     """Return a model of the samples of a start, searched for from every start or from one alone, or raise."""
     u, R = start.u if form.structure.n_inputs else None, None if now.scale[i, 3] else float(now.scale[i, 0])
-    # What the level does besides is looked for once.
-    flat = np.zeros(0 if start.is_last_look else start.y.size)
-    trend: Any = None if begin is None else Settled(flat, begin=begin)
+    # What the level does besides is looked for at first and at last, and intervals are for the last model.
+    looks = begin is None or start.is_last_look
+    trend: Any = Settled(np.zeros(0 if looks else start.y.size), begin=begin, draws=start.is_last_look)
     with warnings.catch_warnings():
         # A short recording leaves several models open, and those to come decide.
         warnings.simplefilter("ignore", UserWarning)

@@ -64,7 +64,8 @@ class ParameterTracker(Following, PolynomialSystem):
     start : int, optional
         How many samples the tracker may look at before it takes a stand: it makes a model of the first eighth, quarter,
         half and all of them by `identify`, and goes on from there. Default: 400, or 0 if theta, P or a filter object is
-        given. 0: the recursion begins at once, as in the paper.
+        given. 0: the recursion begins at once, as in the paper. P of a model of fewer samples does not count that
+        outliers in a regressor of outputs may be other samples; that of all of them does.
     offset : bool, optional
         Whether there is a constant besides theta, for outputs that are not measured from their rest. Default: with a
         start yes, except for a LinearRegression, whose columns are the caller's.
