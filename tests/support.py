@@ -164,23 +164,14 @@ def mover(kind, R=1.0, H=((1.0, 0.0),), h=1.0, q=1e-3, P=10.0, x=0.0):
 
 def paper_problem(P0=0.1):
     """The state-estimation problem of the paper, equations 31-34, from P(0|0) = P0 I."""
+    F = [
+        [0.99, -0.012, 0.001, -0.001], [-0.005, 0.98, -0.001, 0.005], [-0.001, 0.01, 1.0, -0.001],
+        [0.01, 0.001, -0.002, 1.0],
+    ]  # fmt: skip
     return Problem(
-        x=np.zeros((4, 1)),
-        P=P0 * np.eye(4),
-        F=np.array(
-            [
-                [0.99, -0.012, 0.001, -0.001],
-                [-0.005, 0.98, -0.001, 0.005],
-                [-0.001, 0.01, 1.0, -0.001],
-                [0.01, 0.001, -0.002, 1.0],
-            ]
-        ),
-        H=np.array([[1.0, 0.0, 0.0, 0.0]]),
-        Q=0.001 * np.eye(4),
-        R=np.array([[0.1]]),
-        B=None,
-        M=np.zeros((4, 1)),
-    )
+        x=np.zeros((4, 1)), P=P0 * np.eye(4), F=np.array(F), H=np.eye(1, 4), Q=0.001 * np.eye(4), R=np.array([[0.1]]),
+        B=None, M=np.zeros((4, 1)),
+    )  # fmt: skip
 
 
 class Extended(RobustExtendedKalmanFilter):

@@ -142,15 +142,10 @@ def step(kf, in_c, z, u):
 
 
 CHOICES = [
-    {},
-    {"influence": TukeyBiweight()},
-    {"influence": Hampel(), "information": "expected"},
-    {"scaling": "innovation", "influence": StudentT(4.0), "information": "weight"},
-    {"scaling": "bounded"},
-    {"influence": Linear()},
-    {"influence": Huber(np.inf)},
-    {"grouping": "joint"},
-]
+    {}, {"influence": TukeyBiweight()}, {"influence": Hampel(), "information": "expected"}, {"scaling": "bounded"},
+    {"scaling": "innovation", "influence": StudentT(4.0), "information": "weight"}, {"influence": Linear()},
+    {"influence": Huber(np.inf)}, {"grouping": "joint"},
+]  # fmt: skip
 
 
 @pytest.mark.pairwise(1)

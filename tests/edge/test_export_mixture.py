@@ -18,16 +18,12 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning"),
 ]
 
+GIVEN = {"noise": Contaminated(0.1, 100.0)}
 POLICIES = {
-    "learnt": {"noise": Learnt()},
-    "learnt, scales": {"noise": Learnt(), "process": Scales()},
-    "learnt, two classes, no jumps": {
-        "noise": Learnt((1.0, 50.0), 100.0, 20.0),
-        "process": Scales((1.0, 9.0), jump=0.0),
-    },
-    "given": {"noise": Contaminated(0.1, 100.0)},
-    "given, scales": {"noise": Contaminated(0.1, 100.0), "process": Scales()},
-}
+    "learnt": {"noise": Learnt()}, "learnt, scales": {"noise": Learnt(), "process": Scales()},
+    "two classes, no jumps": {"noise": Learnt((1.0, 50.0), 100.0, 20.0), "process": Scales((1.0, 9.0), jump=0.0)},
+    "given": GIVEN, "given, scales": {**GIVEN, "process": Scales()},
+}  # fmt: skip
 
 
 def made(seed, n=2, m=1, inputs=0, **policy):

@@ -43,12 +43,9 @@ def run(script, *arguments):
     """Run a script in a process of its own, its figures drawn on no screen."""
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONWARNINGS": "error::UserWarning:__main__"}
     return subprocess.run(
-        [sys.executable, str(script), *map(str, arguments)],
-        env=environment,
-        capture_output=True,
-        text=True,
+        [sys.executable, str(script), *map(str, arguments)], env=environment, capture_output=True, text=True,
         timeout=300,
-    )
+    )  # fmt: skip
 
 
 def test_every_example_imports_what_it_uses(monkeypatch):

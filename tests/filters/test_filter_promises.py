@@ -80,28 +80,17 @@ for name, kind, own in (
 #: others each name keeps a sixth of them then, another sixth than the name before.
 WHOLE = ("Huber", "extended", "learnt", "adaptive")
 ROUNDING = "filterpy's P - K S K' loses its sign in rounding"
-SIGMA_POINTS = dict.fromkeys(
-    (
-        "innovation_and_its_covariance_are_shown",
-        "innovations_are_judged_by_their_own_deviation",
-        "small_innovations_are_believed",
-    ),
-    "filterpy's sigma points are drawn before Q is added",
-)
-EXPECTED = {
-    "unscented": {"covariance_stays_one": ROUNDING},
-    "cubature": {
-        "covariance_stays_one": ROUNDING,
-        "state_keeps_its_shape": "filterpy's turns a flat x into a column",
-        **SIGMA_POINTS,
-    },
-}
-EXPECTED |= {
-    f"{name} {noise}": EXPECTED[name]
-    for name in ("unscented", "cubature")
-    for noise in ("given", "learnt", "adaptive")
-}
-EXPECTED |= {f"recovering {name}": EXPECTED[name] for name in ("unscented", "cubature")}
+BEFORE_Q = (
+    "innovation_and_its_covariance_are_shown", "innovations_are_judged_by_their_own_deviation",
+    "small_innovations_are_believed",
+)  # fmt: skip
+SIGMA_POINTS = dict.fromkeys(BEFORE_Q, "filterpy's sigma points are drawn before Q is added")
+EXPECTED = {"unscented": {"covariance_stays_one": ROUNDING}}
+EXPECTED["cubature"] = {"state_keeps_its_shape": "filterpy's turns a flat x into a column", **SIGMA_POINTS}
+EXPECTED["cubature"] |= EXPECTED["unscented"]
+for name in ("unscented", "cubature"):
+    kinds = (f"recovering {name}", *(f"{name} {noise}" for noise in ("given", "learnt", "adaptive")))
+    EXPECTED |= dict.fromkeys(kinds, EXPECTED[name])
 if not support.FILTERPY_2:
     EXPECTED["unscented"] |= SIGMA_POINTS
 

@@ -25,13 +25,9 @@ def model():
 def samples(keys, steps, seed=0):
     """Samples of many devices, in no order at all, some missing, one device with a duplicate."""
     rng = np.random.default_rng(seed)
-    table = pd.DataFrame(
-        {
-            "device": np.repeat(np.arange(keys), steps),
-            "t": np.tile(np.arange(float(steps)), keys),
-            "z": rng.normal(size=keys * steps) * np.where(rng.random(keys * steps) < 0.1, 20.0, 1.0),
-        }
-    )
+    device, t = np.divmod(np.arange(keys * steps), steps)
+    z = rng.normal(size=keys * steps) * np.where(rng.random(keys * steps) < 0.1, 20.0, 1.0)
+    table = pd.DataFrame({"device": device, "t": t.astype(float), "z": z})
     table = table[(rng.random(len(table)) > 0.02) | (table["t"] == 0.0)]
     table = pd.concat([table, table[table["device"] == 3][:1]])
     return table.sample(frac=1.0, random_state=seed).reset_index(drop=True)

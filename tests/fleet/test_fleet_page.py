@@ -44,12 +44,9 @@ def test_program_runs(program, tmp_path, monkeypatch):
         script.write_text("\n".join((*FIRST, program)), encoding="utf-8")
         path = os.pathsep.join((str(PAGE.parents[1]), os.environ.get("PYTHONPATH", "")))
         done = subprocess.run(
-            [sys.executable, str(script)],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": path},
-            capture_output=True,
+            [sys.executable, str(script)], cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True,
             text=True,
-        )
+        )  # fmt: skip
         assert done.returncode == 0, done.stderr
         return
     monkeypatch.chdir(tmp_path)

@@ -288,23 +288,17 @@ def test_a_state_of_other_matrices_is_refused_unless_asked_for():
 
 
 DAMAGES = {
-    "a number for P": {"P": np.array(3.0)},
-    "a vector for P": {"P": np.ones(2)},
-    "text in P": {"P": np.array([["a", "b"], ["c", "d"]])},
-    "complex P": {"P": np.eye(2) + 1j},
-    "a negative variance": {"P": np.diag([1e12, -1e3])},
-    "an indefinite P": {"P": np.array([[1.0, 2.0], [2.0, 1.0]])},
-    "an asymmetric P": {"P": np.array([[1.0, 0.5], [0.2, 1.0]])},
-    "NaN in P": {"P": np.full((2, 2), np.nan)},
-    "infinite x": {"x": np.array([0.0, np.inf])},
-    "a long x": {"x": np.zeros(3)},
-    "text for x": {"x": "ab"},
-    "objects in x": {"x": np.array([None, {}], dtype=object)},
-    "text for the time": {"time": "now"},
-    "two times": {"time": np.zeros(2)},
-    "no label": {"format": np.zeros(0)},
+    **{name: {"P": P} for name, P in {
+        "a number for P": np.array(3.0), "a vector for P": np.ones(2), "text in P": np.array([["a", "b"], ["c", "d"]]),
+        "complex P": np.eye(2) + 1j, "a negative variance": np.diag([1e12, -1e3]),
+        "an indefinite P": np.array([[1.0, 2.0], [2.0, 1.0]]), "an asymmetric P": np.array([[1.0, 0.5], [0.2, 1.0]]),
+        "NaN in P": np.full((2, 2), np.nan),
+    }.items()},
+    "infinite x": {"x": np.array([0.0, np.inf])}, "a long x": {"x": np.zeros(3)}, "text for x": {"x": "ab"},
+    "objects in x": {"x": np.array([None, {}], dtype=object)}, "text for the time": {"time": "now"},
+    "two times": {"time": np.zeros(2)}, "no label": {"format": np.zeros(0)},
     "a label of another": {"format": np.r_[1.0, 65.0]},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

@@ -121,18 +121,9 @@ def test_readings_that_are_one_to_rounding_say_nothing_of_what_lasts():
     watch, H = _watch.fresh(2, 2, 2, np.ones(1)), np.tile([1.0, 0.0], (2, 1))
     watch, statistics = watch._replace(age=np.ones(watch.age.shape)), np.ones(watch.statistics.shape)
     after = _watch._lasting(
-        watch,
-        np.eye(2),
-        0.0,
-        statistics,
-        np.arange(2),
+        watch, np.eye(2), 0.0, statistics, np.arange(2), np.ones(2), H, H.T.copy(), np.ones((2, 2)), [1.0, 1.0],
         np.ones(2),
-        H,
-        H.T.copy(),
-        np.ones((2, 2)),
-        [1.0, 1.0],
-        np.ones(2),
-    )
+    )  # fmt: skip
     assert (after["evidence"] == 0.0).all() and np.isfinite(after["score"]).all()
 
 

@@ -19,20 +19,16 @@ from robust_filterpy.influence import Hampel, Linear, StudentT, TukeyBiweight
 
 GIVEN, ADAPTIVE = {"noise": Contaminated(0.1, 8.0)}, {"noise": "learnt", "process": "scales"}
 OPTIONS = {
-    "default": {},
-    "learnt, joint": {"noise": "learnt", "process": "given", "grouping": "joint"},
-    "adaptive": ADAPTIVE,
-    "adaptive, joint": {**ADAPTIVE, "grouping": "joint"},
-    "adaptive, groups": {**ADAPTIVE, "grouping": ((0, 1),)},
-    "given": GIVEN,
-    "given, joint": {**GIVEN, "grouping": "joint"},
+    "default": {}, "adaptive": ADAPTIVE, "adaptive, groups": {**ADAPTIVE, "grouping": ((0, 1),)}, "given": GIVEN,
     "given, process given": {**GIVEN, "process": Contaminated(0.05, 10.0)},
-}
+    **{f"{name}, joint": {**options, "grouping": "joint"} for name, options in (
+        ("learnt", {"noise": "learnt", "process": "given"}), ("adaptive", ADAPTIVE), ("given", GIVEN),
+    )},
+}  # fmt: skip
 WAYS = {
     "H": {"H": np.array([[1.0, 0.1], [0.3, 1.0]])}, "a row of H": {"H": np.array([[1.0, 0.2]]), "R": 0.3},
     "R": {"R": np.array([[0.4, 0.1], [0.1, 0.3]])}, "M": {}, "F and Q": {}, "part by part": {},
-    "parts with H": {},
-    "by name": {},
+    "parts with H": {}, "by name": {},
 }  # fmt: skip
 
 

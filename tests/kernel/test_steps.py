@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import support
 from alike import assert_alike, shown
+from hostile import Sub
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import Scales
@@ -162,20 +163,11 @@ def test_what_a_correction_under_learnt_noise_leaves_cannot_be_changed_from_outs
 
 
 KINDS = {
-    "int64": lambda a: np.round(a).astype(np.int64),
-    "uint8": lambda a: a.astype(np.uint8),
-    "float32": lambda a: a.astype(np.float32),
-    "float16": lambda a: a.astype(np.float16),
-    "column by column": np.asfortranarray,
-    "every second": lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
+    "int64": lambda a: np.round(a).astype(np.int64), "uint8": lambda a: a.astype(np.uint8),
+    "float32": lambda a: a.astype(np.float32), "float16": lambda a: a.astype(np.float16),
+    "column by column": np.asfortranarray, "every second": lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
     "other bytes": lambda a: a.astype(">f8"),
-}
-
-
-class Sub(np.ndarray):
-    """A subclass of ndarray."""
-
-
+}  # fmt: skip
 SPOILT = {
     **{kind: KINDS[kind] for kind in ("int64", "float32", "other bytes", "every second")},
     "a subclass": lambda a: a.view(Sub), "a list": lambda a: a.tolist(), "one axis more": lambda a: a[None],

@@ -66,23 +66,15 @@ def test_no_page_is_wider_than_the_window(built_site):
     assert not wide, "\n".join(wide)
 
 
-FIRST = {
-    "json": "situations/save_and_go_on.html",
-    "save state": "situations/save_and_go_on.html",
-    "microcontroller": "edge.html",
-    "SORT": "situations/box_tracker.html",
-    "late": "fusion.html",
-    "fill value": "situations/gaps_and_fill_values.html",
-    "missing data": "broken_recordings.html",
-    "unknown noise": "situations/r_is_a_guess.html",
-    "C code": "edge.html",
-    "R is a guess": "situations/r_is_a_guess.html",
-    "two sensors disagree": "situations/two_sensors_disagree.html",
-    "csv": "identification.html",
-    "unit test": "testing.html",
-    "parquet": "fleet.html",
-    "paper": "situations/report_in_a_paper.html",
-}
+SITUATIONS = {
+    "json": "save_and_go_on", "save state": "save_and_go_on", "SORT": "box_tracker",
+    "fill value": "gaps_and_fill_values", "unknown noise": "r_is_a_guess", "R is a guess": "r_is_a_guess",
+    "two sensors disagree": "two_sensors_disagree", "paper": "report_in_a_paper",
+}  # fmt: skip
+FIRST = {words: f"situations/{page}.html" for words, page in SITUATIONS.items()} | {
+    "microcontroller": "edge.html", "late": "fusion.html", "missing data": "broken_recordings.html",
+    "C code": "edge.html", "csv": "identification.html", "unit test": "testing.html", "parquet": "fleet.html",
+}  # fmt: skip
 
 
 def found(address, words):
