@@ -65,13 +65,10 @@ def test_a_sensor_without_R_does_not_depend_on_units():
     readings, _ = plane(np.arange(90) * 0.3)
     scaled = {}
     for unit in (1.0, 1e-4, 1e5):
-        fusion = Fusion(
-            constant_velocity(2, 0.5),
-            {"gps": Sensor(GPS, R=4.0), "wheel": Sensor(unit * np.array(WHEEL))}, 1.0, P0=100.0 * np.eye(4),
-        )  # fmt: skip
-        for who, t, z in readings:
-            fusion.observe(who, t, unit * z if who == "wheel" else z)
-        scaled[unit] = fusion.estimate().x
+        wheel = {"gps": Sensor(GPS, R=4.0), "wheel": Sensor(unit * np.array(WHEEL))}
+        fusion = Fusion(constant_velocity(2, 0.5), wheel, 1.0, P0=100.0 * np.eye(4))
+        given = [(who, t, unit * z if who == "wheel" else z) for who, t, z in readings]
+        scaled[unit] = fed(fusion, given).estimate().x
     np.testing.assert_allclose(scaled[1e-4], scaled[1.0], rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(scaled[1e5], scaled[1.0], rtol=1e-5, atol=1e-6)
 
@@ -139,9 +136,7 @@ def test_a_compass_that_goes_round_and_a_motion_that_is_a_function():
             x = f(x, 0.01)
         t = 0.1 * (k + 1)
         rows += [("compass", t, wrapped(x + 0.1 * rng.normal())[0]), ("place", t, x[:2] + 0.2 * rng.normal(size=2))]
-    for who, t, z in rows:
-        fusion.observe(who, t, z)
-    found = fusion.estimate()
+    found = fed(fusion, rows).estimate()
     assert np.abs(found.x - x)[[0, 1]].max() < 0.5 and abs(found.x[2] - x[2]) < 0.2
     columns = table([(who, t, z * np.ones(2)) for who, t, z in rows])
     np.testing.assert_allclose(fusion.run(columns, value=["v0", "v1"]).x[-1], found.x, rtol=1e-9)
@@ -152,9 +147,8 @@ def test_a_compass_that_goes_round_and_a_motion_that_is_a_function():
 def test_far_from_the_given_start():
     """Coordinates of a map are millions of metres; no start is given."""
     readings, truth = plane(np.arange(60) * 0.3)
-    fusion = Fusion(constant_velocity(2, 0.5), sensors(), 1.0)
-    for who, t, z in readings:
-        fusion.observe(who, t, z + 5e6 if who == "gps" else z)
+    far = [(who, t, z + 5e6 if who == "gps" else z) for who, t, z in readings]
+    fusion = fed(Fusion(constant_velocity(2, 0.5), sensors(), 1.0), far)
     assert np.abs(fusion.estimate().x - truth[-1] - [5e6, 0, 5e6, 0]).max() < 5.0
 
 
@@ -348,10 +342,7 @@ def test_each_sensor_of_a_group_has_a_noise_of_its_own_size():
     values = np.array(table["value"])
     rng = np.random.default_rng(0)
     values[::2] += np.sqrt(3.0) * 2.0 * rng.normal(size=800)
-    fusion = fused(pair())
-    for name, t, z in zip(table["sensor"], table["time"], values, strict=True):
-        fusion.observe(name, t, z)
-    noise = fusion.noise()
+    noise = fed(fused(pair()), zip(table["sensor"], table["time"], values, strict=True)).noise()
     assert 3.0 < noise["gps"].deviation[0] < 6.0
     assert 0.2 < noise["doppler"].deviation[0] < 0.45
 
@@ -420,9 +411,7 @@ def test_sensors_of_a_group_that_never_share_a_stamp_are_warned_of():
     shifted = {**table, "time": np.array(table["time"]) + 1e-3 * (np.arange(160) % 2)}
     with pytest.warns(FusionWarning, match="expected readings with the same stamp"):
         fused(pair()).run(shifted)
-    fusion = fused(pair())
     with pytest.warns(FusionWarning, match="expected readings with the same stamp"):
-        for name, t, z in zip(*(shifted[key] for key in ("sensor", "time", "value")), strict=True):
-            fusion.observe(name, t, z)
+        fed(fused(pair()), zip(*(shifted[key] for key in ("sensor", "time", "value")), strict=True))
     with silence():
         fused(pair()).run(table)

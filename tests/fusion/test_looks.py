@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fusion.worlds import line
 from scipy.stats import norm
 
 from robust_filterpy.fusion import Fusion, Sensor, _faults, _watch, constant_velocity
@@ -34,8 +35,7 @@ def test_sound_sensors_with_outliers_bring_no_looks_and_a_bias_few(monkeypatch, 
         return looks[-1]
 
     monkeypatch.setattr(_faults, "judged", counted)
-    rng, sensors = np.random.default_rng(8), {name: Sensor([1.0, 0.0], R=0.09) for name in "abc"}
-    fusion = Fusion(constant_velocity(1, 0.02), sensors, 2.0, P0=100.0 * np.eye(2), watch=True)
+    rng, fusion = np.random.default_rng(8), line("abc", 2.0, 0.02, 0.09, watch=True)
     for k in range(450):
         z = 0.05 * k + 0.3 * rng.normal() + 10.0 * (rng.random() < 0.1) + off * (k > 350 and k % 3 == 1)
         fusion.observe("abc"[k % 3], 0.1 * k, z)
@@ -48,8 +48,7 @@ def test_sound_sensors_with_outliers_bring_no_looks_and_a_bias_few(monkeypatch, 
 @pytest.mark.parametrize("wild", [1e4, 1e12, 1e160])
 def test_wild_readings_hide_no_bias_to_come(wild):
     """Nor do they tell that the noise is larger: whatever it is, they are outliers."""
-    rng, sensors = np.random.default_rng(0), {name: Sensor([1.0, 0.0], R=1.0) for name in "abc"}
-    fusion = Fusion(constant_velocity(1, 0.1), sensors, 1.0, P0=100.0 * np.eye(2), watch=True)
+    rng, fusion = np.random.default_rng(0), line("abc", watch=True)
     for k in range(300):
         # While the noise is learned, before the fault, and where a look back takes notice.
         z = wild if k in (40, 150, 155, 230) else 0.02 * k + rng.normal() + 6.0 * (k > 220)

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from fusion.worlds import line
 
 from robust_filterpy.fusion import Fusion, FusionWarning, Sensor, constant_velocity
 
 
 def made(**options):
-    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in "ab"}
-    return Fusion(constant_velocity(1, 0.1), sensors, 2.0, P0=100.0 * np.eye(2), **options)
+    return line("ab", 2.0, **options)
 
 
 def untouched(fusion):
@@ -62,10 +62,9 @@ def test_a_clock_that_jumps_back_and_a_burst_past_the_window_are_refused_counted
 
 
 def test_a_change_of_unit_leaves_the_sensor_out_from_then_on():
-    rng, sensors = np.random.default_rng(0), {name: Sensor([1.0, 0.0], R=1.0) for name in "abc"}
-    fusion = Fusion(constant_velocity(1, 0.1), sensors, 2.0, P0=100.0 * np.eye(2), watch=True)
+    rng, fusion = np.random.default_rng(0), line("abc", 2.0, watch=True)
     for k in range(300):
-        for name in sensors:
+        for name in "abc":
             z = 2.0 * 0.1 * k + rng.normal()
             fusion.observe(name, 0.1 * k, 0.3048 * z if name == "b" and k >= 200 else z)
     found = fusion.verdicts()

@@ -4,11 +4,11 @@ import copy
 
 import numpy as np
 import pytest
-from fusion.worlds import fed, followed, table
+from fusion.worlds import fed, followed, line, table
 from support import by_night
 
 from robust_filterpy.fleet import pack, unpack
-from robust_filterpy.fusion import Fusion, FusionWarning, Reacquisition, Sensor, _faults, constant_velocity
+from robust_filterpy.fusion import FusionWarning, Reacquisition, _faults, constant_velocity
 from robust_filterpy.fusion.verdicts import described, words
 
 RATES = {"a": 10.0, "b": 5.0, "c": 20.0}
@@ -33,8 +33,7 @@ def recording(seed, spoil, length=50.0):
 
 
 def made(watch=True, **more):
-    sensors = {name: Sensor([1.0, 0.0], R=1.0) for name in RATES}
-    return Fusion(constant_velocity(1, 0.5), sensors, 1.0, P0=100.0 * np.eye(2), watch=watch, **more)
+    return line(RATES, q=0.5, watch=watch, **more)
 
 
 def thrown(t):

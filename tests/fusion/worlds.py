@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from robust_filterpy.fusion import Contaminated, Scales, Sensor, constant_velocity
+from robust_filterpy.fusion import Contaminated, Fusion, Scales, Sensor, constant_velocity
 from robust_filterpy.influence import Huber, Linear
 
 GPS = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
@@ -15,6 +15,12 @@ POLICIES = {
 
 def sensors():
     return {"gps": Sensor(GPS, R=4.0), "wheel": Sensor(WHEEL, R=0.01)}
+
+
+def line(names, window=1.0, q=0.1, R=1.0, **options):
+    """A fusion of sensors of one place on a line."""
+    sensors = {name: Sensor([1.0, 0.0], R=R) for name in names}
+    return Fusion(constant_velocity(1, q), sensors, window, P0=100.0 * np.eye(2), **options)
 
 
 def plane(stamps, seed=0, q=0.5, outliers=0.0):

@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 import support
-from alike import assert_alike, shown
 from filterpy.kalman import MerweScaledSigmaPoints
 from hostile import spoilt
 from statsmodels.robust import norms
+from support import assert_alike, shown
 
 import robust_filterpy
 from robust_filterpy import RobustExtendedKalmanFilter, RobustKalmanFilter, RobustUnscentedKalmanFilter, kernel

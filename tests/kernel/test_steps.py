@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 import pytest
 import support
-from alike import assert_alike, shown
 from hostile import Sub
+from support import assert_alike, shown
 
 from robust_filterpy import Huber, RobustKalmanFilter, StudentT, TukeyBiweight
 from robust_filterpy.correction import Scales
