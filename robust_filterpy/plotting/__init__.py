@@ -13,7 +13,7 @@ matplotlib is imported when something is drawn.
 
 from __future__ import annotations
 
-from robust_filterpy.plotting.figures import LOOKS, plot_innovations, plot_states, plot_weights
+from robust_filterpy.plotting.figures import LOOKS, plot_innovations, plot_states
 from robust_filterpy.plotting.models import plot_bode, plot_poles
 
-__all__ = ["LOOKS", "plot_bode", "plot_innovations", "plot_poles", "plot_states", "plot_weights"]
+__all__ = ["LOOKS", "plot_bode", "plot_innovations", "plot_poles", "plot_states"]

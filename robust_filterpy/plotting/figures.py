@@ -1,4 +1,4 @@
-"""Pictures of what a filter did: states or parameters, innovations, weights; and what all pictures share.
+"""Pictures of what a filter did: states or parameters, and innovations; and what all pictures share.
 
 Each function draws into ``ax`` (a new figure's if None) and returns it. Lines differ by style and lightness, clipped
 samples by their marker, so that a print without color can be read. matplotlib is imported when something is drawn.
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 # From dark to light, so that they differ in gray as well.
 COLOURS = ("#08306b", "#a63603", "#2b8cbe", "#74a33e", "#fd8d3c", "#999999")
 STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)))
-MARKERS = ("o", "x", "^", "s", "+", "d")
 MARK = "#cb181d"
 
 
@@ -343,44 +342,6 @@ def plot_innovations(
     ax.plot(time[hit], y[hit, i], "x", color=MARK, markersize=5, label=label)
     ax.axhline(0.0, color="black", linewidth=0.6)
     return finish(ax, "innovation" if y.shape[1] == 1 else f"innovation {i}", unit, time_unit)
-
-
-def plot_weights(
-    source: Any, *, components: int | Sequence[int] | None = None, t: ArrayLike | None = None,
-    names: Sequence[str] | None = None, time_unit: str = "", ax: Axes | None = None,
-) -> Axes:  # fmt: skip
-    """Draw how much of each measurement was believed: psi(e)/e over time.
-
-    Parameters
-    ----------
-    source : array_like of shape (N,) or (N, m), Saver, or TrackingResult
-        Weights, NaN where a component was missing, or a run.
-    components : int or sequence of int, optional
-        Which sensors; all by default.
-    names : sequence of str, length m, optional
-        Names of all sensors.
-    t, time_unit, ax : optional
-        As in `plot_states`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Raises
-    ------
-    ValueError
-        If lengths do not fit.
-    """
-    weights = column(source, "weights", "weights")
-    time = times_of(t, len(weights), source)
-    names = all_names(names, weights.shape[1], "z")
-    which = chosen("components", components, weights.shape[1])
-    ax = one_axes(ax)
-    for place, i in enumerate(which):
-        marker, colour = MARKERS[place % 6], COLOURS[place % 6]
-        ax.plot(time, weights[:, i], marker, color=colour, markersize=3.5, fillstyle="none", label=names[i])
-    ax.set_ylim(-0.05, 1.05)
-    return finish(ax, "weight", "", time_unit)
 
 
 def _look_at_the_paths(ax: Any, half: Any) -> None:

@@ -94,16 +94,6 @@ def test_innovations_of_arrays_and_of_a_tracker_mark_what_was_weighed_down(ax, b
     assert len(ax.lines[1].get_ydata()) == np.sum(run[0].weights < 1) > 0
 
 
-@pytest.mark.parametrize("kind", ["saver", "array", "run"])
-def test_weights_lie_between_zero_and_one(ax, batch, run, kind):
-    saver = batch[2]
-    source = {"saver": saver, "array": np.array(saver.weights), "run": run[0]}[kind]
-    assert plotting.plot_weights(source, time_unit="s", ax=ax) is ax
-    drawn = ax.lines[0].get_ydata()
-    assert len(drawn) == N and np.nanmin(drawn) < 1.0 == np.nanmax(drawn)
-    assert ax.get_ylabel() == "weight" and ax.get_xlabel() == "time [s]"
-
-
 def test_parameters_have_paths_bands_and_their_truth_in_the_legend(ax, run):
     result, _ = run
     assert result.plot(truth=[-0.8, 1.0], names=["pole", "gain"], ax=ax) is ax
@@ -143,7 +133,7 @@ def test_what_does_not_fit_is_named_and_nothing_drawn(batch, call, match):
     assert plt.get_fignums() == before
 
 
-@pytest.mark.parametrize("plot", [plotting.plot_states, plotting.plot_innovations, plotting.plot_weights])
+@pytest.mark.parametrize("plot", [plotting.plot_states, plotting.plot_innovations])
 @pytest.mark.parametrize("source", [RobustKalmanFilter(2, 1), None])
 def test_a_filter_is_no_source(plot, source):
     before, got = plt.get_fignums(), type(source).__name__
@@ -263,7 +253,7 @@ def test_a_run_has_the_names_and_the_dates_of_its_recording(recording):
     ax = result.plot()
     assert labels(ax) == ["±2 sigma", "a1", "b1"]
     assert_array_equal(ax.lines[0].get_xdata(orig=True), recording.index.to_numpy())
-    assert plotting.plot_weights(result).get_xlabel() == "time"
+    assert plotting.plot_innovations(result).get_xlabel() == "time"
 
 
 @pytest.mark.parametrize(("index", "label"), [
@@ -274,7 +264,7 @@ def test_a_run_has_the_names_and_the_dates_of_its_recording(recording):
     (pd.RangeIndex(3), "sample"),
 ], ids=["hours of a place", "periods", "datetimes", "durations", "count"])  # fmt: skip
 def test_times_of_all_kinds_stand_on_the_axis(index, label):
-    ax = plotting.plot_weights(np.ones(3), t=index)
+    ax = plotting.plot_innovations(np.ones(3), t=index)
     assert ax.get_xlabel() == label
     if isinstance(index, pd.TimedeltaIndex):
         assert_array_equal(ax.lines[0].get_xdata(), [0.0, 0.5, 1.0])

@@ -60,6 +60,7 @@ class Following:
     _initial: dict[str, Array]
     #: What the kernel is to do of each, with who learns: the same array until that changes.
     _flags: np.ndarray
+    _learning: bytes = b""
     #: The last time that a recording had, and how many samples came after it.
     _time: tuple[Any, int] | None = None
 
@@ -121,6 +122,15 @@ class Following:
     def _named(self, which: list[int]) -> str:
         """Return some actuators as a message begins with them."""
         return ""
+
+    def _sample(self, rows: Array) -> Sample:
+        """Return what a sample gave, rows of prediction, residual, weight and guard."""
+        prediction, residual, weight, guard = rows.T
+        return Sample(prediction, residual, weight, guard.astype(np.int64))
+
+    def _place_alone(self, k: int, i: int) -> str:
+        """Return how an error names an actuator where there is one sample."""
+        return self._named([i])
 
     def _place(self, k: int, i: int) -> str:
         """Return how an error names a sample of an actuator."""
@@ -245,8 +255,9 @@ class Following:
 
     def _advanced(self, y: Array, u: Array, R: Array | None, place: Callable[[int, int], str]) -> tuple[State, Array]:
         """Return the state after checked samples (n, N), and a row for each; say what is to be said."""
-        if not np.array_equal(self._flags[:, 3], self._enabled):
-            self._flags = self._flags.copy()
+        learning = self._enabled.tobytes()
+        if learning != self._learning:
+            self._flags, self._learning = self._flags.copy(), learning
             self._flags[:, 3] = self._enabled
         now, out, news = track.advance(self.form, self._now, self._flags, place, (y, u, R))
         self._say(news)
@@ -278,10 +289,9 @@ class Following:
         """
         outputs, inputs = setup.outputs(y, self.n)[:, None], setup.inputs(self.structure, u, self.n)[:, None]
         variances = None if R is None else setup.variances(R, self.n)[:, None]
-        now, out = self._advanced(outputs, inputs, variances, lambda k, i: self._named([i]))
+        now, out = self._advanced(outputs, inputs, variances, self._place_alone)
         self._now, self._time = now, self._time and (self._time[0], self._time[1] + 1)
-        prediction, residual, weight, guard = out[:, 0, -4:].T
-        return Sample(*map(self._alone, (prediction, residual, weight, guard.astype(np.int64))))
+        return self._sample(out[:, 0, -4:])
 
     def _recorded(
         self, axis: TimeAxis, fills: Sequence[FillValues], u: Array, R: Any, progress: bool | None,

@@ -85,11 +85,11 @@ def advance(
                 out[i, part, -4:] = np.column_stack(
                     (level, y[i, part] - level, np.full(level.size, np.nan), 0.0 * level)
                 )
-        now = _through(form, now, flags, place, signals, out, part)
+        moved, kept = _through(form, now, flags, place, signals, out, part)
         # What views cost, of one sample is much.
         here = (y, u, out) if length == 1 else (y[:, part], u[:, part], out[:, part])
         samples = (*waiting.samples, here)
-        now = State(*now[:-1], Unjudged(samples, *waiting[1:]))
+        now = State(moved, now.record, now.settings, kept, *now[4:-1], Unjudged(samples, *waiting[1:]))
         # Of a sensor that is stuck the user hears at once.
         stuck = form.judges and now.part("readings")[:, -1].any()
         if not waits or len(samples) >= waiting.due or stuck:
@@ -320,17 +320,16 @@ def with_gain(form: Form, now: State, i: int, g: float, u: Array) -> State:
 def _through(
     form: Form, now: State, flags: np.ndarray, place: Callable[[int, int], str], signals: _Signals, out: Array,
     part: slice,
-) -> State:  # fmt: skip
-    """Return the state after samples of the actuators that have begun, of which the kernel may decline some."""
+) -> tuple[Array, tuple[dict[str, Array], ...]]:  # fmt: skip
+    """Return what moves and is kept after samples of the actuators that have begun; the kernel may decline some."""
     everyone = not now.starts or bool(now.begun.all())
     which: Any = slice(None) if everyone else np.flatnonzero(now.begun)
     moved = now.moved.copy() if everyone else now.moved[which]
-    kept, places = list(now.kept), np.arange(len(now.moved))[which]
-    done, length, by_kernel = [0] * len(moved), part.stop - part.start, goes_by_kernel(form)
+    kept, done, length, by_kernel = list(now.kept), [0] * len(moved), part.stop - part.start, goes_by_kernel(form)
     if by_kernel and done:
         done = _by_kernel(form, now, flags, moved, which, signals, out, part)
     for row in [row for row, count in enumerate(done) if count < length]:
-        i, one, k = int(places[row]), moved[row : row + 1], part.start + done[row]
+        i, one, k = int(np.arange(len(now.moved))[which][row]), moved[row : row + 1], part.start + done[row]
         while k < part.stop:
             until = k + 1 if by_kernel else part.stop
             parts, of = one.view(now.record)[0, 0], slice(k, until)
@@ -341,7 +340,7 @@ def _through(
     if not everyone:
         rest, moved = moved, now.moved.copy()
         moved[which] = rest
-    return now._replace(moved=moved, kept=tuple(kept))
+    return moved, tuple(kept)
 
 
 def _by_kernel(

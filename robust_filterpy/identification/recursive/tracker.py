@@ -19,7 +19,7 @@ from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import fit_percent
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout, Memory
 from robust_filterpy.identification.models.responses import PolynomialSystem
-from robust_filterpy.identification.models.results import TrackingResult, signals_of
+from robust_filterpy.identification.models.results import Sample, TrackingResult, signals_of
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import recursion, setup, track
 from robust_filterpy.identification.recursive.following import Following
@@ -213,6 +213,11 @@ class ParameterTracker(Following, PolynomialSystem):
     def _alone(self, values: Any) -> Any:
         """Return what its one actuator has."""
         return values.item() if values.ndim == 1 else values[0]
+
+    def _sample(self, rows: Array) -> Sample:
+        """Return what a sample gave."""
+        prediction, residual, weight, guard = rows[0].tolist()
+        return Sample(prediction, residual, weight, int(guard))
 
     @property
     def _axes(self) -> tuple[int, ...]:
