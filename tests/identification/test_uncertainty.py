@@ -278,9 +278,9 @@ def test_intervals_hold_where_three_samples_in_ten_are_outliers(outliers, draws)
         y = lfilter(B, A, u) + 0.3 * (lfilter([1.0], A, rng.normal(size=500)) + wild)
         with unheard(UserWarning):
             model = identify(y, u, ARX(2, 2), progress=False)
-        # In one recording of ten outliers of one size are taken for the noise, which is said.
         z += [] if model.findings else [(model.theta - THETA) / model.std]
-    assert len(z) > 0.8 * draws
+    # Where outliers are taken for the noise it is said.
+    assert len(z) > 0.95 * draws
     assert np.mean(np.square(z)) < (2.0 if draws < 20 else 1.3)
     assert (np.abs(np.mean(z, axis=0)) < 4.0 / np.sqrt(draws)).all()
 
