@@ -63,14 +63,14 @@ def ends(
     inner, part = _middle(model, missing)
     if inner is not None:
         # From every start in the middle of a long recording, and from what is found there in all of it.
-        inside = ends(inner, missing[part], influence, R, limits, least)
-        chosen = _apart([end for end, excess in inside if excess < _HOPELESS])
+        inside = [one for one in ends(inner, missing[part], influence, R, limits, least) if one.excess < _HOPELESS]
+        chosen = [end for end, _ in _apart(inside, _UNMOVED)]
         again = [end._replace(y=model.y, wrong=missing, residual=model.residuals(end.p)) for end in chosen]
         return _best_first(model, missing, [searched(model, end, missing, limits) for end in again], limits)
     starts = [begun(model, s.p, noise, missing, s.name) for s in _starts(model, missing)]
     if model.remembers:
-        learnt = _apart([one._replace(noise=replace(one.noise, influence=loss)) for one in starts])
-        followed = [searched(model, one, missing, limits, True) for one in learnt]
+        first = [Ranked(one._replace(noise=replace(one.noise, influence=loss)), 0.0) for one in starts]
+        followed = [searched(model, one, missing, limits, True) for one, _ in _apart(first, _UNMOVED)]
         return _best_first(model, missing, followed, limits, _UNMOVED)
     # All that is left to find is within the precision of the search.
     rough = [_minimised(model, one, missing, limits, _NEAR) for one in starts]
@@ -80,16 +80,16 @@ def ends(
     return _best_first(model, missing, [_minimised(model, end, missing, limits) for end in learnt], limits)
 
 
-def _apart(ends: list[End]) -> list[End]:
-    """Return ends of which none shows the same outliers as another."""
-    chosen: list[End] = []
-    for end in ends:
-        for i, other in enumerate(chosen):
-            if mad_scale(end.residual - other.residual) <= _UNMOVED * other.noise.R**0.5:
-                chosen[i] = other._replace(starts=(*other.starts, *end.starts))
+def _apart(ranked: list[Ranked], same: float) -> list[Ranked]:
+    """Return ends whose residuals differ by more than a share of their size, with the starts of those that do not."""
+    chosen: list[Ranked] = []
+    for end, excess in ranked:
+        for i, (other, least) in enumerate(chosen):
+            if mad_scale(end.residual - other.residual) <= same * other.noise.R**0.5:
+                chosen[i] = Ranked(other._replace(starts=(*other.starts, *end.starts)), least)
                 break
         else:
-            chosen.append(end)
+            chosen.append(Ranked(end, excess))
     return chosen
 
 
@@ -112,7 +112,7 @@ def searched(model: PolynomialModel, end: End, missing: Any, limits: Limits | No
     """Return where the search goes on to; afresh: from parameters that no outlier has been seen with."""
     if limits is not None:
         end = end._replace(p=limits.start(model, end.p))
-    if model.remembers and (missing.any() or end.noise.has_outliers):
+    if model.remembers and (missing.any() or end.noise.has_outliers) and np.isfinite(end.residual).all():
         further = drawn(model, end, missing, limits, FORGOTTEN, afresh)
         if further is not None and further.wrong.any():
             return further
@@ -160,15 +160,7 @@ def _best_first(
         information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
         price = 0.5 * THRESHOLD**2 * (end.wrong.sum() - missing.sum())
         losses.append(noise.cost(end.residual[end.rows]) + price + information)
-    ranked: list[Ranked] = []
-    for i in np.argsort(losses, kind="stable"):
-        for j, (end, excess) in enumerate(ranked):
-            if mad_scale(end.residual - ends[i].residual) < same * np.sqrt(noise.R):
-                ranked[j] = Ranked(end._replace(starts=(*end.starts, *ends[i].starts)), excess)
-                break
-        else:
-            ranked.append(Ranked(ends[i], float(losses[i] - min(losses))))
-    return ranked
+    return _apart([Ranked(ends[i], float(losses[i] - min(losses))) for i in np.argsort(losses, kind="stable")], same)
 
 
 def _starts(model: PolynomialModel, missing: Any) -> Iterator[Start]:
@@ -199,10 +191,23 @@ def _starts(model: PolynomialModel, missing: Any) -> Iterator[Start]:
         yield from starts
         return
     best = _best_of(simple, missing, starts)
-    p = model.from_output_error(simple.parts(best))
+    p, rows = model.from_output_error(simple.parts(best)), ~missing[model.first :]
     yield Start("output-error model", p)
     if model.nf + model.nd:
-        yield disturbance_start("output-error model and its disturbance", model, p, ~missing[model.first :])
+        yield disturbance_start("output-error model and its disturbance", model, p, rows)
+        p = model.from_output_error(simple.parts(_of_differences(simple, missing)))
+        yield disturbance_start("differences", model, p, rows)
+
+
+def _of_differences(model: PolynomialModel, missing: Any) -> Array:
+    """Return the free parameters of the best start for differences of the signals: a level that wanders is gone."""
+    gaps = missing[1:] | missing[:-1]
+    other = PolynomialModel(model.structure, np.diff(model.y), np.diff(model.u, axis=0), model.offset, model.moving)
+    p, n = _best_of(other, gaps, output_error_starts(other, ~gaps[other.first :])), model.structure.n_theta
+    p[n:] = 0.0
+    if model.offset:
+        p[n] = np.median(model.equation_error(p)[~missing[model.first :]])
+    return p
 
 
 def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:

@@ -4,7 +4,8 @@
   the singular values of its Hankel matrix (Kung 1978).
 * For models with the measured output in their regressor: plain regression; without input also the Yule-Walker
   equations with autocorrelations from robust scales (Ma and Genton 2000).
-* For Box and Jenkins' model: the same for the disturbance that an output-error model leaves.
+* For Box and Jenkins' model: the same for the disturbance that an output-error model leaves, of signals and of their
+  differences.
 * For several outputs: a long autoregression, of the outputs as they are and cleaned by the model that this leads to,
   which tells what inputs to come do to them: what is left is regressed on the past, and its principal directions are
   the state (SSARX: Jansson 2003). It serves slow plants, whose impulse responses are too long, and closed loops.
