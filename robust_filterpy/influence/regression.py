@@ -54,6 +54,13 @@ def resolution(signal: Array) -> float:
     return float(steps.min()) if steps.size else 0.0
 
 
+def in_directions(X: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the singular value decomposition of columns, each taken of unit size, and these sizes; 1 for 0."""
+    size = np.linalg.norm(X, axis=0)
+    size[size == 0.0] = 1.0
+    return *np.linalg.svd(X / size, full_matrices=False), size
+
+
 def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
     """Return the coefficients of a linear regression by Huber's weights, good enough to begin with."""
     weights, theta = np.ones(y.size), np.zeros(X.shape[1])

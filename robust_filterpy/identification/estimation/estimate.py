@@ -19,7 +19,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.outliers import End, drawn
 from robust_filterpy.identification.estimation.prediction_error import Limits, evidence, one_thread, sandwich
 from robust_filterpy.identification.estimation.search import Ranked, ends, searched
-from robust_filterpy.identification.estimation.starts import in_directions, require_informative
+from robust_filterpy.identification.estimation.starts import require_informative
 from robust_filterpy.identification.models.model import Ending, Model, filled_memory, resting_level
 from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel, spans_of
@@ -27,7 +27,7 @@ from robust_filterpy.identification.models.responses import principal_axes
 from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence.functions import Influence
-from robust_filterpy.influence.regression import size_of
+from robust_filterpy.influence.regression import in_directions, size_of
 
 # Two standard deviations away the loss has risen by 2, or is bent if it is off by more than this share of it.
 _FAR: Final = 2.0

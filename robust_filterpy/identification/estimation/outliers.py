@@ -35,11 +35,10 @@ from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import CONTAMINATIONS, START, START_SAMPLES, Contaminated
 from robust_filterpy.correction.spread import FAR, FEW
 from robust_filterpy.identification.estimation.prediction_error import Limits
-from robust_filterpy.identification.estimation.starts import in_directions
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
-from robust_filterpy.influence.regression import mad_scale
+from robust_filterpy.influence.regression import in_directions, mad_scale
 
 #: So many draws of everything count, after so many that forget where they began. Where three samples in ten are
 #: outliers, the mean of 200 is off by .3 standard deviations, that of 500 by .2; so many parts tell by how much.
@@ -385,9 +384,8 @@ def cleaned(model: Model, y: Any, u: Any) -> Cleaned | None:
     p, first = np.concatenate((model.theta, [model.offset])), prepared.first
     chain = Chain(prepared, begun(prepared, p, model.noise, ~measured, ""), ~measured, np.arange(0), None)
     output, residual = chain.settled(p, chain.draws(FORGOTTEN, True))
-    h = np.abs(response(prepared, p))
-    near = np.ones(np.flatnonzero(h > _LEAST_TOUCH)[-1] + 1)
-    clear = np.convolve(chain.wrong, near)[first : measured.size] < 0.5
+    reach = np.flatnonzero(np.abs(response(prepared, p)) > _LEAST_TOUCH)[-1] + 1
+    clear = np.convolve(chain.wrong, np.ones(reach))[first : measured.size] < 0.5
     clear = clear if (clear & measured[first:]).sum() >= _LEAST_CLEAR * measured.sum() else measured[first:]
     before = np.zeros(first)
     return Cleaned(

@@ -22,11 +22,11 @@ from scipy.signal import fftconvolve, lfilter
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.estimation.starts import in_directions
 from robust_filterpy.identification.models.noise import Noise, Noises
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.regressor import stabilised
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.influence.regression import in_directions
 
 # Denominators that are drawn where that of a start is not stable within the limits.
 _DRAWS: Final = 3000

@@ -25,7 +25,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.regressor import mirrored, stabilised
 from robust_filterpy.identification.models.state_space import Matrices, StateSpaceResiduals
-from robust_filterpy.influence.regression import mad_scale, robust_regression
+from robust_filterpy.influence.regression import in_directions, mad_scale, robust_regression
 
 # Singular values below this share of the largest are zero but for rounding.
 _RANK: Final = 1e-9
@@ -94,13 +94,6 @@ def _rank(model: PolynomialModel, delays: list[int]) -> int:
     if model.offset:
         columns.append(np.ones(columns[0].size))
     return rank_of(np.column_stack(columns))
-
-
-def in_directions(X: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the singular value decomposition of columns, each taken of unit size, and these sizes; 1 for 0."""
-    size = np.linalg.norm(X, axis=0)
-    size[size == 0.0] = 1.0
-    return *np.linalg.svd(X / size, full_matrices=False), size
 
 
 def rank_of(X: Array, nothing: float = _RANK) -> int:

@@ -22,6 +22,7 @@ from robust_filterpy.identification.models.noise import ROUNDING
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.results import Finding
 from robust_filterpy.identification.models.structures import Structure
+from robust_filterpy.influence.regression import in_directions
 
 # A residual follows u if that much of it does, and a model that is right shows as much in so few windows.
 SHARE: Final = 0.25
@@ -387,6 +388,5 @@ def _ordinary(residual: Array) -> Array:
 
 def basis_of(X: Array) -> Array:
     """Return an orthonormal basis of the columns, each taken of unit size."""
-    size = np.linalg.norm(X, axis=0)
-    left, values, _ = np.linalg.svd(X / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    left, values, _, _ = in_directions(X)
     return np.asarray(left[:, values > _NOTHING * values.max(initial=0.0)])
