@@ -386,9 +386,8 @@ class Fusion:
 
         Notes
         -----
-        The band of readings is that of the learned mixture, times the quantile of the scores of the readings that are
-        kept, about 400 stamps, each looked at from as long before. That of the signal, which nobody sees, is corrected
-        as far as its spread exceeds the noise.
+        The band of readings is that of the learned mixture, that of the signal is the state's. Where Q and R are given,
+        as with ``process="given"`` or ``influence=``, bands are as sure as these.
 
         Examples
         --------
@@ -406,7 +405,7 @@ class Fusion:
         moment, at, entries = self._until()
         if at is None or not entries:
             raise ValueError("forecast: expected a reading first, got none")
-        return forecast(self._timeline, self._clock, moment.state, at, times, level)
+        return forecast(self._setup, self._clock, moment.state, at, times, level)
 
     def run(
         self, table: Any, *, time: str = "time", sensor: str = "sensor", value: Any = "value",

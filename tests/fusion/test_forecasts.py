@@ -1,4 +1,4 @@
-"""Bands for what is to come hold as often as they say, whatever the model says."""
+"""Bands for what is to come hold as often as they say, where Q and R are wrong too."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def made(q=0.1, R=1.0, **options):
     return Fusion(constant_velocity(1, q), {"gps": Sensor([1.0, 0.0], R=R)}, 2.0, P0=100.0 * np.eye(2), **options)
 
 
-def test_bands_are_filterpys_until_scores_say_otherwise():
+def test_bands_are_filterpys():
     fusion = made(influence=Linear())
     for t, z in enumerate(path(0, 8)[1]):
         fusion.observe("gps", float(t), z)
