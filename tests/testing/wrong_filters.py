@@ -121,66 +121,7 @@ class TextbookRobust(Textbook):
         return size <= self.k
 
 
-# What is remembered
-
-
-@wrong("nothing_is_remembered_but_x_and_P")
-class StalePrior(Textbook):
-    """The P of the last prediction, whatever was set since."""
-
-    def predict(self, u=None):
-        super().predict(u)
-        self.prior = self.P.copy()
-
-    def gain(self, P, S):
-        P = getattr(self, "prior", P)
-        return super().gain(P, self.covariance(P))
-
-
-@wrong("nothing_is_remembered_but_x_and_P")
-class StartsAnewNowAndThen(Textbook):
-    """Every five hundredth correction begins with P of the start, against divergence."""
-
-    start = None
-
-    def update(self, z):
-        self.start = self.P if self.start is None else self.start
-        if self.corrections % 500 == 499:
-            self.P = self.start
-        super().update(z)
-
-
-@wrong("matrices_may_change_between_calls")
-class CachedById(Textbook):
-    """H is read again when another array is set, not when it is written into."""
-
-    def innovation(self, z):
-        if getattr(self, "known", None) is not self.H:
-            self.known, self.copy = self.H, self.H.copy()
-        return z - self.copy @ self.x
-
-
-@wrong("control_input_moves_the_prediction")
-class HoldsTheLastInput(Textbook):
-    """predict() without u takes the u of the call before."""
-
-    held = None
-
-    def predict(self, u=None):
-        self.held = self.held if u is None else u
-        super().predict(self.held)
-
-
 # Arrays, copies, input
-
-
-@wrong("estimates_handed_out_stay_as_they_were")
-class AliasedState(Textbook):
-    """x is corrected in place."""
-
-    def corrected(self, x, K, y):
-        x += K @ y
-        return x
 
 
 @wrong("arguments_are_not_written_to")
@@ -260,15 +201,6 @@ class RefusesTooLate(Textbook):
 # What is shown, extended, robust
 
 
-@wrong("innovation_and_its_covariance_are_shown")
-class ShownSWithoutR(Textbook):
-    """x is right, S is shown as H P H'."""
-
-    def update(self, z):
-        super().update(z)
-        self.S = self.S - self.noise() * (z is not None)
-
-
 @wrong("nonlinear_sensor_is_linearised_at_the_prediction")
 class JacobianOfTheStateBefore(ExtendedKalmanFilter):
     """The Jacobian is that of the corrected state of the step before, which is at hand."""
@@ -306,7 +238,32 @@ def before_and_now(self, z):
     return before
 
 
+def kept(self, **values):
+    """Keep values in a filter, and return it."""
+    self.__dict__.update(values)
+    return self
+
+
 # fmt: off
+fault("StalePrior", "The P of the last prediction, whatever was set since.", "nothing_is_remembered_but_x_and_P",
+      prior=property(lambda self: self.__dict__.get("before", self.P)),
+      predict=lambda self, u=None: (Textbook.predict(self, u), kept(self, before=self.P.copy())),
+      gain=lambda self, P, S: Textbook.gain(self, self.prior, self.covariance(self.prior)))
+fault("StartsAnewNowAndThen", "Every five hundredth correction begins with P of the start, against divergence.",
+      "nothing_is_remembered_but_x_and_P",
+      update=lambda self, z: Textbook.update(
+          kept(self, P=self.__dict__.setdefault("start", self.P)) if self.corrections % 500 == 499 else
+          kept(self, start=self.__dict__.get("start", self.P)), z))
+fault("CachedById", "H is read again when another array is set, not when it is written into.",
+      "matrices_may_change_between_calls",
+      innovation=lambda self, z: z - self.__dict__.setdefault(f"H at {id(self.H)}", self.H.copy()) @ self.x)
+fault("HoldsTheLastInput", "predict() without u takes the u of the call before.", "control_input_moves_the_prediction",
+      held=None,
+      predict=lambda self, u=None: Textbook.predict(kept(self, held=self.held if u is None else u), self.held))
+fault("AliasedState", "x is corrected in place.", "estimates_handed_out_stay_as_they_were",
+      corrected=lambda self, x, K, y: np.add(x, K @ y, out=x))
+fault("ShownSWithoutR", "x is right, S is shown as H P H'.", "innovation_and_its_covariance_are_shown",
+      update=lambda self, z: (Textbook.update(self, z), kept(self, S=self.S - self.noise() * (z is not None))))
 fault("ShownInnovationOfTheOtherSign", "x is right, y is shown as H x - z.", "innovation_and_its_covariance_are_shown",
       innovation=lambda self, z: self.H @ self.x - z, corrected=lambda self, x, K, y: x - K @ y)
 fault("Delay", "The measurement of the step before.", "measurement_counts_at_once",
