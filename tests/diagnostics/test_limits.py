@@ -88,10 +88,7 @@ def test_what_only_jumps_does_not_wrap(seed):
     rng = np.random.default_rng([seed, 6])
     step, there = np.arange(400), recording(400, seed)
     for z in (
-        180.0 + there + np.where(step > 200, 160.0, -160.0),
-        180.0 + there + 170.0 * np.sign(np.sin(step / 15.0)),
-        step % 97 + 0.1 * there,
-        rng.random(400) * 360.0,
-        np.where(rng.random(400) < 0.1, 359.0, 5.0 + there),
-    ):
+        180.0 + there + np.where(step > 200, 160.0, -160.0), 180.0 + there + 170.0 * np.sign(np.sin(step / 15.0)),
+        step % 97 + 0.1 * there, rng.random(400) * 360.0, np.where(rng.random(400) < 0.1, 359.0, 5.0 + there),
+    ):  # fmt: skip
         assert statistics.wraps(z) is None

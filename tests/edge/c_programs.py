@@ -125,18 +125,16 @@ def tracker_case(name, seed, steps=60, start=0):
     rng = np.random.default_rng(seed)
     model = ARX(2, 2) if start else structure(rng)
     n, inputs = model.n_theta, model.n_inputs
-    options = {
-        "guard": str(rng.choice(["halve", "reject", "none"])),
-        "gradient": str(rng.choice(["filtered", "pseudolinear"])),
-        "regressor": str(rng.choice(["cleaned", "measured"])),
-        "information": str(rng.choice(["realized", "expected", "weight"])),
-        "influence": INFLUENCES[int(rng.integers(len(INFLUENCES)))],
-        "scaling": str(rng.choice(["innovation", "bounded"])),
-        "Q": float(rng.choice([0.0, 1e-4])) * spd(rng, n),
-        "offset": bool(rng.integers(2)),
-        "start": start,
-        "R_memory": int(rng.choice([10, 150])),
-    }
+    drawn = {
+        "guard": ["halve", "reject", "none"], "gradient": ["filtered", "pseudolinear"],
+        "regressor": ["cleaned", "measured"], "information": ["realized", "expected", "weight"],
+        "scaling": ["innovation", "bounded"],
+    }  # fmt: skip
+    options = {name: str(rng.choice(values)) for name, values in drawn.items()}
+    options |= {
+        "influence": INFLUENCES[int(rng.integers(len(INFLUENCES)))], "Q": float(rng.choice([0.0, 1e-4])) * spd(rng, n),
+        "offset": bool(rng.integers(2)), "start": start, "R_memory": int(rng.choice([10, 150])),
+    }  # fmt: skip
     if rng.random() < 0.5:
         options["R"] = 0.04
     if rng.random() < 0.3:

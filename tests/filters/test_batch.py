@@ -32,13 +32,11 @@ def lists(case, problem, rng):
     """Matrices for each step, and inputs."""
     n, m, w = problem.dims
     each = {
-        "constant": {},
-        "F": {"Fs": [support.stable(rng, n) for _ in range(N)]},
-        "H": {"Hs": rng.normal(size=(N, m, n))},
+        "constant": {}, "F": {"Fs": [support.stable(rng, n) for _ in range(N)]},
+        "H": {"Hs": rng.normal(size=(N, m, n))}, "u": {"us": rng.normal(size=(N, w, 1))},
         "QR": {"Qs": [0.1] * N, "Rs": [support.spd(rng, m) for _ in range(N)]},
-        "u": {"us": rng.normal(size=(N, w, 1))},
         "Bu": {"us": [np.ones(w)] * N, "Bs": rng.normal(size=(N, n, w))},
-    }
+    }  # fmt: skip
     return each[case]
 
 

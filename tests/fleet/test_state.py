@@ -104,17 +104,14 @@ def tracker(structure, **options):
 
 
 TRACKERS = {
-    "ARX": tracker(ARX(2, 1), start=0),
-    "output error": tracker(OutputError(2, 1), start=0, R=0.04),
-    "ARMAX": tracker(ARMAX(2, 1, 1), start=0, forgetting=0.99),
-    "FIR": tracker(FIR(3), start=0, Q=1e-5),
-    "starting": tracker(ARX(2, 1), start=100),
-    "ARMA": tracker(ARMA(2, 1), start=0),
+    "ARX": tracker(ARX(2, 1), start=0), "output error": tracker(OutputError(2, 1), start=0, R=0.04),
+    "ARMAX": tracker(ARMAX(2, 1, 1), start=0, forgetting=0.99), "FIR": tracker(FIR(3), start=0, Q=1e-5),
+    "starting": tracker(ARX(2, 1), start=100), "ARMA": tracker(ARMA(2, 1), start=0),
     "Box and Jenkins": tracker(BoxJenkins(1, 1, 1, 1), start=0, R=0.04),
     "two-sided inside": lambda: ParameterTracker(ARX(2, 1), filter=two_sided(3, 1), start=0, Q=1e-6),
     "adaptive inside": tracker(ARX(2, 1), filter=AdaptiveKalmanFilter, start=0, Q=1e-6),
     "bank": lambda: TrackerBank(2, ARX(2, 1), start=0),
-}
+}  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
