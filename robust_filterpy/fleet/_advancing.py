@@ -250,7 +250,7 @@ def shapes_of_tracker(tracker: ParameterTracker) -> dict[str, _state.Shape]:
 def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
     """Take the samples of all keys."""
     done = np.zeros(len(work.bounds) - 1, dtype=bool)
-    for rows in _of_one_phase(work) if tracker.is_one_of_many else ():
+    for rows in _of_one_phase(work):
         try:
             _samples_together(tracker, work, rows)
             done[rows] = True

@@ -377,11 +377,6 @@ class ParameterTracker(Following, PolynomialSystem):
         self._now, out = self._advanced(y[None], u[None], None if R is None else R[None], self._place)
         return out[0]
 
-    @property
-    def is_one_of_many(self) -> bool:
-        """Whether the kernel takes its samples, with those of others."""
-        return track.goes_by_kernel(self.form)
-
     def together(self, states: Mapping[str, Any], y: Array, u: Array) -> tuple[Array, dict[str, np.ndarray]]:
         """Take the checked samples of several like this one, or raise; this one stays as it is.
 
