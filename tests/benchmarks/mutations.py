@@ -244,7 +244,7 @@ def main() -> None:
         for name in ("pyproject.toml", "setup.cfg", "setup.py", "README.md"):
             shutil.copy(ROOT / name, copy)
         for path, node, names in drawn(args.count, args.seed, args.room):
-            source = (ROOT / path).read_text()
+            source = (copy / path).read_text()
             tests, spoilt_source = chooser.ranked(path, names), changed(source, node)
 
             def spoilt_run(without: set[str], path=path, tests=tests, text=spoilt_source, source=source) -> str:
