@@ -276,13 +276,21 @@ def is_established(memory: Array) -> bool:
     return bool(memory[_COUNT] > _FIRST)
 
 
-def jump_chances(learnt: Array, y: Array, seen: Array, noise: Array, R: Array, scales: Sequence[float]) -> Array:
+def is_seasoned(memory: Array, noise: NoiseClasses) -> np.ndarray:
+    """Return which sensors have been read as often as r remembers, shape (g,)."""
+    return np.asarray(memory[:, _counts(len(noise.scales))].sum(axis=1) > spread.FEW + noise.r_memory)
+
+
+def jump_chances(learnt: Array, y: Array, seen: Array, ordinary: Array, R: Array, noise: NoiseClasses) -> Array:
     """Return how likely innovations begin a jump like their sensors' last one, rather than an outlier, shape (m,)."""
-    # seen, noise and R are the variances of predictions, of ordinary noise and what R says.
-    chances, sizes = np.zeros(len(y)), np.array(scales)
+    # seen, ordinary and R are the variances of predictions, of ordinary noise and what R says.
+    chances, sizes, seasoned = np.zeros(len(y)), np.array(noise.scales), is_seasoned(learnt, noise)
     for i, row in enumerate(learnt):
-        like = _like_before(row[_JUMPS], float(y[i]), float(seen[i] + noise[i]), float(R[i]))
-        outlier = float(predicted(row, len(sizes)) @ _normal(float(y[i]), seen[i] + sizes * noise[i]))
+        like = _like_before(row[_JUMPS], float(y[i]), float(seen[i] + ordinary[i]), float(R[i]))
+        variances = seen[i] + sizes * ordinary[i]
+        if seasoned[i]:
+            variances[-1] = sizes[-1] * (seen[i] + ordinary[i])
+        outlier = float(predicted(row, len(sizes)) @ _normal(float(y[i]), variances))
         chances[i] = like / (like + outlier) if like > 0.0 else 0.0
     return chances
 

@@ -182,7 +182,7 @@ def _corrected(
     chances = np.zeros(len(part))
     if alike:
         chances = learning.jump_chances(
-            memory[part], z - H @ at, ((H @ spread) * H).sum(axis=1), noisy, R.diagonal(), noise.scales
+            memory[part], z - H @ at, ((H @ spread) * H).sum(axis=1), noisy, R.diagonal(), noise
         )
         chances = np.maximum(chances, process.jump)
     models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
@@ -209,7 +209,8 @@ def _corrected(
         # What the last sample was only models know that were there then.
         before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
-        scores = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, joint, shared)
+        stretched = noise.learns & learning.is_seasoned(memory[own], noise)
+        scores = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, stretched, joint, shared)
         own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
         shares, log_total, logs[part[group]] = _weighed(
             now.probabilities[:, group[0]], scores.log_densities, len(process.scales), fresh, float(chances[group[0]]),
@@ -275,7 +276,8 @@ def _shared(y: Array, S: Array, N: Array, memory: Array, noise: NoiseClasses) ->
     """Return what an innovation says if all sensors are in the same class: y (m,), S and ordinary noise N (m, m)."""
     before = _chance(learning.predicted, memory, noise)[None]
     try:
-        scores = _scores(y[None], S[None], N, before, noise.scales)
+        stretched = learning.is_seasoned(memory, noise)
+        scores = _scores(y[None], S[None], N, before, noise.scales, stretched)
     except SingularInnovationError:
         # Where noise drowns in the uncertainty of the state, each sensor still tells of it, and all together nothing.
         return None
@@ -325,11 +327,18 @@ def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
 
 
 def _scores(
-    y: Array, S: Array, N: Array, before: Array, scales: Sequence[float], one_r: bool = False,
+    y: Array, S: Array, N: Array, before: Array, scales: Sequence[float], stretched: np.ndarray, one_r: bool = False,
     shared: _Shared | None = None,
 ) -> _Scores:  # fmt: skip
-    """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K)."""
-    inverses, log_dets = _inverted(S[:, None] + (np.array(scales) - 1.0)[:, None, None] * N)
+    """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K).
+
+    The widest class of sensors that are stretched, (g,) or (1,), is as wide over S as it else is over N.
+    """
+    beyond = np.tile((np.array(scales) - 1.0)[:, None, None] * N, (len(S), 1, 1, 1))
+    noisy = stretched & (N.diagonal() > 0.0)
+    root = np.sqrt(np.where(noisy, np.diagonal(S, axis1=1, axis2=2) / np.where(noisy, N.diagonal(), 1.0), 1.0))
+    beyond[:, -1] *= root[:, :, None] * root[:, None, :]
+    inverses, log_dets = _inverted(S[:, None] + beyond)
     y = np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:])
     # A sensor without noise is right however far off.
     y = _shortened(y, inverses) if N.any() else y

@@ -1,14 +1,16 @@
 """How large a sensor's innovations usually are, learned: the unit of its thresholds under scaling="learnt".
 
-Nothing is an outlier before there is a typical innovation. What a memory of 22 numbers a sensor does to a correction
+Nothing is an outlier before there is a typical innovation. What a memory of 23 numbers a sensor does to a correction
 does not depend on a common factor of P, Q and R, on units, on the order of the sensors or on psi. `prepared` comes
 before a correction and `after` behind it; B = H P H' as given, B+ what the last correction left of it::
 
     w_i   max(1, (1 + B/R) / (1 + e^g B+/R)), g the usual growth of log(B/R)  only the noise has outliers
           as far as such e_i have been, if they were many
-    s_i   the median of |e_i| / w_i over .6745, of new and not far readings   e_i = y_i / sqrt(S_ii), S as given
+    v_i   (1 + (2/1.345)^2 log(max(1, B/R)))^(1/2), B/R as is usual           clean readings are clipped the less,
+          the more a clipped one costs
+    s_i   the median of |e_i| over .6745, of new and not far readings         e_i = y_i / sqrt(S_ii), S as given
     p_i   the share of those beyond 3 s_i
-    width w_i s_i / (1 + 1.5 p_i) sqrt(S_ii)                                  the unit of psi's threshold
+    width v_i w_i s_i / (1 + 1.5 p_i) sqrt(S_ii)                              the unit of psi's threshold
 
 docs/equations.md has the whole rule, and what each number does.
 """
@@ -20,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Columns of a memory, shape (m, 22); those of a state that was stored before there were so many begin at 0.
+#: Columns of a memory, shape (m, 23); those of a state that was stored before there were so many begin at 0.
 WEIGHT, SPREAD, SHARE, OUTLIERS, RUN, REST, JUMP, LAST, REPEATS = range(9)
-STEP, LEFT, GROWTH, USED, HELD, FILLED, WIDE, WIDENED, LASTED, VAIN, ON, REACH, AGE = range(9, 22)
-NUMBERS = 22
+STEP, LEFT, GROWTH, USED, HELD, FILLED, WIDE, WIDENED, LASTED, VAIN, ON, REACH, AGE, OPEN = range(9, 23)
+NUMBERS = 23
 
 QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
@@ -48,7 +50,7 @@ WITNESS, APART = 0.47, 1.5  #: see `_added_noise`
 class Prepared(NamedTuple):
     """What a correction begins with under scaling "learnt"; C and S are as given unless P has grown."""
 
-    #: Memory after the innovation, shape (m, 22).
+    #: Memory after the innovation, shape (m, 23).
     memory: np.ndarray
     #: Unit of each sensor's threshold, in that of its measurement, shape (m,).
     width: np.ndarray
@@ -82,7 +84,7 @@ def prepared(
     ratio = _ratio(np.diag(S - R), R, S)
     coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / nominal
     excess = np.where(here, _excess(memory, ratio), 1.0)
-    wider = _wider(memory, excess, coarse)
+    wider, bend = _wider(memory, excess, coarse), BEND * _tolerance(memory, ratio)
     # Below a number whose square is a number.
     size[here] = np.minimum(np.abs(y[here]) / nominal[here], 1e100) / wider[here]
     held = np.array([bool(here[i]) and _holds(memory[i], z[i], size[i], coarse[i]) for i in range(len(y))], dtype=bool)
@@ -95,13 +97,13 @@ def prepared(
     new = (memory[:, STEP] == 0) | (z != memory[:, LAST])
     for i in np.flatnonzero(here & begins & new & (size > 0)):
         weight = math.sqrt(min(max(R[i, i] / S[i, i], 1e-9), 1.0))
-        _learn(memory[i], size[i], coarse[i], weight, FEW + (patience or 0))
+        _learn(memory[i], size[i] * wider[i], coarse[i], weight, FEW + (patience or 0))
     # Who has no typical innovation yet has shown zeros alone: any width will do.
     s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
     added = _added_noise(y, s, nominal, B, here) if here.sum() > 1 else np.zeros(len(y))
     narrowed = np.maximum(s / (1 + YIELD * memory[:, SHARE]), coarse)
-    unit, out, back = s * nominal * wider, here & (size > BEND * narrowed), np.zeros(len(y), dtype=bool)
+    unit, out, back = s * nominal * wider, here & (size > bend * narrowed), np.zeros(len(y), dtype=bool)
     # No chance is to end a longer run: the difference of two innovations has twice the variance of one.
     near = (AGREE if patience is None else math.sqrt(2.0) * FAR) * unit
     for i in np.flatnonzero(here):
@@ -109,7 +111,7 @@ def prepared(
         _note_reading(own, z[i], ordinary and own[RUN] == 0)
         _grow_old(own, unit[i], ordinary)
         if ordinary and own[RUN] == 0:
-            _learn_growth(own, ratio[i])
+            _learn_growth(own, ratio[i], excess[i])
         if ordinary or not _goes_on(own, y[i], near[i]):
             _end_run(own, unit[i])
         own[RUN] += out[i]
@@ -117,13 +119,13 @@ def prepared(
         landing = max(near[i], RETURN * abs(own[JUMP]))
         back[i] = out[i] and own[JUMP] != 0 and abs(y[i] + own[JUMP]) < landing
     # What others that see the same are not off by is a sensor's own noise, no jump.
-    growth, opened, width = np.ones(len(C)), np.zeros(len(y)), narrowed * nominal * wider
+    growth, opened, width = np.ones(len(C)), np.zeros(len(y)), bend / BEND * narrowed * nominal * wider
     for i in np.flatnonzero(out & (added == 0) & (np.diag(B) > 0)):
         # What its last reading says of the whole run, against no jump of a state that stands on R / H P H' readings.
         tells = memory[i, RUN] * size[i] ** 2 / 2 >= -math.log(RARE * ratio[i]) * s[i] ** 2
         if not _believed(memory[i], y[i], unit[i], back[i], tells, patience):
             continue
-        wanted = min((size[i] / (BEND * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
+        wanted = min((size[i] / (bend[i] * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
         # What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees.
         if size[i] < SUDDEN * narrowed[i]:
             growth = np.maximum(growth, np.sqrt(1 + wanted / B[i, i] * moved(C[:, i], np.diag(P))))
@@ -157,6 +159,12 @@ def _excess(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     return np.where(memory[:, USED] > 0, np.maximum((1 + ratio) / (1 + usual), 1.0), 1.0)
 
 
+def _tolerance(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+    """Return by what a threshold grows where a reading usually says more than the state before it (m,)."""
+    now = np.log(np.maximum(ratio, 1.0))
+    return np.sqrt(1 + (2 / BEND) ** 2 * np.where(memory[:, USED] > 0, np.minimum(now, memory[:, OPEN]), now))
+
+
 def _wider(memory: np.ndarray, excess: np.ndarray, coarse: np.ndarray) -> np.ndarray:
     """Return by what a width grows with S / R: no further than readings that were wider than usual have been (m,)."""
     usual = BEND * np.maximum(memory[:, SPREAD], coarse)
@@ -173,12 +181,16 @@ def _widen(own: np.ndarray, e: float, excess: float) -> None:
     own[WIDE] = _towards(own[WIDE], aim, pace, pace) if before > 0 else aim
 
 
-def _learn_growth(own: np.ndarray, ratio: float) -> None:
-    """Learn how the logarithm of H P H' / R grows from one ordinary reading to the next, a step at most e-fold."""
+def _learn_growth(own: np.ndarray, ratio: float, excess: float) -> None:
+    """Learn how log(H P H' / R) grows from one ordinary reading to the next, and what it usually is, 0 below 1."""
     if own[LEFT] > 0:
-        own[USED] += 1
         grown = math.log(max(ratio, FLOOR) / own[LEFT]) - own[GROWTH]
-        own[GROWTH] += min(grown, 1.0) * max(1 / own[USED], 1 / MEMORY)
+        # A step at most e-fold; one that would be more is not the mean yet.
+        own[USED] += own[USED] == 0 or grown < 1
+        pace = max(1 / own[USED], 1 / MEMORY)
+        own[GROWTH] += min(grown, 1.0) * pace
+        if not excess > 1 + WHOLE:
+            own[OPEN] += (math.log(max(ratio, 1.0)) - own[OPEN]) * pace
 
 
 def _towards(median: float, aim: float, up: float, down: float) -> float:

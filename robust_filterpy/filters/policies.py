@@ -16,7 +16,7 @@ import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, TypeAlias, TypedDict, TypeVar
 
 import numpy as np
@@ -248,7 +248,7 @@ class Mixture:
         ):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "rule", series.mixture_rule(self.classes, self.scales))
-        object.__setattr__(self, "record", partial(Mixed, together=self._named) if self._named else Mixed)
+        object.__setattr__(self, "record", (Mixed, self._named))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Mixture:
         """Return self: nothing in here changes."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from filterpy.kalman.CubatureKalmanFilter import ckf_transform, spherical_radial_sigmas
+from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
@@ -188,24 +188,28 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
             If P is not positive definite; nothing has changed then.
         """
         Q, before = process_noise(self.Q, None, self.dim_x), self._current()
-        self.compute_process_sigmas(self._dt if dt is None else dt, fx, **fx_args)
+        points = self.compute_process_sigmas(self._dt if dt is None else dt, fx, **fx_args)
         make = transformed if UT is None else UT
         x, P = make(self.sigmas_f, self.Wm, self.Wc, self.Q, self.x_mean, self.residual_x)
         require_finite(x=x, P=P)
         if before is None:
             self.x, self.P = x, P
         else:
+            if points is None:
+                points = drawn(self.points_fn, before.x, before.P)
             dx, moved = (
-                points - mean if self.residual_x is np.subtract else
-                np.array([self.residual_x(point, mean) for point in points])
-                for points, mean in ((drawn(self.points_fn, before.x, before.P), before.x), (self.sigmas_f, x))
+                where - mean if self.residual_x is np.subtract else
+                np.array([self.residual_x(point, mean) for point in where])
+                for where, mean in ((points, before.x), (self.sigmas_f, x))
             )
             self._move(before, dx, moved, self.Wc, x, P, Q)
         if REDRAWS:
             self.sigmas_f = drawn(self.points_fn, self.x, self.P)
         self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
 
-    def compute_process_sigmas(self, dt: float, fx: Callable[..., ArrayLike] | None = None, **fx_args: Any) -> None:
+    def compute_process_sigmas(
+        self, dt: float, fx: Callable[..., ArrayLike] | None = None, **fx_args: Any
+    ) -> Array | None:
         """Move the sigma points of the state; also before another `update` without a prediction, as with filterpy.
 
         Parameters
@@ -216,10 +220,17 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
             State transition for this call.
         **fx_args : dict
             Further arguments of fx.
+
+        Returns
+        -------
+        ndarray, shape (points, dim_x)
+            Where they were; a subclass may return None, as filterpy does.
         """
-        fx = self.fx if fx is None else fx
-        for i, s in enumerate(drawn(self.points_fn, self.x, self.P)):
+        fx, points = self.fx if fx is None else fx, drawn(self.points_fn, self.x, self.P)
+        # A user's function may write into what it gets.
+        for i, s in enumerate(points.copy()):
             self.sigmas_f[i] = fx(s, dt, **fx_args)
+        return points
 
     def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
         """Return the covariance of state and measurement, shape (dim_x, dim_z).
@@ -406,13 +417,18 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         """
         with unchanged_if_refused(self):
             Q, before = process_noise(self.Q, None, self.dim_x), self._current()
-            super().predict(dt, fx_args)
-            require_finite(x=self.x, P=self.P)
+            arguments = fx_args if isinstance(fx_args, tuple) else (fx_args,)
+            points = spherical_radial_sigmas(np.asarray(self.x), self.P)
+            # A user's function may write into what it gets.
+            for k, point in enumerate(points.copy()):
+                self.sigmas_f[k] = self.fx(point, self._dt if dt is None else dt, *arguments)
+            weights = np.full(len(points), 1.0 / len(points))
+            x, P = transformed(self.sigmas_f, weights, weights, self.Q)
+            require_finite(x=x, P=P)
+            self.x, self.P = x[:, None], P
             if before is not None:
-                dx = spherical_radial_sigmas(before.x, before.P) - before.x
-                moved = self.sigmas_f - np.ravel(self.x)
-                weights = np.full(len(dx), 1.0 / len(dx))
-                self._move(before, dx, moved, weights, self.x, self.P, Q)
+                self._move(before, points - before.x, self.sigmas_f - x, weights, self.x, P, Q)
+            self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
 
     def update(self, z: ArrayLike | None, R: Any = None, hx_args: Any = (), *, sensor: str | int | None = None) -> None:
         """Correct the state by a measurement whose influence is bounded.
@@ -446,9 +462,10 @@ class RobustCubatureKalmanFilter(_SigmaPoint, CubatureKalmanFilter):
         with unchanged_if_refused(self):
             sigmas_h = _rows("hx", [self.hx(s.copy(), *arguments) for s in self.sigmas_f])
             R = noise_covariance(self.R, R, sigmas_h.shape[1])
-            zp, S = ckf_transform(sigmas_h, R)
-            C = (self.sigmas_f - np.ravel(self.x)).T @ (sigmas_h - zp.ravel()) / len(sigmas_h)
-            self._correct(z, sigmas_h, zp, C, S, R, self.residual_z)
+            weights = np.full(len(sigmas_h), 1.0 / len(sigmas_h))
+            zp, S = transformed(sigmas_h, weights, weights, R)
+            C = covariance(self.sigmas_f - np.ravel(self.x), sigmas_h - zp, weights)
+            self._correct(z, sigmas_h, zp[:, None], C, S, R, self.residual_z)
 
     def batch_filter(self, zs: Any, Rs: Any = None, dts: Any = None, saver: Any = None) -> tuple[Array, Array]:
         """Filter a whole recording: predict and update for each measurement. filterpy has no such method.

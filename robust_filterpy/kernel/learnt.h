@@ -339,6 +339,13 @@ INLINE void learnt_typical(const int K, const learnt_memory *const memory, real 
     learnt_normalize(1, 0, K, p);
 }
 
+/* Whether a sensor has been read as often as r remembers. */
+INLINE int learnt_seasoned(const learnt_rule *const rule, const learnt_memory *const memory) {
+    real total = 0;
+    for (int k = 0; k < rule->K * rule->K; k++) total += memory->counts[k];
+    return total > SPREAD_FEW + rule->r_memory;
+}
+
 /* Learn from a sample: p the probabilities of its classes, before those that were predicted, energy E[v^2 | class 0]/R,
    part the share of its variance that is noise. */
 INLINE void learnt_learn(const learnt_rule *const rule, const real *RESTRICT p, const real *RESTRICT before,
@@ -421,14 +428,14 @@ typedef struct {
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
     real *before, *typical, *after, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
-    /* Of sensors that are taken at once: their places (m), under each model score and information (m), (m, m), energy
+    /* Of sensors that are taken at once: their places (m), whether their widest class is stretched, under each model score and information (m), (m, m), energy
        and noise's part of the variance (m); scratch. */
-    real *members, *scores, *informations, *energies, *noises, *scratch;
+    real *members, *stretched, *scores, *informations, *energies, *noises, *scratch;
 } learnt_work;
 
 #define learnt_parity_work(m) ((size_t)((m) * ((m) + 5)))
 #define learnt_weigh_work(n, m, models, K) \
-    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (9 + 2 * (n) + (K)) * (m) + \
+    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (10 + 2 * (n) + (K)) * (m) + \
               4 * (K) + (3 + (K)) * (m) * (m)) + \
      learnt_parity_work(m))
 
@@ -739,7 +746,10 @@ INLINE real learnt_new_chance(const int n, const int m, const learnt_rule *const
     if (!jumps) return 0;
     like = learnt_like_before(jumps, y, seen + noise, R);
     learnt_predicted(rule->K, &memory, w->before);
-    for (int k = 0; k < rule->K; k++) outlier += w->before[k] * learnt_normal(y, seen + rule->scales[k] * noise);
+    for (int k = 0; k < rule->K; k++) {
+        const int wide = k == rule->K - 1 && learnt_seasoned(rule, &memory);
+        outlier += w->before[k] * learnt_normal(y, (wide ? rule->scales[k] * seen : seen) + rule->scales[k] * noise);
+    }
     return real_max(like > 0 ? like / (like + outlier) : 0, rule->jump);
 }
 
@@ -817,13 +827,18 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
     return 1;
 }
 
+/* What the deviation of the widest class of member t grows by. */
+INLINE real learnt_stretch(const int g, const int t, const real *S, const real *N, const real *stretched) {
+    return stretched[t] > 0 && N[t * g + t] > 0 ? real_sqrt(S[t * g + t] / N[t * g + t]) : 1;
+}
+
 /* What the classes of noise make of an innovation y (g) of covariance S (g, g), of which N is ordinary noise: write
    their probabilities, which were `before`, the log density, and of each class the whitened innovation, u (K, g), and
-   the factor of its covariance, L (K, g, g), one over what it is on the diagonal; peaks (K) is scratch. Return whether
-   all is ordinary. */
+   the factor of its covariance, L (K, g, g), one over what it is on the diagonal; peaks (K) is scratch. The widest class
+   of sensors that are stretched (g) is as wide over S as it else is over N. Return whether all is ordinary. */
 SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real *RESTRICT y, const real *RESTRICT S,
-                          const real *RESTRICT N, const real *RESTRICT before, real *RESTRICT given,
-                          real *const log_density, real *RESTRICT u, real *RESTRICT L, real *RESTRICT peaks) {
+                          const real *RESTRICT N, const real *RESTRICT stretched, const real *RESTRICT before,
+                          real *RESTRICT given, real *const log_density, real *RESTRICT u, real *RESTRICT L, real *RESTRICT peaks) {
     const int K = rule->K;
     real shorter = 1, most = -REAL_MAX, total = 0, unit = 1, per_unit;
     int noisy = 0;
@@ -837,7 +852,8 @@ SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real 
         for (int t = 0; t < g; t++) {
             white[t] = y[t] * per_unit;
             for (int o = 0; o <= t; o++) {
-                const real whole = S[t * g + o] + (rule->scales[k] - 1) * N[t * g + o];
+                const real more = k < K - 1 ? 1 : learnt_stretch(g, t, S, N, stretched) * learnt_stretch(g, o, S, N, stretched);
+                const real whole = S[t * g + o] + (rule->scales[k] - 1) * more * N[t * g + o];
                 real cell = whole;
                 for (int j = 0; j < o; j++) cell -= root[t * g + j] * root[o * g + j];
                 if (o < t) {
@@ -878,11 +894,14 @@ SIZED void learnt_expected(const int m, const learnt_rule *const rule, const lea
         const learnt_memory memory = learnt_of(rule, w->s, (int)w->members[t]);
         learnt_predicted(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->before[k] += w->after[k] * each;
+        w->stretched[t] = rule->learns && learnt_seasoned(rule, &memory);
         learnt_typical(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->typical[k] += w->after[k] * each;
     }
-    for (int t = 0; t < g; t++)
+    for (int t = 0; t < g; t++) {
+        if (t >= rows) w->stretched[t] = w->stretched[0];
         for (int u = 0; u < g; u++) N[t * g + u] = w->N[(int)w->members[t] * m + (int)w->members[u]];
+    }
 }
 
 /* What the whole innovation says of the class that all sensors are in, if they are in the same: write probabilities of
@@ -916,7 +935,7 @@ CALLED int learnt_together(const int n, const int m, const learnt_rule *const ru
     }
     w->together = total / (real)g;
     learnt_expected(m, rule, w, g, N);
-    return learnt_classes(g, rule, y, S, N, w->before, w->shared, log_density, u, u + rule->K * m, w->after);
+    return learnt_classes(g, rule, y, S, N, w->stretched, w->before, w->shared, log_density, u, u + rule->K * m, w->after);
 }
 
 /* A sensor's innovation in standard deviations, over all models. */
@@ -969,7 +988,7 @@ SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const lea
             y[t] = w->y[c * m + i];
             for (int u = 0; u < g; u++) S[t * g + u] = w->S[(c * m + i) * m + (int)w->members[u]];
         }
-        if (!learnt_classes(g, rule, y, S, N, c < rule->q ? w->before : w->typical, given, w->logs + c, pulls, inverses,
+        if (!learnt_classes(g, rule, y, S, N, w->stretched, c < rule->q ? w->before : w->typical, given, w->logs + c, pulls, inverses,
                             w->after))
             return 0;
         for (int t = 0; t < g; t++) a[t] = 0;
@@ -1205,7 +1224,7 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         {&w->logs, models}, {&w->shares, models}, {&w->at, n}, {&w->spread, n * n}, {&w->direction, n}, {&w->left, m},
         {&w->r, m}, {&w->N, m * m}, {&w->start, m}, {&w->goes_on, m}, {&w->head, m}, {&w->fresh, m}, {&w->alike, m},
         {&w->before, K}, {&w->typical, K},
-        {&w->after, K}, {&w->shared, K}, {&w->members, m}, {&w->scores, models * m}, {&w->informations, models * m * m},
+        {&w->after, K}, {&w->shared, K}, {&w->members, m}, {&w->stretched, m}, {&w->scores, models * m}, {&w->informations, models * m * m},
         {&w->energies, models * m}, {&w->noises, models * m}, {&w->scratch, m * (1 + 2 * n + K) + m * m * (2 + K)}};
     work = real_lay_out((int)(sizeof parts / sizeof *parts), parts, work);
     learnt_slow(n, rule, w->s, w->at, w->spread, work);

@@ -16,7 +16,7 @@ typedef struct {
     int mixes;
     correction_rule bounded;
     learnt_rule mixture;
-    PyObject *make; /* under a mixture: what makes a record */
+    PyObject *make, *named; /* under a mixture: the class of a record, and the last entry of one */
 } judge;
 
 /* Sensors by their places in z, or, of an H that is passed, by its rows: robust_filterpy.filters.states in C. */
@@ -72,8 +72,12 @@ static int take_judge(held *h, PyObject *filter, judge *by) {
     rule = policy ? hold_attribute(h, policy, AT_rule) : NULL;
     if (!rule) return -1;
     by->mixes = !PyTuple_Check(rule);
-    if (by->mixes && !(by->make = hold_attribute(h, policy, AT_record))) return -1;
-    if (by->mixes) return take_rule(&by->mixture, rule);
+    if (by->mixes) {
+        PyObject *const record = hold_attribute(h, policy, AT_record);
+        if (!record || !take_objects(record, 2, of)) return record ? 0 : -1;
+        by->make = of[0], by->named = of[1];
+        return take_rule(&by->mixture, rule);
+    }
     if (!take_objects(rule, 2, of) || !rule_of(of[0], &by->bounded)) return 0;
     if (of[1] != Py_None) by->bounded.psi = (psi_function){PSI_CALLED, 0, 0, 0, call_choices, of[1]};
     return 1;

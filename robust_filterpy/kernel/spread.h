@@ -35,8 +35,9 @@ typedef struct {
     real on;      /* of which so many readings were not the first */
     real reach;   /* how far jumps have gone, geometric mean */
     real age;     /* readings since the run began that was believed last; 0: that has lasted, or was undone */
+    real open;    /* mean of log(H P H' / R) of ordinary readings, no wider than usual, 0 below 1 */
 } spread_memory;
-#define SPREAD_NUMBERS 22
+#define SPREAD_NUMBERS 23
 
 #define SPREAD_QUARTILE REAL(0.6744897501960817) /* median of |e| for a normal e of deviation 1 */
 #define SPREAD_BEND REAL(1.345)                  /* beyond so many spreads an innovation counts as clipped */
@@ -73,7 +74,7 @@ typedef struct {
     int grows;
 } spread_change;
 
-#define spread_work(n, m) ((size_t)((n) + 12 * (m)))
+#define spread_work(n, m) ((size_t)((n) + 13 * (m)))
 
 /* What one smallest step of a sensor whose readings repeat asks of its spread, in units of S; none: not above 0. */
 INLINE real spread_coarse(const spread_memory *const own, const real nominal) {
@@ -256,6 +257,12 @@ INLINE real spread_excess(const spread_memory *const own, const real ratio) {
     return real_max((1 + ratio) / (1 + own->left * real_exp(real_min(own->growth, SPREAD_STEEPEST))), 1);
 }
 
+/* By what a threshold grows where a reading usually says more than the state before it. */
+INLINE real spread_tolerance(const spread_memory *const own, const real ratio) {
+    const real now = real_log(real_max(ratio, 1));
+    return real_sqrt(1 + 4 / (SPREAD_BEND * SPREAD_BEND) * (own->used > 0 ? real_min(now, own->open) : now));
+}
+
 /* By what a width grows with it: no further than readings that were wider than usual have been, if they were many. */
 INLINE real spread_wider(const spread_memory *const own, const real excess, const real coarse) {
     const real usual = SPREAD_BEND * real_max(own->spread, coarse);
@@ -275,12 +282,15 @@ INLINE void spread_widen(spread_memory *const own, const real e, const real exce
     }
 }
 
-/* Learn how H P H' / R grows from one ordinary reading to the next, a step at most e-fold. */
-INLINE void spread_grown(spread_memory *const own, const real ratio) {
-    const real grown = own->left > 0 ? real_log(real_max(ratio, SPREAD_FLOOR) / own->left) : 0;
+/* Learn how log(H P H' / R) grows from one ordinary reading to the next, and what it usually is, 0 below 1. */
+INLINE void spread_grown(spread_memory *const own, const real ratio, const real excess) {
     if (!(own->left > 0)) return;
-    own->used += 1;
-    own->growth += real_min(grown - own->growth, 1) * real_max(1 / own->used, SPREAD_FADING);
+    const real grown = real_log(real_max(ratio, SPREAD_FLOOR) / own->left) - own->growth;
+    /* A step at most e-fold; one that would be more is not the mean yet. */
+    own->used += own->used == 0 || grown < 1 ? 1 : 0;
+    const real pace = real_max(1 / own->used, SPREAD_FADING);
+    own->growth += real_min(grown, 1) * pace;
+    if (!(excess > 1 + SPREAD_WHOLE)) own->open += (real_log(real_max(ratio, 1)) - own->open) * pace;
 }
 
 /* H P H' / R of a sensor, R at least what is not rounding of S. */
@@ -292,14 +302,14 @@ INLINE real spread_ratio(const real known, const real R, const real variance) {
    say nothing new are then left out of c, and have no width. */
 CALLED void spread_before(const int n, const int m, const int patience, const real *z, const real *P, const real *R,
                           correction *const c, spread_memory *const memory, spread_change *const change, real *work) {
-    real *s, *nominal, *units, *size, *out, *ratio, *excess, *seen, coarse, e;
+    real *s, *nominal, *units, *size, *out, *ratio, *excess, *bend, *seen, coarse, e;
     change->growth = work;
     change->width = work + n;
     change->added = work + n + m;
     change->opened = work + n + 2 * m;
     change->nominal = nominal = work + n + 3 * m;
     units = nominal + m, s = units + m, size = s + m, out = size + m, ratio = out + m, excess = ratio + m;
-    seen = excess + m; /* and m more */
+    bend = excess + m, seen = bend + m; /* and m more */
     change->grows = 0;
     for (int k = 0; k < n; k++) change->growth[k] = 1;
     for (int i = 0; i < m; i++) {
@@ -310,6 +320,7 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
         ratio[i] = spread_ratio(variance - R[i * m + i], R[i * m + i], variance);
         coarse = spread_coarse(own, nominal[i]);
         excess[i] = spread_excess(own, ratio[i]);
+        bend[i] = spread_tolerance(own, ratio[i]);
         out[i] = spread_wider(own, excess[i], coarse); /* until it is known who is clipped */
         /* Below a number whose square is a number. */
         e = real_min(real_abs(c->y[i]) / nominal[i], REAL_PRODUCT);
@@ -325,7 +336,7 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
            reading before tells nothing of the noise. */
         if (c->left[i] != 0 && size[i] > 0 && (own->step == 0 || z[i] != own->last) &&
             (own->weight > 0 || real_abs(c->y[i]) > SPREAD_ROUNDED * (real_abs(z[i]) + nominal[i])))
-            spread_learn(own, size[i], coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)),
+            spread_learn(own, e, coarse, real_sqrt(real_min(real_max(R[i * m + i] / variance, REAL(1e-9)), 1)),
                          SPREAD_FEW + (real)patience);
         /* Who has no typical innovation yet has shown zeros alone: any width will do. */
         s[i] = own->weight > 0 ? real_max(own->spread, coarse) : 1;
@@ -342,12 +353,12 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
         s[i] = real_max(s[i] / (1 + SPREAD_YIELD * own->share), spread_coarse(own, nominal[i]));
         out[i] = 0;
         if (c->left[i] == 0) continue;
-        change->width[i] = s[i] * wider;
-        out[i] = size[i] > SPREAD_BEND * s[i];
+        change->width[i] = bend[i] * s[i] * wider;
+        out[i] = size[i] > SPREAD_BEND * bend[i] * s[i];
         spread_repeat(own, z[i], out[i] == 0 && own->run == 0);
         spread_grow_old(own, unit, out[i] == 0);
         if (out[i] == 0) {
-            if (own->run == 0) spread_grown(own, ratio[i]);
+            if (own->run == 0) spread_grown(own, ratio[i], excess[i]);
             spread_end(own, unit);
             continue;
         }
@@ -370,7 +381,7 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
         tells = own->run * e * e / 2 >= -real_log(SPREAD_RARE * ratio[i]);
         if (!spread_believed(own, c->y[i], units[i], out[i] == 2, tells, patience)) continue;
         if (change->added[i] > 0 || !(b > 0)) continue;
-        bent = size[i] / (SPREAD_BEND * s[i]);
+        bent = size[i] / (SPREAD_BEND * bend[i] * s[i]);
         wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance;
         /* What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees. */
         if (size[i] < SPREAD_SUDDEN * s[i])

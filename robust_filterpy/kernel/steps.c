@@ -48,11 +48,19 @@ static int merge(const int n, models *f, PyObject *x, PyObject *P, double *work)
     return 1;
 }
 
+/* A named tuple of a class, its entries the one argument given, which is let go: its own constructor is Python's code. */
+static PyObject *tuple_of(PyObject *kind, PyObject *entries) {
+    const newfunc make = (newfunc)PyType_GetSlot(&PyTuple_Type, Py_tp_new);
+    PyObject *const made = entries ? make((PyTypeObject *)kind, entries, NULL) : NULL;
+    Py_XDECREF(entries);
+    return made;
+}
+
 /* What the filter is to keep after the step: a tuple of the same kind, or None. */
 static PyObject *kept_of(held *h, const models *f) {
     PyObject *const *const of = f->after;
     if (f->kept == Py_None) return Py_None;
-    return hold(h, PyObject_CallFunction((PyObject *)Py_TYPE(f->kept), "OOOOO", of[0], of[1], of[2], of[3], of[4]));
+    return hold(h, tuple_of((PyObject *)Py_TYPE(f->kept), Py_BuildValue("((OOOOO))", of[0], of[1], of[2], of[3], of[4])));
 }
 
 #define NO_PART 1e-12 /* correlation that is rounding */
@@ -297,10 +305,10 @@ static int set_mixed(held *h, PyObject *filter, const judge *by, int n, int m, c
         const double variance = noise + real_square(n, H + i * n, numbers_of(made->prior_P));
         numbers_of(lags)[i] = fabs(y) < NO_LAG * sqrt(variance) ? 0 : y;
     }
-    record = lags ? hold(h, PyObject_CallFunction(by->make, "OOOdOOOOOOOOOOO", made->x, made->P, made->memory,
-                                                  made->log_density, made->weights, made->outlying, made->prior_x,
-                                                  made->prior_P, made->H, made->R, made->M, made->z, made->before, lags,
-                                                  made->curvature))
+    record = lags ? hold(h, tuple_of(by->make, Py_BuildValue("((OOOdOOOOOOOOOOOO))", made->x, made->P, made->memory,
+                                                             made->log_density, made->weights, made->outlying,
+                                                             made->prior_x, made->prior_P, made->H, made->R, made->M,
+                                                             made->z, made->before, lags, made->curvature, by->named)))
                   : NULL;
     if (!record || !set_state(h, filter, made->x_set, made->P_set, AT_x_post, AT_P_post)) return -1;
     if (kept && set_attribute(filter, AT__kept, kept) < 0) return -1;

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-import datetime
 import json
 import os
 import shutil
@@ -32,14 +31,14 @@ import default_study
 import drop_in_study
 import numpy as np
 from adaptive_problems import Case
-from adaptive_traps import PAGE, Trap
+from adaptive_traps import Trap
 from filterpy.kalman import KalmanFilter
 from kernel_mutations import HEADERS, ROOT, build
+from measuring import on_page
 
 from robust_filterpy import kernel
 from robust_filterpy.filters.conversion import AdaptiveKalmanFilter
 
-BEGIN, END = "% ablation: made by tests/benchmarks/adaptive_ablation.py", "% ablation: end"
 #: What counts as a difference: of the log of an error, of a share of states, in steps; and in standard errors.
 LEAST, LEAST_COVERED, LEAST_STEPS, SURE = 0.02, 0.03, 1.0, 3.0
 #: How many rows are shown of those that are worse without a rule, and of those that are better.
@@ -297,13 +296,7 @@ def main(argv: list[str] | None = None) -> None:
     made = table(measured(seeds))
     print(made)
     if args.write_page:
-        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-        after = rest.split(END)[1]
-        note = (
-            f"`python tests/benchmarks/adaptive_ablation.py --runs {args.runs} --seed {args.seed} --write-page`, "
-            f"{datetime.date.today()}:"
-        )
-        PAGE.write_text(f"{before}{BEGIN}\n\n{note}\n\n{made}\n\n{END}{after}", encoding="utf-8")
+        on_page("learnt_noise.md", "ablation", made)
 
 
 if __name__ == "__main__":

@@ -10,14 +10,13 @@ estimate is back; with each the adaptive filter's NEES over n and coverage. --ro
 from __future__ import annotations
 
 import argparse
-import datetime
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from measuring import on_page
 from scipy.stats import chi2
 from statsmodels.robust.norms import TrimmedMean
 
@@ -25,8 +24,6 @@ from robust_filterpy import RobustKalmanFilter
 from robust_filterpy.correction import Scales
 from robust_filterpy.filters.conversion import AdaptiveKalmanFilter
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "learnt_noise.md"
-BEGIN, END = "% traps: made by tests/benchmarks/adaptive_traps.py", "% traps: end"
 STEPS, FROM = 600, 100
 
 
@@ -386,13 +383,7 @@ def main(argv: list[str] | None = None) -> None:
         parser.error("--write-page: expected all rows, got --rows; leave one of them out")
     made = table(range(args.seed, args.seed + args.runs), slice(*args.rows) if args.rows else slice(None))
     if args.write_page:
-        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-        after = rest.split(END)[1]
-        note = (
-            f"`python tests/benchmarks/adaptive_traps.py --runs {args.runs} --seed {args.seed} --write-page`, "
-            f"{datetime.date.today()}:"
-        )
-        PAGE.write_text(f"{before}{BEGIN}\n\n{note}\n\n{made}\n\n{END}{after}", encoding="utf-8")
+        on_page("learnt_noise.md", "traps", made)
 
 
 if __name__ == "__main__":

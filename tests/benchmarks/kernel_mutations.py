@@ -22,7 +22,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from mutations import is_between, seen, seen_by_what_passes
+from mutations import seen, seen_by_what_passes
 
 ROOT = Path(__file__).parents[2]
 HEADERS = ROOT / "robust_filterpy" / "kernel"
@@ -41,10 +41,6 @@ SWAPPED = {
     "+": "-", "-": "+", "*": "/", "/": "*", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==",
     "&&": "||", "||": "&&", "+=": "-=", "-=": "+=", "*=": "/=",
 }  # fmt: skip
-# The other side of a bound that is no whole number, with which there is no tie.
-NEGATED = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
-DEFINED = re.compile(r"#define (\w+) (?:REAL\()?([\d.]+(?:e[+-]?\d+)?)\)?$", re.M)
-BOUNDS = {name: float(value) for path in HEADERS.glob("*.h") for name, value in DEFINED.findall(path.read_text())}
 OPERATOR = re.compile(r" ([+*/<>-]|<=|>=|==|!=|&&|\|\||[+*-]=) ")
 NUMBER = re.compile(r"REAL\([\d.e+-]+\)|(?<![\w.])\d+(?![\w.(])")
 
@@ -82,12 +78,7 @@ def spans(line: str) -> Iterator[tuple[int, int, bool]]:
 
 def wrong(text: str, rng: random.Random) -> str | None:
     """Return text with an operator or a number changed, None if there is none."""
-    found = []
-    for m in OPERATOR.finditer(text):
-        bound = re.match(r" (?:REAL\(([\d.e+-]+)\)|(\w+))", text[m.end(1) :])
-        between = bound and is_between(float(bound[1]) if bound[1] else BOUNDS.get(bound[2]))
-        other = SWAPPED | (NEGATED if between else {})
-        found.append((m.start(1), m.end(1), other[m.group(1)]))
+    found = [(m.start(1), m.end(1), SWAPPED[m.group(1)]) for m in OPERATOR.finditer(text)]
     for m in NUMBER.finditer(text):
         found.append((m.start(), m.end(), f"({m.group()} + 1)"))
     if not found:

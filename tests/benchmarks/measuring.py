@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import datetime
+import shlex
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,3 +39,13 @@ def target(what: str, value: float, limit: float, least: bool = False) -> None:
     """Print one line: a measured value against its target, which is the least or the most that it may be."""
     met = value >= limit if least else value <= limit
     print(f"  {'met    ' if met else 'NOT MET'}  {value:.4g} {'>=' if least else '<='} {limit}  {what}", flush=True)
+
+
+def on_page(page: str, name: str, made: str) -> None:
+    """Put what this program has made between the marks of that name on a page, with the command and the date."""
+    path, program = Path(__file__).parents[2] / "docs" / page, f"tests/benchmarks/{Path(sys.argv[0]).name}"
+    begin, end = f"% {name}: made by {program}", f"% {name}: end"
+    before, rest = path.read_text(encoding="utf-8").split(begin)
+    command = shlex.join(["python", program, *sys.argv[1:]])
+    note = f"`{command}`, {datetime.date.today()}:"
+    path.write_text(f"{before}{begin}\n\n{note}\n\n{made}\n\n{end}{rest.split(end)[1]}", encoding="utf-8")

@@ -11,17 +11,16 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.common import Q_discrete_white_noise
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from joblib import Parallel, delayed
+from measuring import on_page
 
 from robust_filterpy import RobustExtendedKalmanFilter, RobustUnscentedKalmanFilter
 
-PAGE = Path(__file__).parents[2] / "docs" / "learnt_noise.md"
 ADAPTIVE = {"noise": "learnt"}
 WAYS: dict[str, dict[str, Any]] = {
     "default": {}, '`process="given"`': {**ADAPTIVE, "process": "given"}, '`noise="learnt"`': ADAPTIVE,
@@ -281,10 +280,7 @@ def main() -> None:
     lines.append("| geometric mean | | " + " | ".join(f"{mean:.2f}" for mean in means) + " |")
     print(lines[-1])
     if args.write_page:
-        mark = "% nonlinear: made by tests/benchmarks/nonlinear_study.py\n"
-        before, _, rest = PAGE.read_text().partition(mark)
-        behind = rest[rest.index("\n## ") :]
-        PAGE.write_text(before + mark + "\n" + "\n".join(lines) + "\n" + behind)
+        on_page("learnt_noise.md", "nonlinear", "\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -169,8 +169,8 @@ def test_where_the_noise_is_learned_the_process_is_doubted_unless_it_is_given():
 @pytest.mark.filterwarnings("ignore:overflow")
 @pytest.mark.parametrize("grouping", ["joint", "component"])
 def test_what_was_learnt_can_be_handed_on(grouping):
-    problem = with_(random_problem(10, 4, 2), R=np.diag([4.0, 50.0]))
-    zs = simulate(problem, 400, 10, contamination=0.1)[0]
+    problem = with_(random_problem(13, 4, 2), R=np.diag([4.0, 50.0]))
+    zs = simulate(problem, 400, 13, contamination=0.1)[0]
     old, new, blank = (
         make(AdaptiveKalmanFilter, with_(problem, R=0.01 * problem.R), 1, grouping=grouping) for _ in "abc"
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose
-from support import mover, predict_and_update, through, white
+from support import mover, of_matrices, predict_and_update, through, white
 
 from robust_filterpy import AdaptiveKalmanFilter, RobustKalmanFilter
 from robust_filterpy.filters import StuckSensorWarning
@@ -58,7 +58,7 @@ def surer(kf, size):
 def test_as_the_state_becomes_less_certain_x_tends_to_the_kalman_filters(event, R):
     """An innovation of three of the Kalman filter's standard deviations: only the noise has outliers."""
     missed = []
-    for size in (1, 1000):
+    for size in (0.5, 1000):
         ours, theirs = settled(R)
         for kf in (ours, theirs):
             event(kf, size)
@@ -120,6 +120,26 @@ def test_what_a_jump_opens_does_not_depend_on_the_order_of_the_sensors():
                 assert kf.S[0, 0] > 1e3
     assert_allclose(pair[0].x, pair[1].x, rtol=1e-9)
     assert_allclose(pair[0].P, pair[1].P, rtol=1e-9)
+
+
+@BOTH
+@pytest.mark.parametrize("q", [1.0, 10.0, 100.0, 1e4])
+@pytest.mark.parametrize("wild", [0.0, 30.0])
+def test_readings_that_say_more_than_the_state_are_followed_and_their_outliers_are_not(kind, q, wild):
+    """A sensor that is exact for how the point moves: H P H' is 3 to 3,000 times R, all of it as it is given."""
+    ratios = []
+    for seed in range(4):
+        rng, root = np.random.default_rng(seed), np.sqrt(q) * np.array([0.5, 1.0])
+        F, w, wrong = np.array([[1.0, 1.0], [0.0, 1.0]]), rng.normal(size=300), rng.random(300) < 0.05
+        speed = np.cumsum(root[1] * w)
+        truth = np.cumsum(speed - 0.5 * root[1] * w)
+        zs = truth + rng.normal(size=300) + wrong * wild * max(root[1], 1.0) * rng.normal(size=300)
+        errors = []
+        for cls in (kind, KalmanFilter):
+            kf = of_matrices(cls, F, np.array([[1.0, 0.0]]), np.outer(root, root), 1.0, 10.0, np.zeros(2))
+            errors.append(np.sqrt(((through(kf, zs)[:, 0] - truth)[50:] ** 2).mean()))
+        ratios.append(errors[0] / errors[1])
+    assert np.exp(np.mean(np.log(ratios))) < (0.3 if wild else 1.06)
 
 
 def test_a_long_step_among_the_first_is_not_what_is_usual():

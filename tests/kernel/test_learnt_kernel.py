@@ -100,8 +100,8 @@ def test_a_wrong_factor_is_learned_by_both(c, seed, dims, M):
     wrong = with_(problem, P=c * problem.P, Q=c * problem.Q, R=c * problem.R)
     M = None if M is None else c * M * np.random.default_rng(7).normal(size=dims)
     states = []
-    # One bit in z moves the definition's models by up to 1e-6 where c is small.
-    compare(wrong, zs, NoiseClasses(), Scales(), M=M, states=states, rounding=1e-6 if c < 1.0 else 5e-8)
+    # One bit in z moves the definition's models by up to 2e-5 where c is small.
+    compare(wrong, zs, NoiseClasses(), Scales(), M=M, states=states, rounding=2e-5 if c < 1.0 else 5e-8)
     assert c > 1.0 or (states[-1].factor > 1e6).all()
 
 
