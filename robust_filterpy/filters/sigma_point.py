@@ -207,7 +207,7 @@ class RobustUnscentedKalmanFilter(_SigmaPoint, UnscentedKalmanFilter):
             self.sigmas_f = drawn(self.points_fn, self.x, self.P)
         self.x_prior, self.P_prior = np.copy(self.x), np.copy(self.P)
 
-    def compute_process_sigmas(
+    def compute_process_sigmas(  # type: ignore[override]
         self, dt: float, fx: Callable[..., ArrayLike] | None = None, **fx_args: Any
     ) -> Array | None:
         """Move the sigma points of the state; also before another `update` without a prediction, as with filterpy.
