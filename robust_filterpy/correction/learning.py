@@ -281,16 +281,17 @@ def is_seasoned(memory: Array, noise: NoiseClasses) -> np.ndarray:
     return np.asarray(memory[:, _counts(len(noise.scales))].sum(axis=1) > spread.FEW + noise.r_memory)
 
 
-def jump_chances(learnt: Array, y: Array, seen: Array, ordinary: Array, R: Array, noise: NoiseClasses) -> Array:
+def jump_chances(
+    learnt: Array, y: Array, seen: Array, ordinary: Array, R: Array, scales: Sequence[float], wide: Array
+) -> Array:
     """Return how likely innovations begin a jump like their sensors' last one, rather than an outlier, shape (m,)."""
     # seen, ordinary and R are the variances of predictions, of ordinary noise and what R says.
-    chances, sizes, seasoned = np.zeros(len(y)), np.array(noise.scales), is_seasoned(learnt, noise)
+    chances = np.zeros(len(y))
     for i, row in enumerate(learnt):
         like = _like_before(row[_JUMPS], float(y[i]), float(seen[i] + ordinary[i]), float(R[i]))
-        variances = seen[i] + sizes * ordinary[i]
-        if seasoned[i]:
-            variances[-1] = sizes[-1] * (seen[i] + ordinary[i])
-        outlier = float(predicted(row, len(sizes)) @ _normal(float(y[i]), variances))
+        beyond = np.array(scales) - 1.0
+        beyond[-1] *= wide[i] ** 2
+        outlier = float(predicted(row, len(scales)) @ _normal(float(y[i]), seen[i] + (1.0 + beyond) * ordinary[i]))
         chances[i] = like / (like + outlier) if like > 0.0 else 0.0
     return chances
 

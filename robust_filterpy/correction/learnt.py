@@ -172,18 +172,19 @@ def _corrected(
     r = memory[rows, learning.R_FACTOR]
     groups = _groups(part, noise.grouping)
     models = side_by_side.coupled(models, _links(H, R, M, groups), process)
+    at, spread = _slow(models, process)
     if follows:
-        at, spread = _slow(models, process)
         goes_on = learning.goes_on(memory[part], z - H @ at, R, len(noise.scales))
         r, memory[part] = learning.ordinary_size(
             memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.memory
         )
     seen, noisy = np.argmax(H != 0.0, axis=1), r * R.diagonal()
-    chances = np.zeros(len(part))
+    # An outlier is far from what is expected of a reading, by all models together.
+    chances, variances, wide = np.zeros(len(part)), ((H @ spread) * H).sum(axis=1), np.ones(len(part))
+    grown = noise.learns & learning.is_seasoned(memory[rows], noise) & (noisy > 0.0)
+    wide[grown] = np.sqrt(np.maximum(variances[grown] / noisy[grown], 1.0))
     if alike:
-        chances = learning.jump_chances(
-            memory[part], z - H @ at, ((H @ spread) * H).sum(axis=1), noisy, R.diagonal(), noise
-        )
+        chances = learning.jump_chances(memory[part], z - H @ at, variances, noisy, R.diagonal(), noise.scales, wide)
         chances = np.maximum(chances, process.jump)
     models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
     if alike:
@@ -199,7 +200,7 @@ def _corrected(
         # Between models that far innovations all but equal there would be rounding.
         reach = _TOGETHER * np.sqrt(np.diagonal(now.S, axis1=1, axis2=2).max(axis=0))
         innovation = side_by_side.collapse(shares, np.clip(now.y[:q], -reach, reach), now.S[:q], now.parts)
-        shared = _shared(*innovation, N, memory[part], noise)
+        shared = _shared(*innovation, N, memory[part], noise, wide)
     while groups:
         group = groups.pop(_most_plausible(now, groups))
         own = rows[group[:1]] if joint else rows[group]
@@ -209,8 +210,7 @@ def _corrected(
         # What the last sample was only models know that were there then.
         before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
         before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
-        stretched = noise.learns & learning.is_seasoned(memory[own], noise)
-        scores = _scores(now.y[:, group], S, N[group[:, None], group], before, noise.scales, stretched, joint, shared)
+        scores = _scores(now.y[:, group], S, N[np.ix_(group, group)], before, noise.scales, wide[group], joint, shared)
         own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
         shares, log_total, logs[part[group]] = _weighed(
             now.probabilities[:, group[0]], scores.log_densities, len(process.scales), fresh, float(chances[group[0]]),
@@ -272,12 +272,11 @@ def _slow(models: Models, process: Scales) -> tuple[Array, Array]:
     return side_by_side.collapse(side_by_side.slow(models, process), models.x[:q], models.P[:q], models.parts)
 
 
-def _shared(y: Array, S: Array, N: Array, memory: Array, noise: NoiseClasses) -> _Shared | None:
+def _shared(y: Array, S: Array, N: Array, memory: Array, noise: NoiseClasses, wide: Array) -> _Shared | None:
     """Return what an innovation says if all sensors are in the same class: y (m,), S and ordinary noise N (m, m)."""
     before = _chance(learning.predicted, memory, noise)[None]
     try:
-        stretched = learning.is_seasoned(memory, noise)
-        scores = _scores(y[None], S[None], N, before, noise.scales, stretched)
+        scores = _scores(y[None], S[None], N, before, noise.scales, wide)
     except SingularInnovationError:
         # Where noise drowns in the uncertainty of the state, each sensor still tells of it, and all together nothing.
         return None
@@ -327,17 +326,15 @@ def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
 
 
 def _scores(
-    y: Array, S: Array, N: Array, before: Array, scales: Sequence[float], stretched: np.ndarray, one_r: bool = False,
+    y: Array, S: Array, N: Array, before: Array, scales: Sequence[float], stretched: Array, one_r: bool = False,
     shared: _Shared | None = None,
 ) -> _Scores:  # fmt: skip
     """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K).
 
-    The widest class of sensors that are stretched, (g,) or (1,), is as wide over S as it else is over N.
+    The deviation of the widest class grows by `stretched`, shape (g,).
     """
-    beyond = np.tile((np.array(scales) - 1.0)[:, None, None] * N, (len(S), 1, 1, 1))
-    noisy = stretched & (N.diagonal() > 0.0)
-    root = np.sqrt(np.where(noisy, np.diagonal(S, axis1=1, axis2=2) / np.where(noisy, N.diagonal(), 1.0), 1.0))
-    beyond[:, -1] *= root[:, :, None] * root[:, None, :]
+    beyond = (np.array(scales) - 1.0)[:, None, None] * N
+    beyond[-1] *= np.outer(stretched, stretched)
     inverses, log_dets = _inverted(S[:, None] + beyond)
     y = np.broadcast_to(y[:, None], log_dets.shape + y.shape[1:])
     # A sensor without noise is right however far off.

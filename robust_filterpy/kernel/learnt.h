@@ -428,14 +428,16 @@ typedef struct {
     real *alike; /* (m) odds and density of a jump like the sensor's last one, where its reading alone began a candidate */
     real *before, *typical, *after, *shared; /* (K) shared: of the class that all sensors are in, if of one */
     real together; /* probability that they are */
-    /* Of sensors that are taken at once: their places (m), whether their widest class is stretched, under each model score and information (m), (m, m), energy
+    real *wide; /* (m) what the deviation of a sensor's widest class grows by */
+    /* Of sensors that are taken at once: their places, what their widest classes grow by, under each model score and
+       information (m), (m, m), energy
        and noise's part of the variance (m); scratch. */
     real *members, *stretched, *scores, *informations, *energies, *noises, *scratch;
 } learnt_work;
 
 #define learnt_parity_work(m) ((size_t)((m) * ((m) + 5)))
 #define learnt_weigh_work(n, m, models, K) \
-    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (10 + 2 * (n) + (K)) * (m) + \
+    ((size_t)((models) * ((m) * (4 + (n) + 2 * (m)) + (K) + 2 + (n)) + (n) * (2 + (n)) + (11 + 2 * (n) + (K)) * (m) + \
               4 * (K) + (3 + (K)) * (m) * (m)) + \
      learnt_parity_work(m))
 
@@ -747,8 +749,8 @@ INLINE real learnt_new_chance(const int n, const int m, const learnt_rule *const
     like = learnt_like_before(jumps, y, seen + noise, R);
     learnt_predicted(rule->K, &memory, w->before);
     for (int k = 0; k < rule->K; k++) {
-        const int wide = k == rule->K - 1 && learnt_seasoned(rule, &memory);
-        outlier += w->before[k] * learnt_normal(y, (wide ? rule->scales[k] * seen : seen) + rule->scales[k] * noise);
+        const real wide = k < rule->K - 1 ? 1 : w->wide[i] * w->wide[i];
+        outlier += w->before[k] * learnt_normal(y, seen + (1 + (rule->scales[k] - 1) * wide) * noise);
     }
     return real_max(like > 0 ? like / (like + outlier) : 0, rule->jump);
 }
@@ -827,15 +829,10 @@ INLINE int learnt_begin(const int n, const int m, const learnt_rule *const rule,
     return 1;
 }
 
-/* What the deviation of the widest class of member t grows by. */
-INLINE real learnt_stretch(const int g, const int t, const real *S, const real *N, const real *stretched) {
-    return stretched[t] > 0 && N[t * g + t] > 0 ? real_sqrt(S[t * g + t] / N[t * g + t]) : 1;
-}
-
 /* What the classes of noise make of an innovation y (g) of covariance S (g, g), of which N is ordinary noise: write
    their probabilities, which were `before`, the log density, and of each class the whitened innovation, u (K, g), and
-   the factor of its covariance, L (K, g, g), one over what it is on the diagonal; peaks (K) is scratch. The widest class
-   of sensors that are stretched (g) is as wide over S as it else is over N. Return whether all is ordinary. */
+   the factor of its covariance, L (K, g, g), one over what it is on the diagonal; peaks (K) is scratch; stretched (g):
+   what the deviation of the widest class grows by. Return whether all is ordinary. */
 SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real *RESTRICT y, const real *RESTRICT S,
                           const real *RESTRICT N, const real *RESTRICT stretched, const real *RESTRICT before,
                           real *RESTRICT given, real *const log_density, real *RESTRICT u, real *RESTRICT L, real *RESTRICT peaks) {
@@ -852,7 +849,7 @@ SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real 
         for (int t = 0; t < g; t++) {
             white[t] = y[t] * per_unit;
             for (int o = 0; o <= t; o++) {
-                const real more = k < K - 1 ? 1 : learnt_stretch(g, t, S, N, stretched) * learnt_stretch(g, o, S, N, stretched);
+                const real more = k < K - 1 ? 1 : stretched[t] * stretched[o];
                 const real whole = S[t * g + o] + (rule->scales[k] - 1) * more * N[t * g + o];
                 real cell = whole;
                 for (int j = 0; j < o; j++) cell -= root[t * g + j] * root[o * g + j];
@@ -894,12 +891,11 @@ SIZED void learnt_expected(const int m, const learnt_rule *const rule, const lea
         const learnt_memory memory = learnt_of(rule, w->s, (int)w->members[t]);
         learnt_predicted(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->before[k] += w->after[k] * each;
-        w->stretched[t] = rule->learns && learnt_seasoned(rule, &memory);
         learnt_typical(K, &memory, w->after);
         for (int k = 0; k < K; k++) w->typical[k] += w->after[k] * each;
     }
     for (int t = 0; t < g; t++) {
-        if (t >= rows) w->stretched[t] = w->stretched[0];
+        w->stretched[t] = w->wide[(int)w->members[t]];
         for (int u = 0; u < g; u++) N[t * g + u] = w->N[(int)w->members[t] * m + (int)w->members[u]];
     }
 }
@@ -988,8 +984,8 @@ SIZED int learnt_scores_of(const int m, const learnt_rule *const rule, const lea
             y[t] = w->y[c * m + i];
             for (int u = 0; u < g; u++) S[t * g + u] = w->S[(c * m + i) * m + (int)w->members[u]];
         }
-        if (!learnt_classes(g, rule, y, S, N, w->stretched, c < rule->q ? w->before : w->typical, given, w->logs + c, pulls, inverses,
-                            w->after))
+        if (!learnt_classes(g, rule, y, S, N, w->stretched, c < rule->q ? w->before : w->typical, given, w->logs + c,
+                            pulls, inverses, w->after))
             return 0;
         for (int t = 0; t < g; t++) a[t] = 0;
         for (int t = 0; t < g * g; t++) b[t] = 0;
@@ -1139,6 +1135,14 @@ INLINE void learnt_prepare(const int n, const int m, const learnt_rule *const ru
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++)
             w->N[i * m + j] = w->R[i * m + j] * (i == j ? w->r[i] : real_sqrt(w->r[i] * w->r[j]));
+    for (int i = 0; i < m; i++) {
+        /* An outlier is far from what is expected of a reading, by all models together. */
+        const learnt_memory memory = learnt_of(rule, w->s, i);
+        const real noise = w->N[i * m + i];
+        w->wide[i] = 1;
+        if (w->left[i] > 0 && noise > 0 && rule->learns && learnt_seasoned(rule, &memory))
+            w->wide[i] = real_sqrt(real_max(real_square(n, w->H + i * n, w->spread) / noise, 1));
+    }
     learnt_refresh(n, m, rule, w, work);
 }
 
@@ -1224,7 +1228,8 @@ INLINE int learnt_weigh(const int n, const int m, const learnt_rule *const rule,
         {&w->logs, models}, {&w->shares, models}, {&w->at, n}, {&w->spread, n * n}, {&w->direction, n}, {&w->left, m},
         {&w->r, m}, {&w->N, m * m}, {&w->start, m}, {&w->goes_on, m}, {&w->head, m}, {&w->fresh, m}, {&w->alike, m},
         {&w->before, K}, {&w->typical, K},
-        {&w->after, K}, {&w->shared, K}, {&w->members, m}, {&w->stretched, m}, {&w->scores, models * m}, {&w->informations, models * m * m},
+        {&w->after, K}, {&w->shared, K}, {&w->wide, m}, {&w->members, m}, {&w->stretched, m},
+        {&w->scores, models * m}, {&w->informations, models * m * m},
         {&w->energies, models * m}, {&w->noises, models * m}, {&w->scratch, m * (1 + 2 * n + K) + m * m * (2 + K)}};
     work = real_lay_out((int)(sizeof parts / sizeof *parts), parts, work);
     learnt_slow(n, rule, w->s, w->at, w->spread, work);
