@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 from support import POLICIES, by_night, of_matrices, through
 
-from robust_filterpy import (
-    ARX,
-    ParameterTracker,
-    RobustKalmanFilter,
-    diagnose,
-    estimate_noise,
-    filter_series,
-    smooth,
-)
+from robust_filterpy import ARX, ParameterTracker, RobustKalmanFilter, diagnose, estimate_noise, filter_series, smooth
 from robust_filterpy.fleet import TrackerModel
 from robust_filterpy.fusion import Fusion, Sensor, constant_velocity
 from robust_filterpy.fusion.recording import Recording
