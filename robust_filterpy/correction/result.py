@@ -130,7 +130,7 @@ class Correction(NamedTuple):
     scaling: str
     #: Log-likelihood of the innovation under the density of psi; 0 if all is missing.
     log_density: float
-    #: Of the sensors afterwards, shape (m, 17), under scaling "learnt".
+    #: Of the sensors afterwards, shape (m, `spread.NUMBERS`), under scaling "learnt".
     memory: Array | None = None
     #: Under a mixture, that a component was an outlier.
     outlier_probability: float = 0.0

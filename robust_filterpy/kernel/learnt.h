@@ -430,8 +430,7 @@ typedef struct {
     real together; /* probability that they are */
     real *wide; /* (m) what the deviation of a sensor's widest class grows by */
     /* Of sensors that are taken at once: their places, what their widest classes grow by, under each model score and
-       information (m), (m, m), energy
-       and noise's part of the variance (m); scratch. */
+       information (m), (m, m), energy and noise's part of the variance (m); scratch. */
     real *members, *stretched, *scores, *informations, *energies, *noises, *scratch;
 } learnt_work;
 

@@ -51,7 +51,9 @@ static int merge(const int n, models *f, PyObject *x, PyObject *P, double *work)
 /* A named tuple of a class, its entries the one argument given, which is let go: its own constructor is Python's code. */
 static PyObject *tuple_of(PyObject *kind, PyObject *entries) {
     const newfunc make = (newfunc)PyType_GetSlot(&PyTuple_Type, Py_tp_new);
-    PyObject *const made = entries ? make((PyTypeObject *)kind, entries, NULL) : NULL;
+    const int fits = PyType_Check(kind) && PyType_IsSubtype((PyTypeObject *)kind, &PyTuple_Type);
+    PyObject *const made = entries && fits ? make((PyTypeObject *)kind, entries, NULL) : NULL;
+    if (!fits) PyErr_SetString(PyExc_TypeError, "a filter's record: expected a class of tuples");
     Py_XDECREF(entries);
     return made;
 }
