@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Columns of a memory, shape (m, 23); those of a state that was stored before there were so many begin at 0.
+#: Columns of a memory, shape (m, 23).
 WEIGHT, SPREAD, SHARE, OUTLIERS, RUN, REST, JUMP, LAST, REPEATS = range(9)
 STEP, LEFT, GROWTH, USED, HELD, FILLED, WIDE, WIDENED, LASTED, VAIN, ON, REACH, AGE, OPEN = range(9, 23)
 NUMBERS = 23

@@ -183,9 +183,9 @@ class Chain:
         turns: list[tuple[Any, ...]] = []
         for turn in range(FORGOTTEN * (1 + afresh) + count):
             turns.append(self._turn(afresh and turn < FORGOTTEN))
-            if turn < FORGOTTEN * afresh + FEW:
+            if turn < FORGOTTEN * afresh + _PARTS:
                 continue
-            late = Draws(*(np.array(each) for each in zip(*turns[-int(FEW) :], strict=True)))
+            late = Draws(*(np.array(each) for each in zip(*turns[-_PARTS:], strict=True)))
             # As long as v has an outlier, it may be one of y yet.
             if not any((part.mean(axis=0) > 0.5).any() for part in (late.wrong, late.wide)):
                 return late
