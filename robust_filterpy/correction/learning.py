@@ -289,9 +289,9 @@ def jump_chances(
     chances = np.zeros(len(y))
     for i, row in enumerate(learnt):
         like = _like_before(row[_JUMPS], float(y[i]), float(seen[i] + ordinary[i]), float(R[i]))
-        beyond = np.array(scales) - 1.0
-        beyond[-1] *= wide[i] ** 2
-        outlier = float(predicted(row, len(scales)) @ _normal(float(y[i]), seen[i] + (1.0 + beyond) * ordinary[i]))
+        beyond, expected = np.array(scales) - 1.0, predicted(row, len(scales))
+        beyond[-1], expected[-1] = beyond[-1] * wide[i] ** 2, expected[-1] / wide[i]
+        outlier = float(expected @ _normal(float(y[i]), seen[i] + (1.0 + beyond) * ordinary[i]))
         chances[i] = like / (like + outlier) if like > 0.0 else 0.0
     return chances
 

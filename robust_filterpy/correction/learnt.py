@@ -331,8 +331,10 @@ def _scores(
 ) -> _Scores:  # fmt: skip
     """Return score, information and likelihoods: y (q, g), S (q, g, g), N (g, g) ordinary noise, before (q, K).
 
-    The deviation of the widest class grows by `stretched`, shape (g,).
+    The deviation of the widest class grows by `stretched`, shape (g,), and its chance falls by that: a reading that is
+    wrongly refused costs so many more deviations of the noise.
     """
+    before = np.column_stack((before[:, :-1], before[:, -1] / np.max(stretched)))
     beyond = (np.array(scales) - 1.0)[:, None, None] * N
     beyond[-1] *= np.outer(stretched, stretched)
     inverses, log_dets = _inverted(S[:, None] + beyond)

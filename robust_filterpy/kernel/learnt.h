@@ -748,8 +748,8 @@ INLINE real learnt_new_chance(const int n, const int m, const learnt_rule *const
     like = learnt_like_before(jumps, y, seen + noise, R);
     learnt_predicted(rule->K, &memory, w->before);
     for (int k = 0; k < rule->K; k++) {
-        const real wide = k < rule->K - 1 ? 1 : w->wide[i] * w->wide[i];
-        outlier += w->before[k] * learnt_normal(y, seen + (1 + (rule->scales[k] - 1) * wide) * noise);
+        const real wide = k < rule->K - 1 ? 1 : w->wide[i], size = 1 + (rule->scales[k] - 1) * wide * wide;
+        outlier += w->before[k] / wide * learnt_normal(y, seen + size * noise);
     }
     return real_max(like > 0 ? like / (like + outlier) : 0, rule->jump);
 }
@@ -836,15 +836,17 @@ SIZED int learnt_classes(const int g, const learnt_rule *const rule, const real 
                           const real *RESTRICT N, const real *RESTRICT stretched, const real *RESTRICT before,
                           real *RESTRICT given, real *const log_density, real *RESTRICT u, real *RESTRICT L, real *RESTRICT peaks) {
     const int K = rule->K;
-    real shorter = 1, most = -REAL_MAX, total = 0, unit = 1, per_unit;
+    real shorter = 1, most = -REAL_MAX, total = 0, unit = 1, wide = 1, per_unit;
     int noisy = 0;
     for (int t = 0; t < g; t++) unit = real_max(unit, real_abs(y[t])), noisy |= N[t * g + t] != 0;
+    /* A reading that is wrongly refused costs so many more deviations of the noise. */
+    for (int t = 0; t < g; t++) wide = real_max(wide, stretched[t]);
     /* Squares are numbers. */
     if (unit < REAL_PRODUCT) unit = 1;
     per_unit = 1 / unit;
     for (int k = K - 1; k >= 0; k--) {
         real *RESTRICT const root = L + k * g * g, *RESTRICT const white = u + k * g;
-        real peak = before[k], log_peak = 0, length = 0;
+        real peak = k < K - 1 ? before[k] : before[k] / wide, log_peak = 0, length = 0;
         for (int t = 0; t < g; t++) {
             white[t] = y[t] * per_unit;
             for (int o = 0; o <= t; o++) {

@@ -1,5 +1,7 @@
 """Gaps, long steps, fill values, jumps: what the default and the adaptive filter do with recordings of other people."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -123,10 +125,9 @@ def test_what_a_jump_opens_does_not_depend_on_the_order_of_the_sensors():
 
 
 @BOTH
-@pytest.mark.parametrize("q", [1.0, 10.0, 100.0, 1e4])
-@pytest.mark.parametrize("wild", [0.0, 30.0])
+@pytest.mark.parametrize("q, wild", [*product((1.0, 10.0, 100.0, 1e4), (0.0, 30.0)), (1e11, 0.0)])
 def test_readings_that_say_more_than_the_state_are_followed_and_their_outliers_are_not(kind, q, wild):
-    """A sensor that is exact for how the point moves: H P H' is 3 to 3,000 times R, all of it as it is given."""
+    """A sensor that is exact for how the point moves: H P H' is 3 to 3e10 times R, all of it as it is given."""
     F, root, ratios = white(1.0, 0.0)[0], np.sqrt(q) * np.array([0.5, 1.0]), []
     for seed in range(4):
         rng = np.random.default_rng(seed)
