@@ -470,7 +470,6 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         predicted = np.dot(self.H, self.x_prior)
         return np.reshape(measured(z, len(predicted), missing=True), predicted.shape) - predicted
 
-    @whole
     def update_sequential(self, start: int, z_i: ArrayLike, R_i: Any = None, H_i: ArrayLike | None = None) -> None:
         """Correct the state by a part of the measurement: one robust correction by z[start:start + len(z_i)].
 
@@ -499,8 +498,9 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         part = slice(start, start + k)
         if k < 1 or start + k > m:
             raise ValueError(f"z_i: expected 1 to {m - start} numbers from start={start} for dim_z={m}, got {k}")
-        z, own = np.full(m, np.nan), (self.H, self.R)
-        z[part] = measured(z_i, k, missing=True)
+        z: Any = [math.nan] * m
+        z[part] = [z_i] if isinstance(z_i, float) else np.atleast_1d(measured(z_i, k, missing=True))
+        own = self.H, self.R
         try:
             if H_i is not None:
                 rows = np.reshape(H_i, (1, -1)) if k == 1 else H_i

@@ -17,10 +17,11 @@ from robust_filterpy.kernel.moments import judged_of
 
 __all__ = ["CorrelatedInnovationsWarning", "OutlierShareWarning", "StuckSensorWarning"]
 
-#: Corrections are looked at in periods of so many, from the ninth on, when a start is over: how many, and every which,
-#: by whether psi bounds them. Where noise is learned they are few, so that a short recording is judged too; what psi
-#: clips moves slowly.
-PERIOD, FIRST, LOOKS = 240, 9, {False: (49, 1), True: (64, 3)}
+#: Corrections are looked at in periods of so many, from the ninth on, when a start is over: which, and the place that
+#: each has among those, by whether psi bounds them. Where noise is learned they are few, so that a short recording is
+#: judged too; what psi clips moves slowly.
+PERIOD, FIRST = 240, 9
+LOOKS = {False: {FIRST + k: k for k in range(49)}, True: {FIRST + 3 * k: k for k in range(64)}}
 # So many of 48 signs must be kept: a fair coin does that once in six hundred thousand periods.
 _KEPT = 40
 # More than this of what psi expects unclipped is too much.
@@ -57,11 +58,10 @@ def look(kf: Any, last: Any, place: int, count: int) -> None:
 
 def look_at_recording(kf: Any, weights: Array, y: Array, first: int, lagging: Callable[[list[int]], Array]) -> None:
     """Look at a recording's corrections, shape (N, m), as `look` does; lagging: the innovations of some steps."""
-    seen, (count, stride) = np.flatnonzero(~np.isnan(y).all(axis=1)), LOOKS[kf.noise is None]
-    for begin in range(FIRST - 1, len(seen), PERIOD):
-        window = seen[begin : begin + count * stride : stride].tolist()
-        if len(window) == count:
-            _judge(kf, noted(kf, weights[window], lagging(window)), f": step {first + window[-1]}")
+    seen, looks = np.flatnonzero(~np.isnan(y).all(axis=1)), np.array(list(kf.policy.looks)) - 1
+    for begin in range(0, len(seen) - int(looks[-1]), PERIOD):
+        window = seen[begin + looks].tolist()
+        _judge(kf, noted(kf, weights[window], lagging(window)), f": step {first + window[-1]}")
 
 
 def noted(kf: Any, weights: Array, y: Array) -> Array:

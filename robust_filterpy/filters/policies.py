@@ -42,6 +42,7 @@ from robust_filterpy.correction.policies import (
 )
 from robust_filterpy.correction.result import Correction, ordered_scaling
 from robust_filterpy.correction.side_by_side import Models, Scales
+from robust_filterpy.filters.notices import LOOKS
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.kernel import series
 from robust_filterpy.kernel.series import Rows, State
@@ -104,9 +105,14 @@ class Bounded:
         return series.options(self.choices)
 
     @cached_property
-    def unwatched(self) -> bool:
-        """Whether nothing is looked at after a step of the kernel: whether innovations clip."""
-        return self.choices.scaling != "innovation" and self.choices.kernel_psi is not None
+    def looks(self) -> dict[int, int]:
+        """Which corrections of a period are looked at: whether they clip; under "learnt" psi expects no share."""
+        return LOOKS[True] if self.choices.scaling == "innovation" else {}
+
+    @cached_property
+    def calls(self) -> bool:
+        """Whether psi is somebody else's, which may do anything before it raises."""
+        return self.choices.kernel_psi is None
 
     @property
     def learns(self) -> bool:
@@ -235,7 +241,8 @@ class Mixture:
     #: What the kernel takes, and puts a correction into.
     rule: Array = field(init=False, repr=False, compare=False)
     record: Any = field(init=False, repr=False, compare=False)
-    unwatched = False
+    looks: ClassVar[dict[int, int]] = LOOKS[False]
+    calls: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Make of what was given what the correction takes."""

@@ -185,7 +185,7 @@ class RecordingMixin(Shell):
         weights: Any = shown.weights[first:last]  # type: ignore[index]
         if policy.noise is not None:
             look_for_stuck(self, weights, first)
-        if not self._counts_clipped or (policy.noise is None and self._choices.scaling != "innovation"):
+        if not (policy.looks and self._counts_clipped):
             return
         y = _innovations(rows, shown, update_first, first, last)
         H, R = (np.broadcast_to(a, (len(rows.zs), *a.shape[1:]))[first:last] for a in (rows.H, rows.R))

@@ -19,7 +19,7 @@ from robust_filterpy.correction.options import Choices, Grouping, Information, S
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import begin, settled
 from robust_filterpy.filters.driver import require_finite_correction
-from robust_filterpy.filters.notices import FIRST, LOOKS, PERIOD, look, look_for_repeats, look_for_stuck
+from robust_filterpy.filters.notices import PERIOD, look, look_for_repeats, look_for_stuck
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
@@ -228,9 +228,12 @@ class Shell(StateMixin):
 
     def _taken(self, step: Any, *given: Any) -> bool:
         """Take a correction by the kernel and look at it, as one: what interrupts or refuses it undoes both."""
-        if self._policy.unwatched:
+        policy = self._policy
+        if not (policy.looks or policy.calls):
             return bool(step(self, *given))
-        before = snapshot(self) if self._is_refusable() else None
+        # With the last look something may be said.
+        is_last = policy.looks.get((self._updates + 1) % PERIOD) == len(policy.looks) - 1
+        before = snapshot(self) if is_last or policy.calls else None
         try:
             if not step(self, *given):
                 return False
@@ -241,13 +244,6 @@ class Shell(StateMixin):
                 put_back(self, before)
             raise
         return True
-
-    def _is_refusable(self) -> bool:
-        """Return whether something may be said of the next correction, or raised behind its back."""
-        # Psi of the user's may write into anything before it raises.
-        calls = self._policy.noise is None and self._choices.kernel_psi is None
-        count, stride = LOOKS[self._policy.noise is None]
-        return calls or (self._updates + 1) % PERIOD == FIRST + (count - 1) * stride
 
     @property
     def weights(self) -> Array:
@@ -271,14 +267,10 @@ class Shell(StateMixin):
     def _look(self, last: Any) -> None:
         """Count a correction, and look now and then whether most of them clip or all innovations keep their sign."""
         self._updates += 1
-        bounded = self._policy.noise is None
-        # Under "learnt" psi follows from what is typical, and expects no share.
-        if not self._counts_clipped or (bounded and self._choices.scaling != "innovation"):
-            return
-        count, stride = LOOKS[bounded]
-        place, rest = divmod(self._updates % PERIOD - FIRST, stride)
-        if not rest and 0 <= place < count:
-            look(self, last, place, count)
+        looks = self._policy.looks
+        place = looks.get(self._updates % PERIOD)
+        if place is not None and self._counts_clipped:
+            look(self, last, place, len(looks))
 
     def _keep(self, last: Any, carried: Any, z: Array, passed: Array | None = None) -> None:
         """Write a correction and the measurement it came from, z of shape (m,), into the attributes."""
