@@ -11,14 +11,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import max_len_seq
 
-from robust_filterpy.plants.excitation import (
-    bandlimited_pink_autocovariance,
-    bandlimited_pink_spectrum,
-    prbs,
-    receding_horizon_binary,
-    sample_autocovariance,
-)
+from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 
 BAND, LAGS, LENGTH = (0.1, 1.0), 40, 2000
 A, B = np.array([-1.7, 0.8]), np.array([0.05, 0.05])
@@ -28,8 +23,15 @@ def inputs():
     """Return the inputs, each (LENGTH,), and the autocovariance asked of the designed one, (LAGS + 1,)."""
     target = bandlimited_pink_autocovariance(*BAND, LAGS)
     designed = receding_horizon_binary(target, LENGTH)
+    white = 2.0 * max_len_seq(11, length=LENGTH)[0] - 1.0
     square = np.where(np.arange(LENGTH) // 100 % 2 == 0, 1.0, -1.0)
-    return {"designed, 1/f": designed, "white (PRBS)": prbs(LENGTH), "slow square": square}, target
+    return {"designed, 1/f": designed, "white (PRBS)": white, "slow square": square}, target
+
+
+def sample_autocovariance(s, lags):
+    """Return the autocovariance of a signal about its mean, (lags + 1,)."""
+    s = s - s.mean()
+    return np.array([s[k:] @ s[: s.size - k] for k in range(lags + 1)]) / s.size
 
 
 # %% What each tells about y(k) = -a1 y(k-1) - a2 y(k-2) + b1 u(k-1) + b2 u(k-2) + v(k), v of variance 0.1^2.
@@ -79,8 +81,8 @@ def draw(u, target, out):
     w, power = welch(u, fs=2 * np.pi, nperseg=512)
     right.semilogy(w, power, color="C0", label="achieved")
     fine = np.linspace(1e-3, np.pi, 2000)
-    ideal = bandlimited_pink_spectrum(fine, *BAND)
-    right.semilogy(fine, np.where(ideal > 0, ideal, np.nan), "k-", lw=2.0, label="desired (56)")
+    ideal = np.where((fine >= BAND[0]) & (fine <= BAND[1]), 1.0 / (fine * np.log(BAND[1] / BAND[0])), np.nan)
+    right.semilogy(fine, ideal, "k-", lw=2.0, label="desired (56)")
     right.set(xlabel="frequency [rad/sample]", ylabel="power density", ylim=(1e-4, 20))
     right.set_title("... and the power in the band")
     right.legend(fontsize=8)

@@ -7,12 +7,7 @@ import numpy as np
 import scipy.signal
 from report import Claim, Options, Part, markdown_table
 
-from robust_filterpy.plants.excitation import (
-    bandlimited_pink_autocovariance,
-    bandlimited_pink_spectrum,
-    receding_horizon_binary,
-    sample_autocovariance,
-)
+from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 
 BAND = (0.5, 2.5)
 LAGS, LENGTH = 40, 10_000
@@ -22,6 +17,12 @@ HORIZONS, LAG_COUNTS = (1, 2, 3, 5), (20, 40, 80)
 def binary_input(length: int = LENGTH, rng: np.random.Generator | None = None) -> np.ndarray:
     """Design the paper's input: +-1, band 0.5 .. 2.5 rad/sample, n = 40, m = 1."""
     return receding_horizon_binary(bandlimited_pink_autocovariance(*BAND, LAGS), length, rng=rng)
+
+
+def sample_autocovariance(s: np.ndarray, lags: int) -> np.ndarray:
+    """Return the autocovariance of a signal about its mean, lags 0 .. lags."""
+    s = s - s.mean()
+    return np.array([s[k:] @ s[: s.size - k] for k in range(lags + 1)]) / s.size
 
 
 def discrepancy(lags: int, horizon: int, rng: int | None = None) -> float:
@@ -79,11 +80,12 @@ def make(options: Options) -> Part:
 def spectrum_figure(s: np.ndarray) -> plt.Figure:
     """Draw figure 5, with the signal's own spectrum beside the ideal one."""
     figure, axis = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
-    w = np.linspace(0.0, np.pi, 2000)
+    w = np.linspace(1e-3, np.pi, 2000)
+    ideal = np.where((w >= BAND[0]) & (w <= BAND[1]), 1.0 / (w * np.log(BAND[1] / BAND[0])), 0.0)
     f, density = scipy.signal.welch(s, nperseg=512)
     # welch's density is over cycles per sample, the paper's over radians per sample.
     axis.plot(2 * np.pi * f, density / (2 * np.pi), color="0.6", linewidth=1.2, label="binary signal (Welch)")
-    axis.plot(w, bandlimited_pink_spectrum(w, *BAND), color="black", linewidth=2, label="ideal, eq (56)")
+    axis.plot(w, ideal, color="black", linewidth=2, label="ideal, eq (56)")
     axis.set(xlabel="angular frequency / (rad/sample)", ylabel="density / (1/(rad/sample))", xlim=(0, np.pi))
     axis.set_title("Band-limited 1/f noise, 0.5 to 2.5 rad/sample")
     axis.legend()

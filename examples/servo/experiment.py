@@ -13,7 +13,6 @@ from robust_filterpy import Contaminated, RobustKalmanFilter
 from robust_filterpy.correction import Scales
 from robust_filterpy.plants.excitation import bandlimited_pink_autocovariance, receding_horizon_binary
 from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
-from robust_filterpy.plants.servo.equations import beta_coefficient
 from robust_filterpy.plants.servo.position_loop import ServoRecording
 
 DT, HOLD = 0.01, 20  # s, samples
@@ -62,7 +61,8 @@ def conditions(
     share = t / t[-1]
     alpha = wandering(t, 1.05, 1.35, rng)
     # The valve wears in, the air warms up and cools down, a load comes half-way, the supply sags as others draw on it.
-    beta = beta_coefficient(alpha, 0.16 + 0.18 * share, 1 + 0.1 * np.sin(2 * np.pi * share))
+    # Equation (6): heat coefficient, discharge coefficient, and the root of the temperature over the nominal one.
+    beta = alpha * (0.16 + 0.18 * share) * np.sqrt(1 + 0.1 * np.sin(2 * np.pi * share))
     load = np.interp(share, [0, 0.5, 0.53], [0.0, 0.0, 5.0])
     supply = SERVO.supply_pressure - 1.5e4 * (1 - np.cos(2 * np.pi * t / 10))
     physics = dict(alpha=alpha, beta=beta, load=load, supply=supply)

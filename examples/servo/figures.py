@@ -9,12 +9,12 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from servo.experiment import DT, NOMINAL, NONE, ROBUST, Conditions, motion
+from servo.linearization import linearized as linear_models
 from servo.models import CONSTANT, EVERY, ORDER, Model, frozen_gain, gain_of, sliding_gain
 from servo.study import INSTANTS, at
 
 from robust_filterpy.identification import Model as PolynomialModel
 from robust_filterpy.plants.servo import PneumaticParameters
-from robust_filterpy.plants.servo.linearization import linearize_servo
 from robust_filterpy.plants.servo.position_loop import ServoRecording
 from robust_filterpy.plotting import LOOKS
 
@@ -98,10 +98,7 @@ def linearized(servo: PneumaticParameters, position: float, speed: float, z: np.
 
     The rod makes the way out slower than the way back, by the ratio of the areas.
     """
-    both = (
-        linearize_servo(servo, position, dt=DT, velocity=v, friction="viscous", **physics).valve_to_velocity(z)
-        for v in (-speed, speed)
-    )
+    both = (linear_models(servo, DT, position, velocity=v, **physics).valve_to_velocity(z) for v in (-speed, speed))
     # The opening, whose dead band the model does not see, is a little more of the command.
     return (1 - servo.dead_band) * sum(both) / 2
 

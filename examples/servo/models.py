@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 from servo.experiment import DT, LABELS, NOMINAL, ROBUST, SERVO, STD, TOTAL, Conditions
+from servo.linearization import linearized, opened
 
 from robust_filterpy import Huber
 from robust_filterpy.identification import LostTrackerWarning, OutputError, ParameterTracker, identify
@@ -15,8 +16,7 @@ from robust_filterpy.identification.models.results import TrackingResult
 from robust_filterpy.influence import Linear
 from robust_filterpy.influence.functions import Influence
 from robust_filterpy.plants.servo import PneumaticParameters, simulate_servo
-from robust_filterpy.plants.servo.equations import valve_opening
-from robust_filterpy.plants.servo.linearization import linearize_servo, operating_point
+from robust_filterpy.plants.servo.linearization import operating_point
 from robust_filterpy.plants.servo.position_loop import ServoRecording
 from robust_filterpy.testing import fit_percent
 
@@ -41,11 +41,11 @@ class Signals(NamedTuple):
 
 def valve_to_velocity(recording: ServoRecording, given: Conditions, servo: PneumaticParameters = SERVO) -> Signals:
     """Take the opening (percent) as input, the encoder's differences (cm/s) as output."""
-    opening = 100 * valve_opening(recording.valve, servo.dead_band)
+    opening = 100 * opened(recording.valve, servo.dead_band)
     scale = 100 / DT
     extra = scale**2 * (given.variance[:, 0] - STD[0] ** 2)
     extra[1:] += extra[:-1].copy()
-    model = linearize_servo(servo, dt=DT, friction="viscous").valve_to_velocity
+    model = linearized(servo, DT).valve_to_velocity
     # m/s per unit of the command: cm/s per percent of opening.
     theta = _theta(model) * np.repeat([1.0, 1 - servo.dead_band], ORDER)
     measured, truth = (
@@ -57,7 +57,7 @@ def valve_to_velocity(recording: ServoRecording, given: Conditions, servo: Pneum
 def reference_to_position(recording: ServoRecording, given: Conditions) -> Signals:
     """Take the reference (cm) as input, the encoder's position (cm) as output."""
     extra = 100**2 * (given.variance[:, 0] - STD[0] ** 2)
-    theta = _theta(linearize_servo(SERVO, dt=DT, friction="viscous").reference_to_position)
+    theta = _theta(linearized(SERVO, DT).reference_to_position)
     measured, truth = 100 * recording.position_measured, 100 * recording.position
     return Signals(100 * recording.reference, measured, truth, extra, theta)
 
@@ -147,7 +147,7 @@ def sliding_gain(recording: ServoRecording, k: int) -> float:
     gains = []
     for velocity in (-0.1, 0.1):
         valve = operating_point(SERVO, velocity=velocity, **point).valve
-        gains.append(velocity / valve_opening(valve, SERVO.dead_band))
+        gains.append(velocity / opened(valve, SERVO.dead_band))
     return float(np.mean(gains))
 
 

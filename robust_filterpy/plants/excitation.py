@@ -10,55 +10,15 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-import scipy.signal
 import scipy.special
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, count, finite_vector, numbers, real
 
-__all__ = ["bandlimited_pink_autocovariance", "prbs", "receding_horizon_binary"]
+__all__ = ["bandlimited_pink_autocovariance", "receding_horizon_binary"]
 
 MAX_HORIZON = 16
-
-
-def bandlimited_pink_spectrum(w: ArrayLike, w_low: float, w_high: float) -> Array:
-    """Evaluate the spectrum of band-limited 1/f noise of unit variance, eq (56).
-
-    ``spectrum(w) = 1 / (w ln(w_high / w_low))`` for ``w_low <= w <= w_high``, 0 elsewhere.
-
-    Parameters
-    ----------
-    w : array_like, any shape
-        Angular frequency, in rad/sample.
-    w_low, w_high : float
-        Ends of the band, in rad/sample, ``0 < w_low < w_high <= pi``.
-
-    Returns
-    -------
-    ndarray, shape of w
-        Density over positive frequencies, in variance per rad/sample: its integral from 0 to pi is 1.
-
-    Raises
-    ------
-    ValueError
-        If the band is empty or leaves (0, pi].
-    TypeError
-        If an argument is not a real number.
-
-    Notes
-    -----
-    The paper prints ``1 / (ln w_high - w_low)`` for the factor; with that the variance would not be 1.
-
-    Examples
-    --------
-    >>> bandlimited_pink_spectrum([0.1, 1.0, 3.0], 0.5, 2.5).round(4)
-    array([0.    , 0.6213, 0.    ])
-    """
-    w_low, w_high = _band(w_low, w_high)
-    w = numbers("w", w)
-    inside = (w >= w_low) & (w <= w_high)
-    return np.where(inside, 1.0 / (np.where(inside, w, 1.0) * math.log(w_high / w_low)), 0.0)
 
 
 def bandlimited_pink_autocovariance(w_low: float, w_high: float, n_lags: int) -> Array:
@@ -87,7 +47,8 @@ def bandlimited_pink_autocovariance(w_low: float, w_high: float, n_lags: int) ->
 
     Notes
     -----
-    The paper prints ``1 / (ln w_high - w_low)`` for the factor before the integral.
+    The spectrum is (56), ``1 / (w ln(w_high / w_low))`` in the band. The paper prints ``1 / (ln w_high - w_low)`` for
+    the factor; with that the variance would not be 1.
 
     Examples
     --------
@@ -99,46 +60,6 @@ def bandlimited_pink_autocovariance(w_low: float, w_high: float, n_lags: int) ->
     _, ci_low = scipy.special.sici(k * w_low)
     _, ci_high = scipy.special.sici(k * w_high)
     return np.concatenate(([1.0], (ci_high - ci_low) / math.log(w_high / w_low)))
-
-
-def sample_autocovariance(s: ArrayLike, n_lags: int, *, mean: float | None = None) -> Array:
-    """Estimate the autocovariance of a signal.
-
-    ``r_k = (1/N) sum_{i=k+1..N} (s_i - mean)(s_{i-k} - mean)``: divided by N at every lag, as in eq (54), which
-    keeps the sequence positive semidefinite.
-
-    Parameters
-    ----------
-    s : array_like, shape (N,)
-        The signal.
-    n_lags : int
-        Last lag, 0 <= n_lags < N.
-    mean : float, optional
-        Known mean, in the unit of s. Default: that of the sample. ``mean=0`` gives the non-central autocovariance (54).
-
-    Returns
-    -------
-    ndarray, shape (n_lags + 1,)
-        r_0 .. r_n_lags, in the unit of s squared.
-
-    Raises
-    ------
-    ValueError
-        If s is not one-dimensional, is empty or not finite, or n_lags is not in [0, N - 1].
-    TypeError
-        If an argument is of the wrong kind.
-
-    Examples
-    --------
-    >>> sample_autocovariance([1, -1, 1, -1], 2)
-    array([ 1.  , -0.75,  0.5 ])
-    """
-    s = finite_vector("s", s)
-    n_lags = count("n_lags", n_lags)
-    if n_lags >= s.size:
-        raise ValueError(f"n_lags: expected at most {s.size - 1} for {s.size} samples, got {n_lags}")
-    s = s - (s.mean() if mean is None else real("mean", mean))
-    return np.array([s[k:] @ s[: s.size - k] for k in range(n_lags + 1)]) / s.size
 
 
 def receding_horizon_binary(
@@ -197,8 +118,8 @@ def receding_horizon_binary(
     >>> s = receding_horizon_binary(r, 10_000)
     >>> s[:8]
     array([-1.,  1.,  1., -1.,  1.,  1., -1.,  1.])
-    >>> error = sample_autocovariance(s, 40) - r
-    >>> round(float(np.sqrt(np.mean(error**2))), 4)
+    >>> sampled = np.array([s[k:] @ s[: s.size - k] for k in range(41)]) / s.size
+    >>> round(float(np.sqrt(np.mean((sampled - r) ** 2))), 4)
     0.0078
     """
     low, high = _levels(levels)
@@ -209,60 +130,6 @@ def receding_horizon_binary(
         raise ValueError(f"horizon: expected at most {MAX_HORIZON} (2^horizon continuations a sample), got {horizon}")
     generator = None if rng is None else np.random.default_rng(rng)
     return np.where(search_bits(target, length, horizon, generator), high, low)
-
-
-def prbs(
-    length: int, levels: tuple[float, float] = (-1, 1), *, n_bits: int | None = None, hold: int = 1,
-    rng: np.random.Generator | int | None = None,
-) -> Array:  # fmt: skip
-    """Generate a pseudo-random binary sequence of maximal length.
-
-    One period of ``(2^n_bits - 1) * hold`` samples is as good as white (hold = 1): its periodic autocovariance at
-    -1, 1 is 1 at lag 0 and -1/(2^n_bits - 1) elsewhere.
-
-    Parameters
-    ----------
-    length : int
-        Number N of samples, >= 1. Beyond a period the sequence repeats.
-    levels : (float, float), default (-1, 1)
-        The two values a < b of the signal.
-    n_bits : int, optional
-        Bits of the shift register, 2 to 32. Default: the fewest whose period is at least N.
-    hold : int, default 1
-        Samples for which each value is held, >= 1; more of them move the power to low frequencies.
-    rng : numpy.random.Generator or int, optional
-        Draws the register's first state. Default: all ones, so that the signal is the same in every call.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        The signal.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range.
-    TypeError
-        If an argument is of the wrong kind.
-
-    Examples
-    --------
-    >>> prbs(7)
-    array([ 1.,  1.,  1., -1.,  1., -1., -1.])
-    """
-    low, high = _levels(levels)
-    length, hold = count("length", length, 1), count("hold", hold, 1)
-    values = -(-length // hold)
-    n_bits = max(2, values.bit_length()) if n_bits is None else count("n_bits", n_bits, 2)
-    if n_bits > 32:
-        raise ValueError(f"n_bits: expected 2 to 32, got {n_bits}")
-    state = None
-    if rng is not None:
-        # The register never leaves the state zero.
-        word = int(np.random.default_rng(rng).integers(1, 1 << n_bits))
-        state = [word >> i & 1 for i in range(n_bits)]
-    bits, _ = scipy.signal.max_len_seq(n_bits, state=state, length=values)
-    return np.where(np.repeat(bits, hold)[:length], high, low)
 
 
 def _binary_target(autocovariance: ArrayLike, span: float) -> Array:

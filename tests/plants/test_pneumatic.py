@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import control
 import numpy as np
@@ -13,12 +14,13 @@ from scipy.integrate import solve_ivp
 
 from robust_filterpy import Contaminated
 from robust_filterpy.plants.servo import PneumaticParameters, pneumatic_servo, position_loop, simulate_servo
-from robust_filterpy.plants.servo.equations import beta_coefficient, reduced_flow, servo_derivatives, valve_opening
+from robust_filterpy.plants.servo.equations import reduced_flow, servo_derivatives
 from robust_filterpy.plants.servo.linearization import (
     UnstableLoopError,
-    linearize_servo,
     operating_point,
     position_gains,
+    state_matrices,
+    without_dry_friction,
 )
 
 P = PneumaticParameters()
@@ -116,9 +118,7 @@ def test_equations_4_and_5_pressure_grows_with_the_flow_through_the_opening_what
         assert dp_b == pytest.approx((scale * port_flow(outer[1], p_b) + leaking) / v_b, rel=1e-6)
 
 
-def test_equation_6_beta_joins_heat_discharge_and_temperature():
-    assert beta_coefficient(1.2, 0.25, 1.44) == pytest.approx(0.36)
-    assert beta_coefficient([1.0, 1.2], 0.3) == pytest.approx([0.3, 0.36])
+def test_equation_6_beta_joins_heat_and_discharge():
     # The servo's own default is the equation at the nominal temperature.
     x, u = np.array([0.0, 0.1, 3e5, 2e5]), np.array([0.3, 0.0])
     default, explicit = pneumatic_servo(alpha=1.1), pneumatic_servo(alpha=1.1, beta=1.1 * 0.25)
@@ -144,12 +144,12 @@ def test_equation_7_is_the_dynamics_of_the_python_control_system():
 
 
 def test_opening_beyond_the_dead_band_grows_to_full():
-    assert valve_opening([-1.0, -0.03, -0.02, 0.0, 0.02, 0.51, 1.0, 7.0], 0.02) == pytest.approx(
-        [-1.0, -0.01 / 0.98, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0]
-    )
     wide, none = servo_derivatives(replace(FIXED, dead_band=0.3)), servo_derivatives(FIXED)
     for y, v, p_a, p_b, u, load in random_states():
-        expected = none(y, v, p_a, p_b, valve_opening(u, 0.3), load, ALPHA, BETA)
+        u *= 1.5
+        opening = np.interp(u, [-1.0, -0.3, 0.3, 1.0], [-1.0, 0.0, 0.0, 1.0])
+        # Within the dead band the side that a closed valve would open to is that of the command.
+        expected = none(y, v, p_a, p_b, opening or 0.0, load, ALPHA, BETA)
         assert wide(y, v, p_a, p_b, u, load, ALPHA, BETA) == pytest.approx(expected, rel=1e-12)
 
 
@@ -252,45 +252,31 @@ def test_zero_velocity_is_the_limit_of_creeping():
 
 
 def test_linearization_is_the_jacobian_of_the_equations():
-    model = linearize_servo(position=0.01, dt=0.01, velocity=0.08, load=5.0, alpha=1.1, beta=0.4)
-    rhs, point = servo_derivatives(P), np.array(model.point)
-    found = np.hstack((model.continuous.A, model.continuous.B))
+    steady = operating_point(position=0.01, velocity=0.08, load=5.0, alpha=1.1, beta=0.4)
+    rhs, point, found = servo_derivatives(P), np.array(steady), np.hstack(state_matrices(P, steady, 1.1, 0.4))
     for got, step in zip(found.T, np.diag([1e-6, 1e-6, 10.0, 10.0, 1e-6, 1e-3]), strict=True):
         column = (np.array(rhs(*point + step, 1.1, 0.4)) - rhs(*point - step, 1.1, 0.4)) / (2 * step.sum())
         assert got == pytest.approx(column, abs=1e-4 * np.abs(column).max() + 1e-3)
 
 
-def test_transfer_functions_are_those_of_the_state_space_models():
-    model = linearize_servo(dt=0.02, velocity=0.1)
-    z = np.exp(1j * np.array([0.02, 0.2, 0.7, 1.5, 3.0]))
-    expected = np.array([model.discrete(point)[0, 0] for point in z])
-    assert model.valve_to_position(z) == pytest.approx(expected, rel=1e-6)
-    assert np.abs(model.valve_to_position.poles() - 1).min() < 1e-6
-    # The loop closed by hand; python-control's acceleration is a row of A.
-    acceleration = np.array([model.continuous.A[1] @ np.linalg.solve(
-        point * np.eye(4) - model.discrete.A, model.discrete.B[:, 0]) for point in z])  # fmt: skip
-    gain, damping = position_gains()
-    # The controller commands an opening: it steps over the dead band.
-    opening = 1 - P.dead_band
-    loop = gain * opening * expected / (1 + opening * (gain * expected + damping * acceleration))
-    assert model.reference_to_position(z) == pytest.approx(loop, rel=1e-6)
-    assert model.reference_to_position(1) == pytest.approx(1, rel=1e-6)
-    # The difference of successive positions over dt.
-    assert model.valve_to_velocity(z) == pytest.approx(expected * (1 - 1 / z) / 0.02, rel=1e-5)
-    assert model.valve_to_velocity(1).real == pytest.approx(0.1 / (model.point.valve - P.dead_band), rel=2e-3)
-
-
 def test_dry_friction_freezes_the_linear_model_at_standstill_unless_it_is_left_out():
-    for velocity, friction, slope in ((0.0, "full", 7.4 / 1e-3 + 4.47), (0.0, "viscous", 4.47), (0.1, "full", 4.47)):
-        model = linearize_servo(dt=0.01, velocity=velocity, friction=friction)
-        assert model.continuous.A[1, 1] == pytest.approx(-slope, rel=1e-3)
+    for velocity, p, slope in ((0.0, P, 7.4 / 1e-3 + 4.47), (0.0, without_dry_friction(P), 4.47), (0.1, P, 4.47)):
+        A, _ = state_matrices(p, operating_point(p, velocity=velocity), ALPHA, 0.3)
+        assert A[1, 1] == pytest.approx(-slope, rel=1e-3)
 
 
 def radius(p, beta, dt, **loop):
     """Largest pole of python-control's model of the loop, over the stroke and in both directions."""
-    cases = [dict(position=y, velocity=v) for y in (-0.03, 0.0, 0.03) for v in (-0.05, 0.05)]
-    models = (linearize_servo(p, beta=beta, dt=dt, friction="viscous", **loop, **case) for case in cases)
-    return max(np.abs(model.reference_to_position.poles()).max() for model in models)
+    gain, damping = (loop.get(name, chosen) for name, chosen in position_gains(p)._asdict().items())
+    largest, p = 0.0, without_dry_friction(p)
+    for y, v in product((-0.03, 0.0, 0.03), (-0.05, 0.05)):
+        A, B = state_matrices(p, operating_point(p, y, velocity=v, beta=beta), 1.2, beta)
+        # Position and acceleration from the opening: the controller steps over the dead band.
+        seen = np.vstack((np.eye(1, 4), A[1]))
+        plant = control.c2d(control.ss(A, B[:, :1] * (1 - p.dead_band), seen, np.zeros((2, 1))), dt)
+        closed = control.feedback(plant, control.ss([], [], [], [[gain, damping]], dt))
+        largest = max(largest, np.abs(closed.poles()).max())
+    return largest
 
 
 @pytest.mark.parametrize("mass", [0.3, 1.0, 5.0, 50.0])

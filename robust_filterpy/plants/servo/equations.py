@@ -16,7 +16,6 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, numbers, real
 
@@ -67,7 +66,7 @@ class PneumaticParameters:
     discharge_coefficient : float
         C_d of the valve, from which eq (6) makes beta where beta is not given [1]_.
     dead_band : float
-        Overlap of the spool as a fraction of its stroke: below it the valve stays closed, see `valve_opening`. Ours:
+        Overlap of the spool as a fraction of its stroke: below it the valve stays closed, see `pneumatic_servo`. Ours:
         1 %; ISO 5598 calls a valve with less than 3 % a servo-valve, one with more a proportional valve.
     leakage_area : float
         Effective area of the gap between the chambers, past the seal of the piston, in m^2. The default lets 0.8 dm3/h
@@ -185,45 +184,6 @@ ALPHA_RANGE = (1.0, 1.3997)
 BETA_RANGE = (0.075, 1.3297)
 
 
-def beta_coefficient(alpha: ArrayLike, discharge_coefficient: ArrayLike, temperature_ratio: ArrayLike = 1.0) -> Any:
-    """Combine the heat coefficient, the valve's discharge and the gas temperature: eq (6).
-
-    ``beta = alpha C_d sqrt(tau)``.
-
-    Parameters
-    ----------
-    alpha : float or array_like, shape (N,)
-        Heat coefficient, in [1, 1.3997].
-    discharge_coefficient : float or array_like, shape (N,)
-        C_d of the valve, dimensionless, positive.
-    temperature_ratio : float or array_like, shape (N,)
-        tau, absolute temperature of the gas over the nominal one, dimensionless, positive.
-
-    Returns
-    -------
-    float or numpy.ndarray, shape (N,)
-        beta, dimensionless.
-
-    Raises
-    ------
-    ValueError
-        If alpha or the resulting beta leaves its range, or C_d or tau is not positive.
-
-    Examples
-    --------
-    >>> round(beta_coefficient(1.2, 0.25, 1.21), 12)
-    0.33
-    """
-    alpha = checked(alpha, "alpha", ALPHA_RANGE)
-    discharge = np.asarray(discharge_coefficient, dtype=float)
-    tau = np.asarray(temperature_ratio, dtype=float)
-    for name, value in (("discharge_coefficient", discharge), ("temperature_ratio", tau)):
-        if not np.all(value > 0):
-            raise ValueError(f"{name}: expected positive numbers, got a minimum of {np.min(value)}")
-    beta = checked(alpha * discharge * np.sqrt(tau), "beta", BETA_RANGE)
-    return float(beta) if beta.ndim == 0 else beta
-
-
 def coefficient_function(value: Coefficient, name: str, limits: tuple[float, float]) -> Callable[[float], float]:
     """Return a coefficient as a function of time that refuses to leave its range."""
     if callable(value):
@@ -248,8 +208,8 @@ def coefficient_function(value: Coefficient, name: str, limits: tuple[float, flo
 def checked(value: Any, name: str, limits: tuple[float, float]) -> Array:
     """Return value as an array inside limits, or refuse it."""
     array = numbers(name, value)
-    if len(outside := array[~((array >= limits[0]) & (array <= limits[1]))]):
-        raise ValueError(f"{name}: expected values in [{limits[0]:g}, {limits[1]:g}], got {outside[0]:g}")
+    if len(outside := array[~(np.isfinite(array) & (array >= limits[0]) & (array <= limits[1]))]):
+        raise ValueError(f"{name}: expected finite values in [{limits[0]:g}, {limits[1]:g}], got {outside[0]:g}")
     return array
 
 
@@ -257,40 +217,6 @@ STATES = ("position", "velocity", "P_a", "P_b")
 INPUTS = ("valve", "load")
 #: (y, v, P_a, P_b, valve, load, alpha, beta[, supply]) -> (y', v', P_a', P_b')
 Derivatives: TypeAlias = Callable[..., tuple[float, float, float, float]]
-
-
-def valve_opening(command: ArrayLike, dead_band: float) -> Any:
-    """Return how far a valve opens: not at all within its dead band, in proportion beyond it.
-
-    ``sgn(u) max(0, |u| - d) / (1 - d)``, limited to [-1, 1].
-
-    Parameters
-    ----------
-    command : float or array_like, any shape
-        Position of the spool, u, as a fraction of its stroke.
-    dead_band : float
-        Overlap d of the spool as a fraction of its stroke, in [0, 1).
-
-    Returns
-    -------
-    float or numpy.ndarray, shape of command
-        Fraction of the full opening, in [-1, 1].
-
-    Raises
-    ------
-    ValueError
-        If dead_band is not in [0, 1).
-
-    Examples
-    --------
-    >>> valve_opening([0.005, 0.208, -1.5], 0.01).round(3)
-    array([ 0. ,  0.2, -1. ])
-    """
-    if not 0 <= dead_band < 1:
-        raise ValueError(f"dead_band: expected a fraction of the spool's stroke in [0, 1), got {dead_band}")
-    u = np.asarray(command, dtype=float)
-    opening = np.sign(u) * np.clip((np.abs(u) - dead_band) / (1 - dead_band), 0.0, 1.0)
-    return float(opening) if opening.ndim == 0 else opening
 
 
 def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
@@ -315,7 +241,6 @@ def servo_derivatives(parameters: PneumaticParameters) -> Derivatives:
         supply: float = mean_supply,
     ) -> tuple[float, float, float, float]:  # fmt: skip
         force = area_a * p_a - area_b * p_b - rod_force - viscous * v - friction(v) - spring * y - stop(y, v) - load
-        # What `valve_opening` says, for one float.
         opening = min(1.0, max(0.0, (abs(valve) - dead_band) * stretch))
         filling = beta * valve_flow * opening
         leaking = alpha * leakage * through(p_a, p_b)
@@ -406,8 +331,8 @@ def pneumatic_servo(
 
     with V_a = A_a (l + y), V_b = A_b (l - y), l half the stroke plus the dead length. P_o is the supply pressure for
     the chamber that the valve fills (a for u > 0, b for u < 0) and the atmosphere for the one that it vents. o is the
-    opening, what the dead band leaves of the command u (`valve_opening`), and q the leakage from a to b past the
-    piston, ``sqrt(R T_S) A_L f`` between the two pressures.
+    opening, what the dead band d leaves of the command, ``sgn(u) max(0, |u| - d) / (1 - d)`` up to 1, and q the leakage
+    from a to b past the piston, ``sqrt(R T_S) A_L f`` between the two pressures.
 
     States: `position` (m, from mid-stroke), `velocity` (m/s), `P_a`, `P_b` (Pa, absolute). Inputs: `valve` (u, a
     fraction of the spool's stroke, saturates at -1 and 1), `load` (F_ext, N, opposes positive motion).

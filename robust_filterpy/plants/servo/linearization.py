@@ -1,4 +1,4 @@
-"""Steady motions of the servo, linear models about them, and the gains of its position loop, stable or refused."""
+"""Steady motions of the servo, the matrices about them, and the gains of its position loop, stable or refused."""
 
 from __future__ import annotations
 
@@ -6,26 +6,21 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import cont2discrete, ss2tf
+from scipy.signal import cont2discrete
 
-from robust_filterpy._checks import Array, finite, option, positive
+from robust_filterpy._checks import Array, finite
 
 from .equations import (
-    INPUTS,
     NOMINAL_ALPHA,
-    STATES,
     PneumaticParameters,
     as_parameters,
     coefficient_functions,
     dry_friction,
     servo_derivatives,
 )
-
-if TYPE_CHECKING:
-    import control
 
 #: What is little of a state: m, m/s, Pa, Pa; with command and N as they are, one step of finite differences suits all.
 STATE_SCALES = np.array([1e-2, 1e-1, 1e5, 1e5])
@@ -270,111 +265,6 @@ def feedback(A: Array, gains: PositionGains) -> Array:
     return gains.gain * _POSITION + gains.damping * A[1:2]
 
 
-class ServoLinearization(NamedTuple):
-    """Hold the linear models of the pneumatic servo at an operating point.
-
-    Attributes
-    ----------
-    point : ServoOperatingPoint
-    continuous : control.StateSpace
-        Inputs valve and load, states and outputs position, velocity, P_a, P_b; deviations from the point, SI units.
-    discrete : control.StateSpace
-        The same with its inputs held over dt.
-    valve_to_position : control.TransferFunction
-        Discrete, m per unit of the valve's command; it has a pole at 1.
-    valve_to_velocity : control.TransferFunction
-        Discrete, m/s per unit of the valve's command: the difference of successive positions over dt, which is the
-        mean velocity of the period before.
-    reference_to_position : control.TransferFunction
-        Discrete, the loop of `simulate_servo` closed, its dead band compensated.
-    """
-
-    point: ServoOperatingPoint
-    continuous: control.StateSpace
-    discrete: control.StateSpace
-    valve_to_position: control.TransferFunction
-    valve_to_velocity: control.TransferFunction
-    reference_to_position: control.TransferFunction
-
-
-def linearize_servo(
-    parameters: PneumaticParameters | None = None, position: float = 0.0, *, dt: float, velocity: float = 0.05,
-    load: float = 0.0, alpha: float = NOMINAL_ALPHA, beta: float | None = None, gain: float | None = None,
-    damping: float | None = None, friction: str = "full",
-) -> ServoLinearization:  # fmt: skip
-    """Linearize the pneumatic servo about a steady motion.
-
-    The models have four states. Valve to position is an integrator, the resonance of the mass between the two air
-    springs (12 Hz by default in mid-stroke), and one real pole.
-
-    Parameters
-    ----------
-    parameters : PneumaticParameters, optional
-    position : float
-        In m from mid-stroke.
-    dt : float
-        Sampling period of the discrete models, in s.
-    velocity : float
-        Of the steady motion, in m/s, see Notes.
-    load : float
-        Load force, in N.
-    alpha, beta : float
-        Coefficients of eq (2); beta by default by eq (6).
-    gain, damping : float, optional
-        Of the position loop, in 1/m and s^2/m; by default those of `position_gains`.
-    friction : {"full", "viscous"}
-        "viscous" leaves the Coulomb, static and Stribeck parts of the friction out.
-
-    Returns
-    -------
-    ServoLinearization
-
-    Raises
-    ------
-    ValueError
-        If dt is not positive, `friction` is unknown, and as `operating_point`.
-
-    Notes
-    -----
-    Dry friction is not linear. At standstill its smooth stand-in ``tanh(v / v_0)`` has the slope F_s / v_0, 7400 N s/m
-    by default: that is a stuck piston, right for motions slower than v_0 alone. Once the piston slides faster than the
-    Stribeck velocity, dry friction is a constant force, and its slope is gone: hence the default velocity of 0.05 m/s.
-    ``friction="viscous"`` says the same for every velocity. A motion that reverses within the recording sees something
-    between the two, a damping that falls as the amplitude grows.
-
-    |u|, its dead band and the change from supply to atmosphere put a kink at u = 0; at velocity 0 the models are those
-    of the valve that opens for u > 0.
-
-    Examples
-    --------
-    >>> model = linearize_servo(dt=0.01)
-    >>> print(abs(model.reference_to_position(1)).round(6))
-    1.0
-    """
-    import control
-
-    p = as_parameters(parameters)
-    positive("dt", dt)
-    option("friction", friction, ("full", "viscous"))
-    gains = chosen_gains(p, gain, damping)
-    if friction == "viscous":
-        p = without_dry_friction(p)
-    point = operating_point(p, position, velocity=velocity, load=load, alpha=alpha, beta=beta)
-    A, B = state_matrices(p, point, *(at(0.0) for at in coefficient_functions(p, alpha, beta)))
-
-    a, b = sampled(A, B, dt)
-    opening = b[:, :1] * (1 - p.dead_band)
-    to_position = _transfer_function(a, b[:, :1], dt)
-    closed = _transfer_function(a - opening @ feedback(A, gains), gains.gain * opening, dt)
-    # (1 - 1/z)/dt: the pole at 1 goes, one at 0 comes.
-    numerator, denominator = to_position.num[0][0], np.polydiv(to_position.den[0][0], [1.0, -1.0])[0]
-    to_velocity = control.tf(numerator / dt, np.append(denominator, 0.0), dt)
-    names = {"states": list(STATES), "inputs": list(INPUTS), "outputs": list(STATES)}
-    continuous = control.ss(A, B, np.eye(4), np.zeros((4, 2)), **names)
-    discrete = control.ss(a, b, np.eye(4), np.zeros((4, 2)), dt=dt, **names)
-    return ServoLinearization(point, continuous, discrete, to_position, to_velocity, closed)
-
-
 def chosen_gains(p: PneumaticParameters, gain: float | None, damping: float | None) -> PositionGains:
     """Return the gains of the loop: those given, checked, and for the others those that the parameters ask for."""
     scheduled = position_gains(p)
@@ -383,11 +273,3 @@ def chosen_gains(p: PneumaticParameters, gain: float | None, damping: float | No
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name}: expected a finite number >= 0, got {value}")
     return given
-
-
-def _transfer_function(a: Array, b: Array, dt: float) -> control.TransferFunction:
-    """Return what (z I - a)^-1 b says of the position."""
-    import control
-
-    numerator, denominator = ss2tf(a, b, _POSITION, np.zeros((1, 1)))
-    return control.tf(numerator[0, 1:], denominator, dt)

@@ -22,7 +22,6 @@ from .equations import (
     PneumaticParameters,
     as_parameters,
     checked,
-    coefficient_function,
     servo_derivatives,
 )
 from .linearization import PositionGains, check_loop, chosen_gains, operating_point
@@ -32,29 +31,10 @@ Signal: TypeAlias = "Coefficient | ArrayLike"
 
 def _samples(value: Signal, t: Array, name: str, limits: tuple[float, float]) -> Array:
     """Return a signal at the sampling times."""
-    if not callable(value) and np.ndim(value):
-        samples = checked(value, name, limits)
-        if samples.shape != t.shape:
-            raise ValueError(f"{name}: expected one value for each of the {t.size} samples, got shape {samples.shape}")
-    else:
-        function = coefficient_function(value, name, limits)  # type: ignore[arg-type]
-        samples = np.array([function(now) for now in t.tolist()])
-    if not np.all(np.isfinite(samples)):
-        raise ValueError(f"{name}: expected finite values")
-    return samples.copy()
-
-
-def _initial_state(initial: ArrayLike | None, parameters: PneumaticParameters, load: float) -> Array:
-    """Return the state at t = 0."""
-    if initial is None:
-        point = operating_point(parameters, load=load, velocity=0.0)
-        return np.array([0.0, 0.0, point.P_a, point.P_b])
-    x = finite("initial", initial, (len(STATES),)).copy()
-    if x[2] <= 0 or x[3] <= 0:
-        raise ValueError(f"initial: expected positive absolute pressures, got P_a = {x[2]:g} and P_b = {x[3]:g} Pa")
-    if abs(x[0]) > parameters.stroke / 2:
-        raise ValueError(f"initial: expected a position within +-{parameters.stroke / 2:g} m, got {x[0]:g}")
-    return x
+    samples = checked([value(now) for now in t.tolist()] if callable(value) else value, name, limits)
+    if samples.shape not in ((), t.shape):
+        raise ValueError(f"{name}: expected one value for each of the {t.size} samples, got shape {samples.shape}")
+    return np.broadcast_to(samples, t.shape).copy()
 
 
 class ServoRecording(NamedTuple):
@@ -67,7 +47,7 @@ class ServoRecording(NamedTuple):
     reference : numpy.ndarray, shape (N,)
         Reference position, in m.
     valve : numpy.ndarray, shape (N,)
-        Command to the valve, a fraction of the spool's stroke, in [-1, 1]; `valve_opening` makes an opening of it.
+        Command to the valve, a fraction of the spool's stroke, in [-1, 1], its dead band included.
     position, velocity : numpy.ndarray, shape (N,)
         Motion of the piston at t[k], in m and m/s, free of measurement noise.
     P_a, P_b : numpy.ndarray, shape (N,)
@@ -133,7 +113,7 @@ def simulate_servo(
     reference: ArrayLike, dt: float, parameters: PneumaticParameters | None = None, *, gain: float | None = None,
     damping: float | None = None, alpha: Signal = NOMINAL_ALPHA, beta: Signal | None = None, load: Signal = 0.0,
     supply: Signal | None = None, noise: ArrayLike | None = None, observer: Observer | None = None,
-    initial: ArrayLike | None = None, rtol: float = 1e-6,
+    rtol: float = 1e-6,
 ) -> ServoRecording:  # fmt: skip
     """Simulate the pneumatic servo in a position loop, sampled to identification data.
 
@@ -165,9 +145,6 @@ def simulate_servo(
         ``observer(readings, valve) -> (position, acceleration)``: what the controller takes for the motion, of the
         readings of position, P_a and P_b, shape (3,), and of the command of the period before; examples/servo has one
         that filters. By default the controller sees the true motion.
-    initial : array_like, shape (4,), optional
-        Position, velocity, P_a, P_b at t = 0. By default at rest in mid-stroke, at the pressures of
-        `operating_point` under the first load.
     rtol : float
         Relative tolerance of the ODE solver (LSODA, restarted at each sample).
 
@@ -181,8 +158,7 @@ def simulate_servo(
         If the linear model of the loop is unstable on the stroke, at the least or the largest beta.
     ValueError
         If the reference is empty, not finite or beyond the stroke, dt, rtol or a gain is out of range, alpha
-        or beta leaves its range, the supply falls below the atmosphere, a sequence has not N values, or the initial
-        pressures are not positive.
+        or beta leaves its range, the supply falls below the atmosphere, or a sequence has not N values.
     TypeError
         If a signal is of an unknown kind.
     RuntimeError
@@ -190,6 +166,9 @@ def simulate_servo(
 
     Notes
     -----
+    The piston begins at rest in mid-stroke, at the pressures of `operating_point` under the first load. For another
+    start, simulate `pneumatic_servo` by python-control.
+
     The acceleration is fed back, not the velocity. The mass on its air springs is hardly damped, and the motion is an
     integral of the valve opening: at the resonance the velocity lags a quarter of a period behind the valve, so that
     its feedback stiffens and, with the delay of sampling, destabilizes; the acceleration is what damps. The default
@@ -221,7 +200,8 @@ def simulate_servo(
     load = _samples(load, t, "load", (-math.inf, math.inf))
     supply = _samples(p.supply_pressure if supply is None else supply, t, "supply", (p.atmospheric_pressure, math.inf))
     noise = np.zeros((r.size, 3)) if noise is None else finite("noise", noise, (r.size, 3))
-    x = _initial_state(initial, p, float(load[0]))
+    start = operating_point(p, load=float(load[0]), velocity=0.0)
+    x = np.array([0.0, 0.0, start.P_a, start.P_b])
     check_loop(p, dt, gains, {float(beta.min()), float(beta.max())})
     inputs = np.column_stack([load, alpha, beta, supply])
     states, readings, commands, estimates = _driven(r, dt, p, gains, inputs, noise, x, observer, rtol)
