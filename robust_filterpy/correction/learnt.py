@@ -37,7 +37,7 @@ REACH = 8.0
 _TOGETHER = 1e8
 # One that is worth so much for a jump tells nothing of the scale of Q: a jump and a larger Q explain the same.
 _LOG_TELLS = math.log(30.0)
-# A state that is so much less certain than a sensor's noise, in variance, is unknown.
+# A state that is so much less certain than a sensor's noise, in variance, is unknown: P - b C C' would leave rounding.
 _WIDEST = 1e12
 # A variance that has shrunk to this part of what it was is rounding.
 _CANCELLED = 1e-13
@@ -178,6 +178,11 @@ def _corrected(
         r, memory[part] = learning.ordinary_size(
             memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.memory
         )
+    # A sensor that is more exact first counts as that exact, which sets a state that was unknown; as what it is from
+    # the next reading on.
+    least = ((models.P[: len(process.scales)] @ H.T) * H.T).sum(axis=1).max(axis=0) / _WIDEST
+    learned, too_exact = r, (R.diagonal() > 0.0) & (least > r * R.diagonal())
+    r = np.where(too_exact, np.minimum(least / np.where(too_exact, R.diagonal(), 1.0), 1e300), r)
     seen, noisy = np.argmax(H != 0.0, axis=1), r * R.diagonal()
     # An outlier is far from what is expected of a reading, by all models together.
     chances, variances, wide = np.zeros(len(part)), ((H @ spread) * H).sum(axis=1), np.ones(len(part))
@@ -223,7 +228,7 @@ def _corrected(
             for k, row in enumerate(own):
                 share = float(parts[k])
                 excess = (float(energies[k]) - 1.0) / share if share > 0.0 else 0.0
-                memory[row] = learning.learn(memory[row], posterior, float(r[group[k]]), excess, share, noise)
+                memory[row] = learning.learn(memory[row], posterior, float(learned[group[k]]), excess, share, noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, scores, shares)
