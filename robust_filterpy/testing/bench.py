@@ -70,14 +70,8 @@ class Check:
         """What is asserted, in a sentence: the first line of the docstring."""
         return (self.function.__doc__ or "").strip().splitlines()[0]
 
-    @property
-    def __name__(self) -> str:
-        """Name; pytest shows it as the id of the parameter."""
-        return self.name
-
-    def __str__(self) -> str:
-        """Name."""
-        return self.name
+    #: pytest shows it as the id of the parameter.
+    __name__ = name
 
     def __call__(self, make: Callable[..., Any], *, seed: int | None = None) -> None:
         """Test the promise."""

@@ -165,32 +165,6 @@ def assert_innovations_white(runs: Runs, *, lags: int = 5, tolerance: float = 0.
     fail(failures[:1])
 
 
-def assert_covariance_stays_one(P: Any, *, rtol: float = 1e-6) -> None:
-    """Assert that every P is finite, symmetric and without negative eigenvalues.
-
-    Parameters
-    ----------
-    P : array_like, shape (N, n, n) or (n, n)
-        Covariances.
-    rtol : float, default 1e-6
-        By how much an eigenvalue may be negative, against the variances on the diagonal: units do not matter.
-
-    Raises
-    ------
-    AssertionError
-        If not; it names the first step.
-    """
-    values = _checks.numbers("P", P)
-    if values.ndim not in (2, 3) or values.shape[-1] != values.shape[-2]:
-        raise ValueError(f"P: expected shape (N, n, n) or (n, n), got {values.shape}")
-    try:
-        _checks.covariance("P", values, slack=rtol)
-    except ValueError as error:
-        raise AssertionError(
-            f"{error}; P = (P + P') / 2 after each step keeps it symmetric, (I - K H) P (I - K H)' + K R K' positive"
-        ) from None
-
-
 def _nis(runs: list[Run], factor: float, alpha: float) -> str | None:
     """Test the innovations of all runs together."""
     e = np.concatenate([run.whitened for run in runs])

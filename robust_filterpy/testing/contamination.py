@@ -116,10 +116,8 @@ def stuck(
     """Repeat the sample before each run."""
     held = _runs(probability, length, clean.shape, rng)
     held[0] = False
-    z = before.z.copy()
-    for k in range(1, len(z)):
-        z[k] = np.where(held[k], z[k - 1], z[k])
-    return _replaced(before, z, held)
+    last = np.maximum.accumulate(np.where(held, 0, np.arange(len(held))[:, None]), axis=0)
+    return _replaced(before, np.take_along_axis(before.z, last, axis=0), held)
 
 
 def missing(
@@ -145,16 +143,13 @@ def of_noise(kind: Contamination) -> bool:
 
 def objects(kinds: Kinds) -> list[Contamination]:
     """Return what is meant as functions that spoil measurements, or raise if a name or an option is unknown."""
-    contaminations: list[Contamination] = []
     several: Any = (kinds,) if isinstance(kinds, str) or callable(kinds) else kinds
-    for kind in several:
-        if callable(kind):
-            contaminations.append(kind)
-        elif not isinstance(kind, str):
-            raise TypeError(f"contamination: expected a name or something to call, got {_checks.shown(kind)}")
-        elif _checks.option("contamination", kind, ("none", *CONTAMINATIONS)) != "none":
-            contaminations.append(_named(kind, kinds[kind] if isinstance(kinds, Mapping) else {}))
-    return contaminations
+    options: Mapping[str, Any] = kinds if isinstance(kinds, Mapping) else {}
+    return [
+        kind if callable(kind) else _named(kind, options.get(kind, {}))
+        for kind in several
+        if callable(kind) or _checks.option("contamination", kind, ("none", *CONTAMINATIONS)) != "none"
+    ]
 
 
 def _named(name: str, options: Mapping[str, float]) -> Contamination:

@@ -81,7 +81,21 @@ class Scenario:
     @cached_property
     def reference(self) -> Run:
         """The Kalman filter (extended, for a nonlinear sensor) that knows every label and every jump."""
-        return runs.run_filter(_LabelKnowing(self), self)
+        model, (x, P), steps = self.model, (self.model.x, self.model.P), []
+        telling = np.isfinite(self.noise_ratio) & ~self.is_missing
+        scales = np.where(np.isfinite(self.noise_ratio), self.noise_ratio, 1.0)
+        for k, z in enumerate(self.z):
+            x, P = filterpy.kalman.predict(x, P, model.F, self.Qs[k])
+            if self.u is not None and model.B is not None:
+                x = x + model.B @ self.u[k]
+            H, R, use = model.jacobian(x), np.outer(scales[k], scales[k]) * model.R, np.flatnonzero(telling[k])
+            y, S = z - model.measured(x), H @ P @ H.T + R
+            if use.size:
+                # Linearised at x: z - h(x) + H x is what a linear sensor would have said.
+                x, P = filterpy.kalman.update(x, P, (y + H @ x)[use], R[np.ix_(use, use)], H[use])
+            steps.append((y, S, x, P))
+        ys, Ss, xs, Ps = (np.array(part) for part in zip(*steps, strict=True))
+        return Run(ys, Ss, xs, Ps, self.x, self)
 
 
 def draw(
@@ -155,46 +169,12 @@ def _draw_states(
     clean = np.array([model.measured(x) for x in states]).reshape(N, m)
     sigma = np.sqrt(model.R.diagonal())
     seen = spoilt(clean + _normal(rng, N, model.R), clean, sigma, objects(contamination), rng)
-    z = seen.z.copy()
-    for i, period in enumerate(model.periods or ()):
-        z[np.arange(N) % period != period - 1, i] = np.nan
-    missing = np.isnan(z)
+    missing = np.isnan(seen.z)
     is_jump = (ratio > 1.0) | shifts.any(axis=1)
     Qs = ratio[:, None, None] ** 2 * model.Q + shifts[:, :, None] * shifts[:, None, :]
-    return Scenario(model, u, z, states, seen.is_outlier & ~missing, missing, is_jump, seen.noise_ratio, Qs)
+    return Scenario(model, u, seen.z, states, seen.is_outlier & ~missing, missing, is_jump, seen.noise_ratio, Qs)
 
 
 def _normal(rng: np.random.Generator, size: int, covariance: Array) -> Array:
     """Draw normal vectors with a covariance that may be singular."""
     return rng.multivariate_normal(np.zeros(len(covariance)), covariance, size, method="eigh")
-
-
-class _LabelKnowing:
-    """The Kalman filter, by filterpy's functions, that is given each sample's own R and each step's own Q."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        """Begin where the scenario does."""
-        self.scenario, self.k = scenario, -1
-        self.x, self.P, self.R = scenario.model.x, scenario.model.P, scenario.model.R
-
-    def predict(self, u: Array | None = None) -> None:
-        """Predict, and look at the labels of the sample that comes."""
-        scenario, model = self.scenario, self.scenario.model
-        self.k += 1
-        self.x, self.P = filterpy.kalman.predict(self.x, self.P, model.F, scenario.Qs[self.k])
-        if u is not None and model.B is not None:
-            self.x = self.x + model.B @ u
-        ratio = scenario.noise_ratio[self.k]
-        scale = np.where(np.isfinite(ratio), ratio, 1.0)
-        self.R = np.outer(scale, scale) * model.R if (scale != 1.0).any() else model.R
-
-    def update(self, z: Array | None) -> None:
-        """Correct by what tells something."""
-        scenario, model = self.scenario, self.scenario.model
-        use = np.flatnonzero(np.isfinite(scenario.noise_ratio[self.k]) & ~scenario.is_missing[self.k])
-        if z is not None and use.size:
-            H = model.jacobian(self.x)
-            # Linearised at x: z - h(x) + H x is what a linear sensor would have said.
-            target = z - model.measured(self.x) + H @ self.x
-            R = self.R[np.ix_(use, use)]
-            self.x, self.P = filterpy.kalman.update(self.x, self.P, target[use], R, H[use])

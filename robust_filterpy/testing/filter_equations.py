@@ -127,19 +127,6 @@ def measurement_makes_the_state_more_certain(subject: FilterSubject) -> None:
         raise AssertionError(f"P grew in one direction by {-values[0]:.2g} of its size, expected P+ <= P")
 
 
-@promise(PROMISES, "exact")
-def correction_leaves_P_minus_K_S_K(subject: FilterSubject) -> None:
-    """P+ = P - K S K' with the Kalman gain K."""
-    model = subject.model()
-    kf, P = subject.at_prior(model), model.P
-    runs.measure(kf, model.H @ model.x + 0.1, model)
-    S, got = model.innovation_covariance(P), state(kf)[1]
-    K = np.linalg.solve(S, model.H @ P).T
-    I_KH = np.eye(len(P)) - K @ model.H
-    slips = (P, "P: it was not corrected"), (I_KH @ P @ I_KH.T, "(I - K H) P (I - K H)', without K R K'")
-    _compare(got, P - K @ S @ K.T, "P - K S K'", "".join(_alike(got, slip, name) for slip, name in slips))
-
-
 @promise(PROMISES)
 def nonlinear_sensor_is_linearised_at_the_prediction(subject: FilterSubject) -> None:
     """An extended filter asks for sensor and Jacobian at x_prior, and is the Kalman filter of that line."""

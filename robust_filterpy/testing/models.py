@@ -8,7 +8,6 @@ name                    good for
 constant velocity       the usual tracker in the plane: four states, two sensors, a velocity that nobody measures
 level                   one number that wanders and sometimes jumps: does a filter believe what is true?
 paper                   equations 31-34 of the paper: three of four states are seen through the model alone
-two sensors             rates of 1 and 1/5, metres seen as kilometres and m/s as km/h: units, order, missing samples
 range and bearing       a nonlinear sensor, for extended and sigma-point filters
 random stable           any size, full F, H, Q, R and B: a transposed or forgotten matrix has nowhere to hide
 ======================  =============================================================================================
@@ -51,8 +50,6 @@ class StateModel:
         h(x), shape (m,), of a nonlinear sensor.
     sensor_jacobian : callable, optional
         dh/dx at x, shape (m, n).
-    periods : tuple of int, optional
-        Samples from one measurement of a sensor to its next, one for each sensor. Default: 1.
     jump_probability : float
         With this probability the process noise of a step is multiplied by `jump_ratio`; no filter is given that.
     jump_ratio : float
@@ -73,7 +70,6 @@ class StateModel:
     B: Array | None = None
     sensor: Callable[[Array], Array] | None = None
     sensor_jacobian: Callable[[Array], Array] | None = None
-    periods: tuple[int, ...] | None = None
     jump_probability: float = 0.0
     jump_ratio: float = 10.0
 
@@ -95,8 +91,6 @@ class StateModel:
             object.__setattr__(self, "B", B)
         if (self.sensor is None) != (self.sensor_jacobian is None):
             raise ValueError("sensor, sensor_jacobian: expected both for a nonlinear sensor, or neither")
-        if self.periods is not None and len(self.periods) != m:
-            raise ValueError(f"periods: expected one for each of the {m} sensors, got {self.periods}")
 
     @property
     def dims(self) -> tuple[int, int, int]:
@@ -120,7 +114,7 @@ class StateModel:
         return replace(self, **changes)
 
     def in_units(self, state: ArrayLike, sensors: ArrayLike) -> StateModel:
-        """Return the same system in other units: every state and every sensor times a factor.
+        """Return the same linear system in other units: every state and every sensor times a factor.
 
         Parameters
         ----------
@@ -134,32 +128,9 @@ class StateModel:
         StateModel
         """
         a, b = np.asarray(state, dtype=float), np.asarray(sensors, dtype=float)
-        moved, seen = np.outer(a, a), np.outer(b, 1 / a)
         return self.with_(
-            x=a * self.x, P=moved * self.P, F=np.outer(a, 1 / a) * self.F, H=seen * self.H, Q=moved * self.Q,
-            R=np.outer(b, b) * self.R, B=None if self.B is None else a[:, None] * self.B,
-            sensor=None if self.sensor is None else lambda x: b * self.measured(x / a),
-            sensor_jacobian=None if self.sensor is None else lambda x: seen * self.jacobian(x / a),
-        )  # fmt: skip
-
-    def of_sensors(self, rows: ArrayLike) -> StateModel:
-        """Return the system with some of its sensors, in this order.
-
-        Parameters
-        ----------
-        rows : array_like of int, shape (k,)
-            Which sensors.
-
-        Returns
-        -------
-        StateModel
-        """
-        rows = np.asarray(rows, dtype=int)
-        return self.with_(
-            H=self.H[rows], R=self.R[np.ix_(rows, rows)],
-            sensor=None if self.sensor is None else lambda x: self.measured(x)[rows],
-            sensor_jacobian=None if self.sensor is None else lambda x: self.jacobian(x)[rows],
-            periods=None if self.periods is None else tuple(self.periods[i] for i in rows),
+            x=a * self.x, P=np.outer(a, a) * self.P, F=np.outer(a, 1 / a) * self.F, H=np.outer(b, 1 / a) * self.H,
+            Q=np.outer(a, a) * self.Q, R=np.outer(b, b) * self.R,
         )  # fmt: skip
 
 
@@ -187,15 +158,6 @@ def paper(P0: float = 0.1) -> StateModel:
         [-0.001, 0.01, 1.0, -0.001], [0.01, 0.001, -0.002, 1.0],
     ])  # fmt: skip
     return StateModel(np.zeros(4), P0 * np.eye(4), F, np.eye(1, 4), 0.001 * np.eye(4), np.array([[0.1]]))
-
-
-def two_sensors() -> StateModel:
-    """Return a cart, in m and m/s, whose position comes in km every fifth sample and whose speed in km/h at each."""
-    dt = 0.1
-    return StateModel(
-        x=np.array([0.0, 5.0]), P=np.diag([1.0, 0.25]), F=np.array([[1.0, dt], [0.0, 1.0]]), H=np.diag([1e-3, 3.6]),
-        Q=0.2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), R=np.diag([0.002**2, 2.0**2]), periods=(5, 1),
-    )  # fmt: skip
 
 
 def range_bearing() -> StateModel:
@@ -235,6 +197,6 @@ def random_stable(
 
 #: What `draw` knows by name.
 MODELS: dict[str, Callable[..., StateModel]] = {
-    "constant velocity": constant_velocity, "level": level, "paper": paper, "two sensors": two_sensors,
+    "constant velocity": constant_velocity, "level": level, "paper": paper,
     "range and bearing": range_bearing, "random stable": random_stable,
 }  # fmt: skip

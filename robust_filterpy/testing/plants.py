@@ -56,25 +56,18 @@ class Plant:
         Deviation of the ordinary noise, in the unit of y.
     drift : float
         Variance of each parameter's step from sample to sample (c does not move).
-    jump_probability : float
-        Of each sample, that all parameters jump.
-    jump_size : float
-        Deviation of a jump of one parameter.
     """
 
     structure: Structure
     theta: Array
     sigma: float = 0.5
     drift: float = 0.0
-    jump_probability: float = 0.0
-    jump_size: float = 0.3
 
     @property
     def Q(self) -> Array:
         """Covariance of a step of theta that a tracker is given, shape (n_theta, n_theta)."""
-        moving = np.ones(self.structure.n_theta)
-        moving[self.structure.n_theta - self.structure.nc :] = 0.0
-        return np.diag((self.drift + self.jump_probability * self.jump_size**2) * moving)
+        moving = self.structure.n_theta - self.structure.nc
+        return np.diag(np.repeat([self.drift, 0.0], [moving, self.structure.nc]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +177,10 @@ def draw_plant(
     """Draw a recording of a plant; see `robust_filterpy.testing.draw`."""
     structure, kinds, sigma = plant.structure, objects(contamination), np.array([plant.sigma])
     v = plant.sigma * rng.standard_normal((steps, 1))
-    theta, is_jump = _path(plant, steps, jumps, rng)
+    shifts, theta = jump_rows(jumps, steps, plant.theta.size), np.tile(plant.theta, (steps, 1))
+    if plant.drift:
+        theta = random_walk(plant.theta, plant.Q, steps, rng, stable(structure.na + structure.nf))
+    theta, is_jump = theta + np.cumsum(shifts, axis=0), np.asarray(shifts.any(axis=1))
     u = rng.choice([-1.0, 1.0], steps)
     clean = _output(structure, theta, u, None)
     noise = spoilt(v, np.zeros_like(v), sigma, [kind for kind in kinds if of_noise(kind)], rng)
@@ -205,30 +201,6 @@ def jump_rows(jumps: Mapping[int, ArrayLike], steps: int, n: int) -> Array:
             raise ValueError(f"jumps: expected steps below {steps}, got {k}")
         rows[k] = _checks.matrix("jumps", np.atleast_2d(_checks.numbers("jumps", shift)), (1, n), f"{n} numbers")
     return rows
-
-
-def _path(
-    plant: Plant, steps: int, jumps: Mapping[int, ArrayLike], rng: np.random.Generator
-) -> tuple[Array, np.ndarray]:
-    """Return the parameters of each sample, and at which they jump."""
-    theta, na = plant.theta, plant.structure.na + plant.structure.nf
-    shifts = jump_rows(jumps, steps, theta.size)
-    still = slice(theta.size - plant.structure.nc, None)
-    accept = stable(na)
-    if plant.drift:
-        Q = np.diag(np.full(theta.size, plant.drift))
-        Q[still, still] = 0.0
-        path = random_walk(theta, Q, steps, rng, accept)
-    else:
-        path = np.tile(theta, (steps, 1))
-    is_jump = rng.random(steps) < plant.jump_probability
-    for k in np.flatnonzero(is_jump):
-        drawn = plant.jump_size * rng.standard_normal((1000, theta.size))
-        drawn[:, still] = 0.0
-        # What drifts afterwards is to stay stable too.
-        path[k:] += next(shift for shift in drawn if all(map(accept, path[k:] + shift)))
-    path += np.cumsum(shifts, axis=0)
-    return path, is_jump | shifts.any(axis=1)
 
 
 def _output(structure: Structure, theta: Array, u: Array, v: Array | None) -> Array:

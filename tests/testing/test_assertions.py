@@ -23,7 +23,7 @@ from robust_filterpy.testing import (
     run_tracker,
 )
 from robust_filterpy.testing.checks import assert_refused_call_changes_nothing, assert_unchanged, visible
-from robust_filterpy.testing.consistency import _correlation, assert_covariance_stays_one, ratio_of_errors
+from robust_filterpy.testing.consistency import _correlation, ratio_of_errors
 from robust_filterpy.testing.models import random_stable
 from robust_filterpy.testing.runs import Run, load
 
@@ -99,7 +99,7 @@ def test_a_factor_is_granted_both_ways():
 
 def test_missing_components_are_no_degrees_of_freedom():
     for seed in range(10):
-        assert_consistent(draw("two sensors", 100, contamination="missing", rng=seed).reference)
+        assert_consistent(draw("random stable", 100, contamination="missing", rng=seed).reference)
 
 
 def test_a_saver_is_a_run_without_a_truth():
@@ -143,18 +143,6 @@ def test_correlation_at_a_later_lag_is_found():
     assert_innovations_white(run, lags=2)
     # Of fewer steps than lags there is nothing to say.
     assert_innovations_white(Run(run.y[:3], run.S[:3]), lags=5)
-
-
-@pytest.mark.parametrize(("P", "expected"), [
-    (np.array([[1.0, 0.0], [1e-3, 1.0]]), "P[1]: expected a symmetric matrix"),
-    (np.array([[1.0, 1.1], [1.1, 1.0]]), "least eigenvalue is -0.1;"),
-    (np.array([[1e12, 1.1], [1.1, 1e-12]]), "P[1]: expected a positive semidefinite"),
-    (np.array([[1.0, np.nan], [np.nan, 1.0]]), "NaN or infinity"),
-])  # fmt: skip
-def test_what_is_no_covariance_is_named_whatever_the_units(P, expected):
-    assert expected in words(assert_covariance_stays_one, np.stack([np.eye(2), P]))
-    assert_covariance_stays_one(np.diag([1e12, 1e-12]))
-    assert_covariance_stays_one(draw("constant velocity", 20, rng=1).reference.P)
 
 
 # What a filter makes of outliers
@@ -206,7 +194,6 @@ def test_a_refused_call_is_named_with_what_it_changed():
     assert "too late" in said and "P, x" in said
     assert_refused_call_changes_nothing(copy.deepcopy(kf), changes_and_refuses, names=("F", "H"))
     assert "got ZeroDivisionError" in words(assert_refused_call_changes_nothing, kf, lambda kf: 1 / 0)
-    assert_refused_call_changes_nothing(kf, lambda kf: 1 / 0, raises=ZeroDivisionError)
 
 
 def test_visible_is_what_can_be_read_as_numbers():
@@ -237,7 +224,7 @@ def test_parameters_are_recovered_in_every_unit_of_noise():
     for sigma in (0.01, 0.5):
         assert_recovers_parameters(tracked(paper_tracker, "arx", sigma=sigma))
     assert_recovers_parameters(tracked(paper_tracker, "fir", contamination="mixture"), factor=3.0)
-    signs = altered(tracked(paper_tracker, "arx"), lambda theta: theta * [-1.0, -1.0, 1.0, 1.0])
+    signs = altered(tracked(paper_tracker, "arx", sigma=0.1), lambda theta: theta * [-1.0, -1.0, 1.0, 1.0])
     said = words(assert_recovers_parameters, signs)
     assert "a1 = 1." in said and "signs are not" in said
     order = altered(tracked(paper_tracker, "fir", samples=400, sigma=0.1), lambda theta: theta[:, ::-1])
@@ -257,7 +244,6 @@ LEVEL = draw("level", 20, rng=0).reference
     (lambda run: assert_consistent(LEVEL, false_alarm=0.0), ValueError, "false_alarm: expected a probability"),
     (lambda run: assert_unbiased(Run(LEVEL.y, LEVEL.S)), ValueError, "truth|P"),
     (lambda run: assert_innovations_white(LEVEL, lags=0), ValueError, "lags"),
-    (lambda run: assert_covariance_stays_one(np.zeros(3)), ValueError, "P: expected shape"),
     (lambda run: assert_consistent(Run(LEVEL.y * np.nan, LEVEL.S)), ValueError, "at least one measurement"),
     (lambda run: assert_consistent(Run(LEVEL.y, -LEVEL.S)), AssertionError, "S of step 0 is no covariance"),
     (lambda run: assert_tracks([run] * 12, skip=30), ValueError, "skip: expected fewer than the 30 samples"),
