@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
 from robust_filterpy.filters.notices import StuckSensorWarning, say_stuck_among
 from robust_filterpy.filters.states import moved_shapes
+from robust_filterpy.fleet.states import FLEET
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
 from robust_filterpy.kernel import series as kernel
@@ -28,6 +30,8 @@ from robust_filterpy.kernel.series import Model, Rows
 
 #: What an impossible step raises.
 REFUSED = (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError)
+#: Takes samples of a key by a filter or tracker, from one row of the work to another, or raises.
+Through: TypeAlias = Callable[[Any, "Work", int, int], None]
 # Numbers of a group of keys that are worked on at once: what stays in a processor's cache.
 _GROUP = 100_000
 
@@ -99,7 +103,7 @@ def start_of_filter(kf: Any) -> dict[str, Array]:
 
 def advance_filters(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
     """Take the steps of all keys; kf stays as it is."""
-    steps = np.diff(work.bounds)
+    steps, through = np.diff(work.bounds), partial(_through_filter, update)
     if series is None:
         worker, settings, m = copy.deepcopy(kf), kf.state(), kf.dim_z
         learns = getattr(getattr(kf, "policy", None), "noise", None) is not None
@@ -107,7 +111,7 @@ def advance_filters(kf: Any, update: Mapping[str, Any], series: Plain | None, wo
             mute(StuckSensorWarning, worker)
         work.columns[:] = np.nan
         for i in range(len(steps)):
-            _alone(worker, settings, update, work, i, 0, int(steps[i]))
+            _alone(worker, settings, through, work, i, 0, int(steps[i]))
         if learns:
             # Of no reading else is the weight 0.
             some = np.flatnonzero(steps)
@@ -120,11 +124,11 @@ def advance_filters(kf: Any, update: Mapping[str, Any], series: Plain | None, wo
     worker = kf if good.all() else copy.deepcopy(kf)
     for i in np.flatnonzero(~good).tolist():
         # Says what is wrong with the state.
-        _alone(worker, {}, update, work, i, 0, int(steps[i]))
+        _alone(worker, {}, through, work, i, 0, int(steps[i]))
     before = memory.copy()
     n, m, able = kf.dim_x, kf.dim_z, np.flatnonzero(good & (steps > 0))
     for members in _groups(steps[able], lambda k: _GROUP // max(int(steps[able[k]]) * (2 * n + m), n * n)):
-        _together(series, kf, update, work, able[members])
+        _together(series, kf, through, work, able[members])
     if memory.size:
         # Of a key it is said once: its state knows.
         memory = _moving(work)[2]
@@ -138,48 +142,54 @@ def _moving(work: Work) -> tuple[Array, Array, Array]:
     return x.reshape(-1, P.shape[-1]), P, work.entries.get("spread", np.zeros((len(x), 0, 0)))
 
 
+def _through_filter(update: Mapping[str, Any], kf: Any, work: Work, first: int, stop: int) -> None:
+    """Predict and correct by the samples from first to stop, or raise."""
+    for k in range(first, stop):
+        kf.predict(**({} if work.u is None else {"u": work.u[k]}))
+        kf.update(work.z[k], **update)
+        std = np.sqrt(np.maximum(np.diagonal(kf.P), 0.0))
+        work.columns[k] = np.concatenate((np.ravel(kf.x), std, np.ravel(kf.weights)))
+
+
 def _alone(
-    worker: Any, settings: Mapping[str, Array], update: Mapping[str, Any], work: Work, i: int, first: int, stop: int
+    worker: Any, settings: Mapping[str, Array], through: Through, work: Work, i: int, first: int, stop: int
 ) -> bool:
-    """Take some of the steps of one key by the filter's own methods; return whether it can go on."""
+    """Take some of the steps of one key by the filter's or tracker's own methods; return whether it can go on."""
+    names = work.entries.keys() - FLEET.keys()
+    stood = {**settings, **{name: work.entries[name][i] for name in names}}
     try:
-        worker.restore({**settings, **{name: work.entries[name][i] for name in moved_shapes(worker)}})
+        worker.restore(stood)
     except REFUSED as error:
         # After some steps by the kernel: its rounding may leave no covariance where R is singular and nothing moves.
         work.stopped[i] = first or -1, str(error)
         return False
-    for k in range(work.bounds[i] + first, work.bounds[i] + stop):
-        if not _step(worker, update, work, i, k):
-            break
-        work.columns[k] = _shown(worker)
-    for name, value in start_of_filter(worker).items():
-        work.entries[name][i] = value
-    return i not in work.stopped
+    goes_on = _take(worker, stood, through, work, i, int(work.bounds[i]) + first, int(work.bounds[i]) + stop)
+    for name, value in worker.state().items():
+        if name in names:
+            work.entries[name][i] = value
+    return goes_on
 
 
-def _shown(worker: Any) -> Array:
-    """Return a row of what a filter gives."""
-    std = np.sqrt(np.maximum(np.diagonal(worker.P), 0.0))
-    return np.concatenate((np.ravel(worker.x), std, np.ravel(worker.weights)))
-
-
-def _step(worker: Any, update: Mapping[str, Any], work: Work, i: int, k: int) -> bool:
-    """Predict and correct once; a measurement that is refused is as if missing. Return whether there was a step."""
+def _take(
+    worker: Any, stood: Mapping[str, Array], through: Through, work: Work, i: int, first: int, stop: int
+) -> bool:
+    """Take samples of a key, or halves of them until the one that is refused, as if missing; return if it can go on."""
     try:
-        if work.u is None:
-            worker.predict()
-        else:
-            worker.predict(u=work.u[k])
-        try:
-            worker.update(work.z[k], **update)
-        except REFUSED as error:
-            worker.update(None, **update)
-            work.missed[k] = f"update: {error}; as if it were missing"
+        through(worker, work, first, stop)
+        return True
     except REFUSED as error:
-        # A refused call changes nothing: the filter stands where it stood before the step.
-        work.stopped[i] = int(k - work.bounds[i]), f"step {k - work.bounds[i]}: {error}"
+        worker.restore(stood)
+        why = str(error)
+    if stop - first > 1:
+        middle = (first + stop) // 2
+        halves = (first, middle), (middle, stop)
+        return all(_take(worker, worker.state(), through, work, i, *half) for half in halves)
+    if work.missed.pop(first, None) is not None:
+        step = int(first - work.bounds[i])
+        work.stopped[i] = step, f"step {step}: {why}"
         return False
-    return True
+    work.missed[first], work.z[first] = f"update: {why}; as if it were missing", np.nan
+    return _take(worker, stood, through, work, i, first, stop)
 
 
 def _groups(of: np.ndarray, size: Callable[[int], int]) -> Iterator[np.ndarray]:
@@ -190,7 +200,7 @@ def _groups(of: np.ndarray, size: Callable[[int], int]) -> Iterator[np.ndarray]:
         yield from (members[first : first + share] for first in range(0, len(members), share))
 
 
-def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, rows: np.ndarray) -> None:
+def _together(series: Plain, kf: Any, through: Through, work: Work, rows: np.ndarray) -> None:
     """Advance keys with equally many steps: by the kernel, and each step that it declines by the filter's methods."""
     n, m = kf.dim_x, kf.dim_z
     steps = int(work.bounds[rows[0] + 1] - work.bounds[rows[0]])
@@ -226,7 +236,7 @@ def _together(series: Plain, kf: Any, update: Mapping[str, Any], work: Work, row
     worker = copy.deepcopy(kf) if declined else kf
     for s in declined:
         k = int(done[s])
-        while k < steps and _alone(worker, {}, update, work, int(rows[s]), k, k + 1):
+        while k < steps and _alone(worker, {}, through, work, int(rows[s]), k, k + 1):
             k = int(by_kernel(slice(s, s + 1), k + 1)[0])
 
 
@@ -249,7 +259,7 @@ def shapes_of_tracker(tracker: ParameterTracker) -> dict[str, _state.Shape]:
 
 def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
     """Take the samples of all keys."""
-    done = np.zeros(len(work.bounds) - 1, dtype=bool)
+    done, steps = np.zeros(len(work.bounds) - 1, dtype=bool), np.diff(work.bounds).tolist()
     for rows in _of_one_phase(work):
         try:
             _samples_together(tracker, work, rows)
@@ -257,14 +267,7 @@ def advance_trackers(tracker: ParameterTracker, work: Work) -> None:
         except REFUSED:
             continue
     for i in np.flatnonzero(~done).tolist():
-        try:
-            tracker.restore({name: column[i] for name, column in work.entries.items()})
-        except REFUSED as error:
-            work.stopped[i] = -1, str(error)
-            continue
-        _take(tracker, work, i, int(work.bounds[i]), int(work.bounds[i + 1]))
-        for name, value in start_of_tracker(tracker).items():
-            work.entries[name][i] = value
+        _alone(tracker, {}, _through_tracker, work, i, 0, steps[i])
 
 
 def _of_one_phase(work: Work) -> Iterator[np.ndarray]:
@@ -296,28 +299,9 @@ def _write(tracker: ParameterTracker, work: Work, places: Any, out: Array) -> No
     work.columns[places] = np.concatenate((out[..., own], std, out[..., -4:]), axis=-1)
 
 
-def _through(tracker: ParameterTracker, work: Work, first: int, stop: int) -> None:
+def _through_tracker(tracker: ParameterTracker, work: Work, first: int, stop: int) -> None:
     """Take the samples from first to stop, or raise."""
-    if first == stop:
-        return
-    y, u = measured_output(work.z[first:stop]), None if work.u is None else work.u[first:stop]
-    _write(tracker, work, slice(first, stop), tracker.advance(y, recorded_input(tracker.structure, u, len(y)), None))
-
-
-def _take(tracker: ParameterTracker, work: Work, i: int, first: int, stop: int) -> bool:
-    """Take samples of a key, or halves of them until the one that is refused, as if missing; return if it can go on."""
-    before = tracker.state()
-    try:
-        _through(tracker, work, first, stop)
-        return True
-    except REFUSED as error:
-        tracker.restore(before)
-        why = str(error)
-    if stop - first > 1:
-        middle = (first + stop) // 2
-        return _take(tracker, work, i, first, middle) and _take(tracker, work, i, middle, stop)
-    if work.missed.pop(first, None) is not None:
-        work.stopped[i] = int(first - work.bounds[i]), f"step {first - work.bounds[i]}: {why}"
-        return False
-    work.missed[first], work.z[first] = f"update: {why}; as if it were missing", np.nan
-    return _take(tracker, work, i, first, stop)
+    if first < stop:
+        y, u = measured_output(work.z[first:stop]), None if work.u is None else work.u[first:stop]
+        out = tracker.advance(y, recorded_input(tracker.structure, u, len(y)), None)
+        _write(tracker, work, slice(first, stop), out)
