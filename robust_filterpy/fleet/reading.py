@@ -29,7 +29,7 @@ class Rows(NamedTuple):
     """Samples in the order of a batch."""
 
     #: Whose each is; None if all are of one.
-    keys: Sequence[Any] | None
+    keys: list[Any] | None
     #: Shape (N,), in seconds, NaN where there is none.
     times: Array | None
     #: Measurements, shape (N, m), NaN where missing.
@@ -64,7 +64,7 @@ def read_array(batch: Any, model: Any) -> Rows:
 
 
 def _rows(
-    n: int, keys: Sequence[Any] | None, stamps: np.ndarray | None, measured: Columns, inputs: Columns, said: Reasons,
+    n: int, keys: list[Any] | None, stamps: np.ndarray | None, measured: Columns, inputs: Columns, said: Reasons,
     like: Callable[[np.ndarray, dict[str, Any]], Any],
 ) -> Rows:  # fmt: skip
     """Return samples of columns with their names; what is no number is named."""
@@ -157,13 +157,11 @@ def _frame(table: Any) -> tuple[Any, Callable[[Any], Any]]:
     return _stamps.frame(pa.Table.from_batches([table])), record_batch
 
 
-def _keys(key: str, column: Any, said: Reasons) -> Sequence[Any]:
+def _keys(key: str, column: Any, said: Reasons) -> list[Any]:
     """Return whose each row is; rows of nobody are named."""
     values = column.to_numpy()
-    if values.dtype.kind in "iub":
-        return values
-    keys = values.tolist()
-    for row, name in enumerate(keys):
+    keys: list[Any] = values.tolist()
+    for row, name in enumerate(keys if values.dtype.kind not in "iub" else ()):
         missing = type(name).__name__ in _MISSING or name != name
         if missing or not isinstance(name, Hashable):
             got = "none" if missing else _checks.shown(name)
@@ -407,21 +405,11 @@ def strays(times: Array, starts: np.ndarray, dt: float) -> np.ndarray:
     return np.unique([row for a, b in zip(begins[lone], after[lone], strict=True) for row in range(a, b)]).astype(int)
 
 
-def grouped(keys: Sequence[object] | None, n: int) -> tuple[list[object], np.ndarray, np.ndarray]:
+def grouped(keys: list[Any] | None, n: int) -> tuple[list[Any], np.ndarray, np.ndarray]:
     """Return the keys, the rows in the order of the keys, and where each key's rows begin."""
     if keys is None:
         return [None], np.arange(n), np.array([0, n])
-    if isinstance(keys, np.ndarray):
-        unique, first, codes = np.unique(keys, return_index=True, return_inverse=True)
-        by_place = np.argsort(first)
-        names: list[object] = unique[by_place].tolist()
-        rank = np.empty(len(unique), dtype=int)
-        rank[by_place] = np.arange(len(unique))
-        codes = rank[codes]
-    else:
-        names = list(dict.fromkeys(keys))
-        place = dict(zip(names, range(len(names)), strict=True))
-        codes = np.fromiter(map(place.__getitem__, keys), int, n)
+    places = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    codes = np.fromiter(map(places.__getitem__, keys), int, n)
     order = np.argsort(codes, kind="stable")
-    starts = np.searchsorted(codes[order], np.arange(len(names) + 1))
-    return names, order, starts
+    return list(places), order, np.searchsorted(codes[order], np.arange(len(places) + 1))

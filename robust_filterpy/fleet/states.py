@@ -207,7 +207,7 @@ class States(Mapping[Any, dict[str, Array]]):
 _UNKNOWN = ("spread", "sensors", "sensors_spread", "named", "named_spread", "filter_spread")
 #: Entries that a fleet adds to a state, and their shapes.
 FLEET: dict[str, _state.Shape] = {
-    "time": (1,), "grid": (2,), "elsewhere": (2,), "input": (None,), "refused": (2,), "model": (1,),
+    "time": (1,), "grid": (2,), "elsewhere": (2,), "input": (None,), "dropped": (1,), "model": (1,),
 }  # fmt: skip
 
 

@@ -77,7 +77,7 @@ class StreamStep:
             after, output = step(model, before, row)
         except (*REFUSED, KeyError) as error:
             return {**time, **dict.fromkeys(model.columns), "error": str(error), "dropped": 0}
-        dropped = 0 if after is None or "refused" not in after else int(after["refused"][1])
+        dropped = 0 if after is None or "dropped" not in after else int(after["dropped"][0])
         if after is not None:
             state.set_bytes(self.name, pack(after))
         if not len(output["error"]):

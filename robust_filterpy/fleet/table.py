@@ -82,7 +82,7 @@ def filter_table(model: Model, table: Any, *, key: str = "device", sort: bool = 
     output = _output(model, read, outcome)
     if not outcome.reasons:
         return output
-    names: Any = read.keys.tolist() if isinstance(read.keys, np.ndarray) else read.keys
+    names = read.keys or []
     keys = [None if names[row] is NOBODY else names[row] for row in outcome.retained.tolist()]
     refused = [(name, why) for name, why in zip(keys, outcome.errors, strict=True) if why is not None]
     bad, rows = Counter(name for name, _ in refused), Counter(keys)
@@ -145,7 +145,7 @@ def step(
 
     One bad sample costs one sample. A measurement that is no number is missing; a step with an input that is none holds
     the one before it; a sample that has no time, is late, or lies off the grid is refused, and has NaN. ``error`` says
-    which, and the sample after one or more that were refused in the batch before says how many those were.
+    which.
 
     Examples
     --------
@@ -211,7 +211,7 @@ def _taken(
     for row, sentence in outcome.reasons.items():
         own = NOBODY if rows.keys is None else rows.keys[row]
         if own is not NOBODY:
-            outcome.reasons[row] = f"{key} {(own.item() if isinstance(own, np.generic) else own)!r}: {sentence}"
+            outcome.reasons[row] = f"{key} {own!r}: {sentence}"
     outcome.moved[list(outcome.refused)] = False
     names, moved = keys.names, np.flatnonzero(outcome.moved)
     if len(moved) < len(names):

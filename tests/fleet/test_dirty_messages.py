@@ -154,8 +154,7 @@ def test_whatever_comes_nothing_raises_and_clean_devices_do_not_notice(name, rou
         assert (other["error"].notna() | other[model.columns[0]].notna()).all()
     for key in set(whole_states) & set(states):
         for entry_name, value in whole_states[key].items():
-            if entry_name != "refused":
-                equal(states[key][entry_name], value)
+            equal(states[key][entry_name], value)
     for key in DIRTY:
         rows = [
             [message.get(n) if isinstance(message, dict) else None for n in ("t", "z", *(model.inputs or ()))]

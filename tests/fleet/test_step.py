@@ -155,18 +155,16 @@ def test_late_samples_and_duplicates_are_refused_or_dropped():
     for dt in (None, 1.0):
         state, output = step(timed(late="drop", dt=dt), None, batch)
         same(output, alone[1])
-        assert state["refused"].tolist() == [0.0, 2.0]
+        assert state["dropped"].tolist() == [2.0]
         state, output = step(timed(dt=dt), None, batch)
         same({name: value[[0, 1, 4]] for name, value in output.items()}, alone[1])
         assert np.isnan(output["x0"][2:4]).all()
         assert output["error"][2] == "time: expected a sample later than the one at 2, got 2, a duplicate"
         assert output["error"][3] == "time: expected a sample later than the one at 2, got 1.5, late"
         again, output = step(timed(dt=dt), state, batch)
-        assert np.isnan(output["x0"]).all() and again["refused"].tolist() == [5.0, 0.0]
-        # The batch after a refusal says so, once.
-        after, output = step(timed(dt=dt), again, [[4.0, 0.1], [5.0, 0.1]])
-        assert output["error"].tolist() == ["refused before this sample: 5, in the batches before", None]
-        assert "refused" not in after
+        assert np.isnan(output["x0"]).all() and "dropped" not in again
+        output = step(timed(dt=dt), again, [[4.0, 0.1], [5.0, 0.1]])[1]
+        assert not any(output["error"])
         expected = step(timed(), None, np.vstack((batch[[0, 1, 4]], [[4.0, 0.1], [5.0, 0.1]])))[1]
         for name in ("x0", "std1", "weight0"):
             np.testing.assert_array_equal(output[name], expected[name][-2:])

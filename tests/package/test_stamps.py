@@ -132,7 +132,7 @@ def test_a_date_that_is_none_costs_its_message_alone(far):
         state, output = step(filter_model(), state, [[stamp, 1.0]])
         outcomes.append(output["error"][0])
     assert "which nanoseconds do not hold" in outcomes[1]
-    assert "refused before this sample: 1" in outcomes[2] and not any(outcomes[3:])
+    assert not any(outcomes[2:])
     fusion = made()
     fusion.observe("gps", np.datetime64(DAYS[0]), 1.0)
     for stamp in (np.datetime64(far), pd.Timestamp(far), datetime.fromisoformat(far + "T00:00:00+00:00")):
