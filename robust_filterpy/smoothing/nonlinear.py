@@ -20,6 +20,7 @@ from robust_filterpy import _checks
 from robust_filterpy._arrays import stack
 from robust_filterpy._checks import Array
 from robust_filterpy.filters.conversion import robust
+from robust_filterpy.filters.driver import columns_of
 from robust_filterpy.filters.nonlinear_mixin import covariance, innovation_of
 from robust_filterpy.filters.policies import regressed
 from robust_filterpy.filters.shell import Shell
@@ -43,14 +44,10 @@ def nonlinear_trajectory(
     kf: Any, zs: Any, Rs: Any, us: Any, dts: Any, functions: tuple[Any, Any, Any, Any, Callable[..., Any]]
 ) -> Trajectory:
     """Return where to start smoothing a recording with a nonlinear filter; functions: as `Extended` takes them."""
-    if not hasattr(zs, "__len__") or len(zs) == 0:
-        raise ValueError(f"zs: expected a sequence of at least one measurement, got {_checks.shown(zs)}")
-    zs = list(_checks.entries("zs", zs))
+    zs, us, dts = columns_of({"zs": zs, "us": us, "dts": dts})
+    if not len(zs):
+        raise ValueError("zs: expected at least one measurement, got none")
     n, m = np.size(kf.x), kf.dim_z if isinstance(kf, ExtendedKalmanFilter) else len(kf.R)
-    for name, values in (("Rs", Rs), ("us", us), ("dts", dts)):
-        if values is not None and np.ndim(values) and len(values) < len(zs):
-            raise ValueError(f"{name}: expected an entry for each of the {len(zs)} measurements, got {len(values)}")
-    Rs, us, dts = (v if v is None or np.ndim(v) == 0 else v[: len(zs)] for v in (Rs, us, dts))
     model: Extended | SigmaPoints
     if isinstance(kf, ExtendedKalmanFilter):
         if not callable(functions[0]) or not callable(functions[1]):
@@ -104,7 +101,7 @@ class Extended:
     residual_x: Any = staticmethod(np.subtract)
 
     def __init__(
-        self, kf: Any, zs: list[Any], Rs: Any, us: Any, functions: tuple[Any, Any, Any, Any, Callable[..., Any]]
+        self, kf: Any, zs: Any, Rs: Any, us: Any, functions: tuple[Any, Any, Any, Any, Callable[..., Any]]
     ) -> None:
         """Keep HJacobian, Hx, args, hx_args and residual."""
         self.kf, self.zs, self.Rs, self.us = kf, zs, Rs, us
@@ -116,7 +113,7 @@ class Extended:
         """Return what predict_x makes of x, and F, which it may set."""
         kf = copy.copy(self.kf)
         kf.x = x.reshape(self.shape)
-        kf.predict_x(*(() if self.us is None else (self.us[k],)))
+        kf.predict_x(*(() if self.us[k] is None else (self.us[k],)))
         F = _checks.matrix("F", kf.F, (self.n, self.n), "dim_x")
         return Tangent(np.ravel(kf.x), F, np.zeros((self.n, self.n)))
 
@@ -138,7 +135,7 @@ class Extended:
 class SigmaPoints:
     """An unscented or cubature Kalman filter with its recording."""
 
-    def __init__(self, kf: Any, zs: list[Any], Rs: Any, dts: Any) -> None:
+    def __init__(self, kf: Any, zs: Any, Rs: Any, dts: Any) -> None:
         """Keep the filter and what it was given."""
         self.kf, self.zs, self.Rs, self.dts = kf, zs, Rs, dts
         self.n, self.m = np.size(kf.x), len(kf.R)
@@ -153,7 +150,7 @@ class SigmaPoints:
 
     def transition(self, k: int, x: Array, P: Array) -> Tangent:
         """Return the regression of fx on x."""
-        dt = self.kf._dt if self.dts is None else self.dts if np.ndim(self.dts) == 0 else self.dts[k]
+        dt = self.kf._dt if self.dts[k] is None else self.dts[k]
         return self._regression(lambda s: self.kf.fx(s, dt), x, P, self.x_mean, self.residual_x)
 
     def measurement(self, k: int, x: Array, P: Array) -> tuple[Array, Tangent]:

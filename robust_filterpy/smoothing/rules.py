@@ -226,29 +226,9 @@ _LEAST = 1e-12
 Factors = tuple[Array, Array]
 
 
-class Ordinary:
-    """Noise that is what the model says."""
-
-    tolerance = np.inf
-    mixture: Mixture | None = None
-
-    def __init__(self, counted: Array) -> None:
-        """Keep which components there are, (series, steps, kinds)."""
-        self.weights = np.where(counted, 1.0, np.nan)
-
-    def measurement(self, z: Array, smooth: Smooth, weighting: Weighting, temperature: Array, frozen: Array) -> Factors:
-        """Return d and o as they are."""
-        return weighting.precision, weighting.offset
-
-    def process(self, smooth: Smooth, weighting: Weighting, frozen: Array) -> Array:
-        """Return q as it is."""
-        return weighting.process_scale
-
-
 class Psi:
     """Weights psi(e)/e of the residuals: iteratively reweighted least squares."""
 
-    mixture: Mixture | None = None
     #: Largest root-mean-square change of the estimate in a sweep, in its standard deviations: a stationary point.
     tolerance = 1e-7
 
@@ -318,7 +298,8 @@ class Learnt:
         return np.where(self.counted, precision, np.nan)
 
 
-Rule = Ordinary | Psi | Learnt
+#: None: noise that is what the model says.
+Rule = Psi | Learnt | None
 
 
 def psi_weights(influence: Any, e: Array, joint: bool) -> Array:
@@ -334,11 +315,11 @@ def psi_weights(influence: Any, e: Array, joint: bool) -> Array:
 
 
 def rule_of(name: str, influence: Any, joint: bool, counted: Array) -> Rule:
-    """Return what is made of residuals by what an argument says: learned noise for None."""
+    """Return what is made of residuals by what an argument says, learned noise for None; of a linear psi nothing is."""
     if influence is None:
         return Learnt(joint, counted)
     try:
         choices = Choices(influence)
     except TypeError as error:
         raise TypeError(str(error).replace("influence:", f"{name}:", 1)) from None
-    return Ordinary(counted) if choices.is_linear else Psi(choices.influence, joint, counted)
+    return None if choices.is_linear else Psi(choices.influence, joint, counted)

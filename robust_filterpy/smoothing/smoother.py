@@ -324,7 +324,7 @@ def _searched(
     # The parts of a step of the process are ordinary or large together.
     doubt = rule_of("process", process, True, recording.driven)
     fit = reweighted(recording.model, recording.observed, measurement, doubt, limit, trajectory)
-    weights = measurement.weights
+    weights = np.where(recording.observed, 1.0, np.nan) if measurement is None else measurement.weights
     x = fit.smooth.x if trajectory is None else trajectory.x[None, 1:]
     if not np.isfinite(x).all():
         raise ValueError("F: expected a model whose states stay finite, got overflow; check F and the length of zs")
@@ -352,7 +352,7 @@ def _searched(
 
 def _learnt(rule: Rule, series: int) -> tuple[Array, Array]:
     """Return contamination and ratio of a rule, (series, kinds), NaN if it learns none."""
-    return rule.mixture or (np.full((series, 1), np.nan),) * 2
+    return rule.mixture if isinstance(rule, Learnt) else (np.full((series, 1), np.nan),) * 2
 
 
 def _together(contamination: Any, ratio: Any) -> Contaminated | None:

@@ -36,10 +36,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robust_filterpy._checks import Array
-from robust_filterpy.filters.series import filter_series
+from robust_filterpy.filters.driver import run
+from robust_filterpy.filters.policies import policy_of
 from robust_filterpy.influence.functions import Linear
+from robust_filterpy.kernel.series import Rows
 from robust_filterpy.smoothing.linear_pass import Model, Recording, Smooth, Weighting, smoothing_pass
-from robust_filterpy.smoothing.rules import Ordinary, Rule
+from robust_filterpy.smoothing.rules import Rule
 
 # By how much linearizations may still move the estimate, in its standard deviations; where several optima may be, no
 # end is asked for that is nearer than the second.
@@ -73,10 +75,10 @@ def reweighted(
     # ends with the same numbers whatever else is smoothed with it. trajectory: what makes a new model of a nonlinear
     # problem after each sweep; the states in the result are then deviations from where it was before the last one.
     series = len(observed)
-    doubted = not isinstance(process, Ordinary)
-    tolerance = min(measurement.tolerance, process.tolerance, _LINEAR)
+    doubted, rules = process is not None, [rule for rule in (measurement, process) if rule is not None]
+    tolerance = min([_LINEAR, *(rule.tolerance for rule in rules)])
     tolerance = max(tolerance, _NEAR) if doubted or trajectory is not None else tolerance
-    plain = not doubted and isinstance(measurement, Ordinary)
+    plain = not rules
     frozen = np.full(series, plain and trajectory is None)
     weighting = ordinary(observed) if plain else first(model, observed)
     soon = plain or trajectory is not None
@@ -96,8 +98,11 @@ def reweighted(
         cool = temperature[:, 0, 0] == 1.0
         frozen = frozen | cool & _at_rest(moved, earlier, tolerance)
         earlier = np.where(cool, moved, np.inf)
-        d, o = measurement.measurement(model.z, smooth, weighting, temperature, frozen)
-        q = process.process(smooth, weighting, frozen)
+        d, o, q = weighting
+        if measurement is not None:
+            d, o = measurement.measurement(model.z, smooth, weighting, temperature, frozen)
+        if process is not None:
+            q = process.process(smooth, weighting, frozen)
         if frozen.all():
             break
         weighting = Weighting(*(_kept(frozen, old, new) for old, new in zip(weighting, (d, o, q), strict=True)))
@@ -256,8 +261,6 @@ def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: 
     # Outliers in a row either have nothing to do with each other, or one offset and ordinary noise: whatever is more
     # probable, row by row.
     F, G, c, H, z, x0, P0 = recording.model
-    if c.any():
-        z = z - _moved_by(c, F, H, z.shape[1])
     there = recording.observed.astype(bool)
     scale = np.where(jumps, process[1] ** 2, 1.0)[None, :, None, None]
     z, Q = np.where(there, z, np.nan), scale * (G @ G.swapaxes(-1, -2))
@@ -267,7 +270,7 @@ def log_probability(recording: Recording, outliers: Array, jumps: Array, noise: 
     for more in ([], *([row] for row in rows)):
         tried = [*bursts, *more]
         alone = outliers & ~_inside(tried, outliers.shape)
-        density = _density(z, F, H, Q, alone, noise, x0, P0, tried)
+        density = _density(z, (F, Q, c, H), alone, noise, x0, P0, tried)
         # A burst is as likely as one outlier.
         density += _labels(alone, there[0] & ~_inside(tried, alone.shape), noise[0])
         density += sum(float(np.log(noise[0, i])) for i, *_ in tried)
@@ -291,23 +294,24 @@ def _inside(rows: list[tuple[int, int, int]], shape: tuple[int, ...]) -> np.ndar
 
 
 def _density(
-    z: Array, F: Array, H: Array, Q: Array, outliers: Array, noise: Array, x0: Array, P0: Array,
+    z: Array, model: tuple[Array, ...], outliers: Array, noise: Array, x0: Array, P0: Array,
     offsets: list[tuple[int, int, int]],
 ) -> float:  # fmt: skip
     """Return log p(z | which are outliers); offsets: component, begin and end of rows that have one each."""
+    F, Q, c, H = model
     (steps, m), n, more = outliers.shape, F.shape[-1], len(offsets)
     H = np.concatenate([np.broadcast_to(H, (1, steps, m, n)), np.zeros((1, steps, m, more))], axis=-1)
     for k, (i, begin, end) in enumerate(offsets):
         H[0, begin:end, i, n + k] = _OFFSET * noise[1, i]
     F, Q, P0 = (np.pad(a, [(0, 0)] * (a.ndim - 2) + [(0, more)] * 2) for a in (F, Q, P0))
+    c, x0 = (np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)]) for a in (c, x0))
     for matrix in (F, P0):
         matrix[..., range(n, n + more), range(n, n + more)] = 1.0
     R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
-    filtered = filter_series(
-        z, F, H, Q, R[None], np.pad(x0, [(0, 0)] * (x0.ndim - 1) + [(0, more)]), P0,
-        influence=Linear(), keep="last", covariance="none",
-    )  # fmt: skip
-    return float(filtered.log_likelihood[0])
+    policy, into = policy_of(influence=Linear()), Rows(log_likelihood=np.zeros(1))
+    state = policy.standing(None, x0[0], P0[0], policy.begin(m))
+    run(policy, state, z[0], (F[0], Q[0], H[0], R, c[0]), into, of="smooth")
+    return float(into.log_likelihood[0])
 
 
 def _labels(large: Array, there: Array, share: Array) -> float:
@@ -338,13 +342,3 @@ def _jumps(recording: Recording) -> np.ndarray:
         if len(change):
             far[there[1:][change > _JUMP * max(float(np.median(change)) / _TYPICAL, np.finfo(float).tiny)]] = True
     return np.flatnonzero(far)
-
-
-def _moved_by(c: Array, F: Array, H: Array, steps: int) -> Array:
-    """Return what inputs alone add to the measurements, (1, steps, m)."""
-    x, added = np.zeros(F.shape[-1]), []
-    F, c, H = (np.broadcast_to(a[0], (steps, *a.shape[2:])) for a in (F, c, H))
-    for F_k, c_k, H_k in zip(F, c, H, strict=True):
-        x = F_k @ x + c_k
-        added.append(H_k @ x)
-    return np.array([added])
