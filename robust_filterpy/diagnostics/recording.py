@@ -280,16 +280,11 @@ def unclipped_nis(recording: FilterRecord) -> Band:
         values = (e * e).sum(axis=1)
         inside = values <= k * k if is_joint else (np.abs(e) <= k).all(axis=1)
     values = values[inside & (eigenvalues > 0).all(axis=1)]
-    if is_joint:
-        within = stats.chi2.cdf(k * k, m)
-        first = m * stats.chi2.cdf(k * k, m + 2) / within
-        second = m * (m + 2) * stats.chi2.cdf(k * k, m + 4) / within
-        variance = second - first**2
-    else:
-        within, density = 2 * stats.norm.cdf(k) - 1, stats.norm.pdf(k)
-        one = 1 - 2 * k * density / within
-        variance = m * (3 - 2 * (k**3 + 3 * k) * density / within - one**2)
-        first = m * one
+    # All components are one square of m degrees of freedom, or m squares of one.
+    d, squares = (m, 1) if is_joint else (1, m)
+    within, *moments = stats.chi2.cdf(k * k, [d, d + 2, d + 4])
+    first, second = d * moments[0] / within, d * (d + 2) * moments[1] / within
+    first, variance = squares * first, squares * (second - first**2)
     half = stats.norm.ppf(0.995) * math.sqrt(variance / len(values)) if len(values) else math.nan
     mean = float(np.mean(values)) if len(values) else math.nan
     return Band(mean, float(first), float(first - half), float(first + half))
