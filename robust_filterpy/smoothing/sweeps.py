@@ -308,10 +308,10 @@ def _density(
     for matrix in (F, P0):
         matrix[..., range(n, n + more), range(n, n + more)] = 1.0
     R = np.where(outliers, noise[1] ** 2, 1.0)[..., None] * np.eye(m)
-    policy, into = policy_of(influence=Linear()), Rows(log_likelihood=np.zeros(1))
+    policy, density = policy_of(influence=Linear()), np.zeros(1)
     state = policy.standing(None, x0[0], P0[0], policy.begin(m))
-    run(policy, state, z[0], (F[0], Q[0], H[0], R, c[0]), into, of="smooth")
-    return float(into.log_likelihood[0])
+    run(policy, state, z[0], (F[0], Q[0], H[0], R, c[0]), Rows(log_likelihood=density), of="smooth")
+    return float(density[0])
 
 
 def _labels(large: Array, there: Array, share: Array) -> float:
