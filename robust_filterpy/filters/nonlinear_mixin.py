@@ -34,10 +34,10 @@ def drawn(points: Any, x: Array, P: Array) -> Array:
 
 
 def transformed(
-    sigmas: Array, Wm: Array, Wc: Array, noise: Any, mean: Any = None, residual: Any = None
+    sigmas: Array, Wm: Array, Wc: Array, noise: Any, mean: Any = None, residual: Any = np.subtract
 ) -> tuple[Array, Array]:
     """Return mean and covariance of points, the latter symmetric to the last bit and with that of the noise."""
-    if mean is None and (residual is None or residual is np.subtract):
+    if mean is None and residual is np.subtract:
         x = Wm.dot(sigmas)
         P = covariance(sigmas - x, sigmas - x, Wc) + noise
     else:

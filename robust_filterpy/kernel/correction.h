@@ -114,7 +114,8 @@ SIZED real correction_scale(const int scaling, const real variance) {
    in single precision, since rounding must not choose the order of those that are equal. */
 SIZED int correction_next(const int m, const int scaling, const real *spread, correction *const c) {
     int best = -1;
-    float least = 0, least_e = 0, signed_e = 0;
+    float least = 0, least_e = 0;
+    real before = 0;
     for (int i = 0; i < m; i++) {
         if (c->left[i] == 0) continue;
         c->t[i] = correction_scale(scaling, c->S[i * m + i]);
@@ -122,11 +123,11 @@ SIZED int correction_next(const int m, const int scaling, const real *spread, co
         const float relative = (float)real_min(spread ? e / spread[i] : e, REAL(1e38));
         const float size = (float)real_min(e, REAL(1e38));
         if (best < 0 || relative < least || (relative == least && size < least_e) ||
-            (relative == least && size == least_e && own < 0 && signed_e > 0)) {
+            (relative == least && size == least_e && own < 0 && before > 0)) {
             best = i;
             least = relative;
             least_e = size;
-            signed_e = own < 0 ? -size : size;
+            before = own;
         }
     }
     return best;

@@ -121,7 +121,7 @@ def test_equals_filterpy_for_infinite_threshold(cls, information, influence):
             assert np.shape(a) == np.shape(b), name
 
 
-@pytest.mark.parametrize("residual_z", [np.subtract, wrapped])
+@pytest.mark.parametrize("residual_z", [np.subtract, wrapped, lambda a, b: np.subtract(a, b) / [1.0, 2.0]])
 @pytest.mark.parametrize("points", [MerweScaledSigmaPoints(4, 0.1, 2.0, -1.0), JulierSigmaPoints(4, 0.5)])
 def test_unscented_equals_filterpy_for_every_kind_of_points(points, residual_z):
     ours = radar(RobustUnscentedKalmanFilter, points=points, influence=Linear())

@@ -115,6 +115,14 @@ def test_a_stuck_sensor_says_nothing_by_both():
     np.testing.assert_array_equal(weights == 0.0, stuck)
 
 
+def test_a_reading_as_far_as_the_last_jump_which_another_one_contradicts_by_both():
+    problem = with_(random_problem(3, 2, 2), R=np.eye(2), F=np.eye(2), Q=1e-3 * np.eye(2))
+    problem = with_(problem, H=np.array([[1.0, 0.0], [1.0, 0.2]]))
+    zs = np.random.default_rng(3).normal(size=(120, 2)) + 50.0 * np.searchsorted([39, 69], np.arange(120))[:, None]
+    zs[100] += [-49.0, 52.0]
+    compare(problem, zs, NoiseClasses(), Scales())
+
+
 @pytest.mark.parametrize("start", [(75.0, -40.0), (75.0, 0.0), (0.0, 0.0)])
 def test_a_candidate_lives_on_where_its_part_becomes_one_with_another_by_both(start):
     problem = with_(

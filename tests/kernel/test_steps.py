@@ -301,6 +301,9 @@ DRAWS = np.random.default_rng(2)
 LOUDER = np.where(np.arange(140) < 60, 1.0, 30.0) * DRAWS.choice([-1.0, 1.0], 140) * DRAWS.uniform(0.5, 1.5, 140)
 KNOWN = np.random.default_rng(1).normal(size=40) + np.where(np.arange(40) < 30, 0.0, 30.0)
 READ = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0, 30.0, 30.0])
+# Two that come to nothing, of one reading each: the second reading of a third jump of this size is believed.
+JUMPS = np.random.default_rng(3).normal(size=180)
+JUMPS += 30.0 * (np.searchsorted([40, 80, 160], np.arange(180), side="right") + np.isin(np.arange(180), [120, 130]))
 #: A filter and what it reads.
 COURSES = {
     # No sensor makes it jump, and readings that are as predicted have no spread.
@@ -311,6 +314,7 @@ COURSES = {
        for sign in (-1.0, 1.0)},
     # Ten far ones in a row are outliers, the next ones are what is usual.
     "noise thirty times larger": (partial(support.of_matrices, F=1.0, H=[[1.0]], Q=0.01), LOUDER),
+    "jumps and runs in vain": (partial(support.of_matrices, F=1.0, H=[[1.0]], Q=0.01), JUMPS),
 }  # fmt: skip
 
 
@@ -330,3 +334,5 @@ def test_the_course_of_a_filter_is_the_definitions(both, name):
     elif zs is LOUDER:
         clipped = [row["weights"][0] < 0.5 for row in theirs]
         assert all(clipped[60:69]) and not any(clipped[80:])
+    elif zs is JUMPS:
+        assert [abs(theirs[k]["y"][0]) > 20.0 for k in (160, 161, 162)] == [True, True, False]

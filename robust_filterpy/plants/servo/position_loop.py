@@ -225,6 +225,17 @@ def _driven(
         return derivatives(y, v, p_a, p_b, *held)
 
     for k in range(n):
+        if k:
+            path, info = odeint(
+                right_hand_side, x, (0.0, dt), args=(command, *held[k - 1]), rtol=rtol, atol=rtol * _TOLERANCES,
+                mxstep=5000, full_output=True,
+            )  # fmt: skip
+            if info["message"] != "Integration successful." or not np.all(np.isfinite(path[1])):
+                raise RuntimeError(
+                    f"simulation: the ODE solver failed between {(k - 1) * dt:g} and {k * dt:g} s from {STATES} = "
+                    f"{x.tolist()}: {info['message']}; a smaller dt or other parameters may help"
+                )
+            x = path[1]
         states[k] = x
         readings[k] = x[[0, 2, 3]] + noise[k]
         # The opening changes the flow, not the forces: 0 stands for the one still to be found.
@@ -235,16 +246,4 @@ def _driven(
             raise ValueError(f"observer: expected a finite position and acceleration, got {estimate} at sample {k}")
         command = math.copysign(step + (1 - step) * abs(opening), opening) if opening else 0.0
         commands[k] = command = min(1.0, max(-1.0, command))
-        if k == n - 1:
-            break
-        path, info = odeint(
-            right_hand_side, x, (0.0, dt), args=(command, *held[k]), rtol=rtol, atol=rtol * _TOLERANCES, mxstep=5000,
-            full_output=True,
-        )  # fmt: skip
-        x = path[1]
-        if info["message"] != "Integration successful." or not np.all(np.isfinite(x)):
-            raise RuntimeError(
-                f"simulation: the ODE solver failed between {k * dt:g} and {(k + 1) * dt:g} s from {STATES} = "
-                f"{states[k].tolist()}: {info['message']}; a smaller dt or other parameters may help"
-            )
     return states, readings, commands, estimates
