@@ -78,6 +78,9 @@ def spans(line: str) -> Iterator[tuple[int, int, bool]]:
 
 def wrong(text: str, rng: random.Random) -> str | None:
     """Return text with an operator or a number changed, None if there is none."""
+    if text == "1":
+        # Where that is a truth, another number is the same.
+        return "0"
     found = [(m.start(1), m.end(1), SWAPPED[m.group(1)]) for m in OPERATOR.finditer(text)]
     for m in NUMBER.finditer(text):
         found.append((m.start(), m.end(), f"({m.group()} + 1)"))

@@ -125,9 +125,10 @@ def definitions(path: Path) -> Iterator[tuple[str, set[str]]]:
                     yield name, used(node.value)  # type: ignore[arg-type]
 
 
-def room_of(path: Path) -> str:
-    """Return the folder of the tests of a file's room."""
-    return f"tests/{path.parts[1] if len(path.parts) > 2 else 'package'}"
+def rooms_of(path: Path) -> tuple[str, ...]:
+    """Return the folders of the tests of a file's room; those of the kernel hold the correction too."""
+    room = path.parts[1] if len(path.parts) > 2 else "package"
+    return (f"tests/{room}/", "tests/kernel/") if room == "correction" else (f"tests/{room}/",)
 
 
 class Chooser:
@@ -160,10 +161,9 @@ class Chooser:
         for depth in range(1, 5):
             edge = {one for name in edge for one in self.mentioned_by.get(name, ())} - near.keys()
             near.update(dict.fromkeys(edge, 0.5**depth))
-        room = f"{room_of(path)}/"
         marks = {
             test: sum(near[name] / self.common[name] for name in mentions & near.keys())
-            * (3.0 if test.startswith(room) else 1.0)
+            * (3.0 if test.startswith(rooms_of(path)) else 1.0)
             / len(mentions) ** 0.5
             for test, mentions in self.tests.items()
         }
@@ -238,8 +238,8 @@ def main() -> None:
             def spoilt_run(without: set[str], path=path, tests=tests, text=spoilt_source, source=source) -> str:
                 (copy / path).write_text(text)
                 by = seen(copy, tests, args.limit, without)
-                if by.startswith("(") and args.rest > 0.0:
-                    by = seen(copy, [room_of(path)], args.rest, {*without, *tests})
+                for room in rooms_of(path) if args.rest > 0.0 else ():
+                    by = seen(copy, [room], args.rest, {*without, *tests}) if by.startswith("(") else by
                 (copy / path).write_text(source)
                 return by
 
