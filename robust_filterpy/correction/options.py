@@ -256,6 +256,15 @@ def checked_grouping(value: Any) -> Any:
     return groups
 
 
+def leads(grouping: Grouping, m: int) -> np.ndarray:
+    """Return for each of m sensors the first one of those that fail together with it, itself if none does."""
+    named: Any = {"component": (), "joint": (range(m),)}.get(grouping, grouping)  # type: ignore[arg-type]
+    first = np.arange(m)
+    for group in named:
+        first[[i for i in group if i < m]] = min(group, default=0)
+    return first
+
+
 @lru_cache(maxsize=64)
 def typical_length(k: int) -> float:
     """Return the median of \\|e\\| for one sensor over that for k, without outliers."""

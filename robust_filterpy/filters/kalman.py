@@ -234,9 +234,8 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         P : ndarray, shape (dim_x, dim_x)
             Its covariance.
         """
-        twin, Q = copy.deepcopy(self), self._noise_of_number(Q)
-        if not twin._predict_by_kernel(u, B, F, Q):
-            twin._predict(u, B, F, Q)
+        twin = copy.deepcopy(self)
+        RobustKalmanFilter.predict(twin, u, B, F, Q)
         return state_of(twin)
 
     def _transition(self, shape: tuple[int, ...], u: Any, B: Any, F: Any, Q: Any) -> tuple[Array, Array, Any]:
@@ -404,8 +403,7 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
         """
         # By the step that `update` takes, to the last bit, of a twin: what is interrupted has then changed nothing.
         twin = copy.deepcopy(self)
-        if not twin._correct_by_kernel(z, None, None, None):
-            twin._correct(z, None, None, None)
+        RobustKalmanFilter.update(twin, z)
         return state_of(twin)
 
     @whole

@@ -9,8 +9,8 @@ import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import SMALL, STOPPED, RobustFilterWarning, pointer, warn, was_said
+from robust_filterpy.correction.mixed import Mixed
 from robust_filterpy.correction.options import Choices
-from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import FILLED, HELD
 from robust_filterpy.influence.information import clipping_point
 from robust_filterpy.kernel.moments import judged_of
@@ -48,7 +48,8 @@ class CorrelatedInnovationsWarning(RobustFilterWarning):
 
 def look(kf: Any, last: Any, place: int, count: int) -> None:
     """Note a correction at its place among those that are looked at, and judge them with the last."""
-    row = noted(kf, last.weights, last.lags) if hasattr(last, "lags") else noted(kf, *_weights_and_innovations(last))
+    mixed = isinstance(last, Mixed)
+    row = noted(kf, *(judged_of(last) if type(last) is np.ndarray else (last.weights, last.lags if mixed else last.y)))
     if place == 0 or kf._window.shape != (count, len(row)):
         kf._window = np.zeros((count, len(row)), np.int8)
     kf._window[place] = row
@@ -68,14 +69,6 @@ def noted(kf: Any, weights: Array, y: Array) -> Array:
     """Return 2 for a clipped innovation and 1 for another, with its sign; 0 for one that is missing, or 0."""
     signs = np.where(np.isnan(weights), 0.0, np.sign(y))
     return signs if kf.noise is not None else np.where(weights < _weight_at_clip(kf.choices), 2.0, 1.0) * signs
-
-
-def _weights_and_innovations(last: Any) -> tuple[Array, Array]:
-    """Return weights and innovations of a correction, the kernel's record or another."""
-    if type(last) is np.ndarray:
-        return judged_of(last)
-    arrays = last if isinstance(last, Correction) else last.as_arrays()
-    return arrays.weights, arrays.y
 
 
 def _judge(kf: Any, window: Array, where: str) -> None:

@@ -31,7 +31,8 @@ from robust_filterpy.correction.definition import (
     nothing_observed,
 )
 from robust_filterpy.correction.learning import R_FACTOR, NoiseClasses, describe, usual
-from robust_filterpy.correction.options import NO_PART, Choices, Grouping, Information, Scaling
+from robust_filterpy.correction.mixed import Mixed, any_outlier, lags, ordinary_noise
+from robust_filterpy.correction.options import NO_PART, Choices, Grouping, Information, Scaling, leads
 from robust_filterpy.correction.policies import (
     Contaminated,
     Learnt,
@@ -40,7 +41,7 @@ from robust_filterpy.correction.policies import (
     process_policy,
     process_scales,
 )
-from robust_filterpy.correction.result import Correction, ordered_scaling
+from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.filters.notices import LOOKS
 from robust_filterpy.influence.functions import Huber, Influence
@@ -48,8 +49,7 @@ from robust_filterpy.kernel import series
 from robust_filterpy.kernel.series import Rows, State
 
 __all__ = [
-    "Bounded", "Mixture", "Options", "Policy", "finite_product", "ordinary_noise", "policy_of", "regressed",
-    "with_options",
+    "Bounded", "Mixture", "Options", "Policy", "finite_product", "policy_of", "regressed", "with_options",
 ]  # fmt: skip
 
 
@@ -238,9 +238,8 @@ class Mixture:
     classes: NoiseClasses = field(init=False, repr=False, compare=False)
     scales: Scales = field(init=False, repr=False, compare=False)
     choices: Choices = field(init=False, repr=False, compare=False)
-    #: What the kernel takes, and puts a correction into.
+    #: What the kernel takes.
     rule: Array = field(init=False, repr=False, compare=False)
-    record: Any = field(init=False, repr=False, compare=False)
     looks: ClassVar[dict[int, int]] = LOOKS[False]
     calls: ClassVar[bool] = False
 
@@ -255,7 +254,6 @@ class Mixture:
         ):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "rule", series.mixture_rule(self.classes, self.scales))
-        object.__setattr__(self, "record", (Mixed, self._named))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Mixture:
         """Return self: nothing in here changes."""
@@ -265,11 +263,6 @@ class Mixture:
     def learns(self) -> bool:
         """Whether anything is learned of the sensors."""
         return self.classes.learns
-
-    @property
-    def _named(self) -> tuple[tuple[int, ...], ...]:
-        """Sensors that fail together, where they are named."""
-        return () if isinstance(self.grouping, str) else self.grouping
 
     def begin(self, sensors: int) -> Array:
         """Return the memory of sensors of which nothing was learned."""
@@ -335,7 +328,7 @@ class Mixture:
             after.x.copy(), after.P.copy(), *last[1:], prior.x.copy(), prior.P.copy(), H.copy(), R.copy(),
             None if M is None else M.copy(), z, before.memory,
             lags(z - H.dot(prior.x), (H.dot(prior.P) * H).sum(axis=1) + ordinary_noise(R, before.memory).diagonal()),
-            together=self._named,
+            leads(self.grouping, len(z)),
         )  # fmt: skip
         return record, None if before.carried is None else after
 
@@ -369,7 +362,7 @@ class Mixture:
         return Mixed(
             mean, covariance, *last[1:], np.zeros(n), P.copy(), H.copy(), R.copy(), None, y, before.memory,
             lags(y, (H.dot(P) * H).sum(axis=1) + (ordinary_noise(R, before.memory) + unexplained).diagonal()),
-            unexplained, self._named,
+            leads(self.grouping, m), unexplained,
         ), None if before.carried is None else after  # fmt: skip
 
     def standing(self, carried: Carried | None, x: Array, P: Array, memory: Array) -> State:
@@ -386,7 +379,7 @@ class Mixture:
 
     def any_outlier(self, outlying: Array) -> Array:
         """Return the probability that any sensor, the last axis, was an outlier."""
-        return _any_outlier(outlying, self.grouping)
+        return any_outlier(outlying, leads(self.grouping, outlying.shape[-1]))
 
     def factors(self, memory: Array) -> Array:
         """Return what a sensor's ordinary noise is over R, in variance, as learned."""
@@ -436,94 +429,6 @@ class Mixture:
         return Carried(entries["means"], entries["covariances"], entries["belief"], x.copy(), P.copy())
 
 
-class Mixed(NamedTuple):
-    """A correction under a mixture; what few programs look at is computed on request."""
-
-    #: Posterior mean, shape (n,).
-    x: Array
-    #: Posterior covariance, shape (n, n).
-    P: Array
-    #: Of the noise after it.
-    memory: Array
-    #: log p(z).
-    log_density: float
-    #: Shape (m,), NaN where missing.
-    weights: Array
-    #: Shape (m,), or (1,) where all sensors fail together.
-    outlier_probabilities: Array
-    #: Prior mean, shape (n,), or 0 where z is an innovation.
-    prior_x: Array
-    prior_P: Array
-    H: Array
-    #: As it was given.
-    R: Array
-    M: Array | None
-    #: Shape (m,); NaN where missing.
-    z: Array
-    #: What was learned of the noise.
-    before: Array
-    #: Innovations whose signs tell whether the estimate lags behind: 0 where too short, NaN where missing, (m,).
-    lags: Array
-    #: Covariance of what a line does not explain of z.
-    curvature: Array | None = None
-    #: Sensors that fail together, where they are named.
-    together: tuple[tuple[int, ...], ...] = ()
-
-    @property
-    def outlier_probability(self) -> float:
-        """Probability that a component was an outlier; sensors that fail together have one."""
-        return float(_any_outlier(self.outlier_probabilities, "joint" if len(self.memory) == 1 else self.together))
-
-    def as_arrays(self) -> Correction:
-        """Return all that a correction shows, of the merged prior and ordinary noise as it was learned before."""
-        m, M = len(self.H), self.M
-        R = ordinary_noise(self.R, self.before)
-        if self.curvature is not None:
-            R = R + self.curvature
-        # A noise that is larger by a factor keeps its correlation with the state.
-        M = None if M is None else M * np.sqrt(self.before[:, R_FACTOR])
-        C, S = innovation_moments(self.prior_P, self.H, R, M)
-        y = np.where(np.isnan(self.weights), np.nan, self.z - self.H.dot(self.prior_x))
-        part = np.flatnonzero(y == y)
-        y = np.where(np.isnan(y), 0.0, y)
-        order = tuple((int(i),) for i in part[np.argsort(np.abs(y[part]) / np.sqrt(S.diagonal()[part]))])
-        T = ordered_scaling(S, order, "innovation")
-        e, weights, psi_deriv, score = T.dot(y), np.full(m, np.nan), np.full(m, np.nan), np.zeros(m)
-        weights[part] = self.weights[part]
-        # The more likely an outlier than not, the more it counts as clipped.
-        psi_deriv[part] = np.where(self.outlier_probabilities[part] > 0.5, 0.0, weights[part])
-        score[part] = T[np.ix_(part, part)].T.dot(weights[part] * e[part])
-        return Correction(
-            self.x, self.P, C, y, S, score, T.T.dot(T), e, weights, psi_deriv, order, "innovation",
-            self.log_density, outlier_probability=self.outlier_probability,
-        )  # fmt: skip
-
-
-def _any_outlier(outlying: Array, grouping: Any) -> Array:
-    """Return the probability that any sensor, the last axis, was an outlier; those that fail together have one."""
-    m = outlying.shape[-1]
-    named = [range(m)] if grouping == "joint" else [] if grouping == "component" else grouping
-    leads = {i: min(group) for group in named for i in group}
-    places = [[i for i in range(m) if leads.get(i, i) == lead] for lead in range(m)]
-    each = [outlying[..., group].max(axis=-1) for group in places if group]
-    return np.asarray(each[0] if len(each) == 1 else 1.0 - np.prod([1.0 - p for p in each], axis=0))
-
-
-def lags(y: Array, variances: Array) -> Array:
-    """Return innovations, 0 where one is as short as what a start leaves where there is no noise."""
-    return np.where(np.abs(y) < _NO_LAG * np.sqrt(variances), 0.0, y)
-
-
-def ordinary_noise(R: Array, memory: Array) -> Array:
-    """Return the covariance of ordinary noise for an R that was given, memory a row for each sensor or one for all."""
-    if len(memory) == 1:
-        return np.asarray(R * memory[0, R_FACTOR])
-    r = np.sqrt(memory[: len(R), R_FACTOR])
-    return np.asarray(R * np.multiply.outer(r, r))
-
-
-# In standard deviations.
-_NO_LAG = 0.1
 #: What judges a filter's measurements. Both have the attributes and methods that `Bounded` has.
 Policy: TypeAlias = Bounded | Mixture
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from robust_filterpy._arrays import control_term, measurement_rows, process_noise, stack, state_of
 from robust_filterpy._checks import Array, all_covariances, entries
+from robust_filterpy.correction.mixed import lags, ordinary_noise
 from robust_filterpy.filters.driver import columns_of, require_entries, run, take_steps
 from robust_filterpy.filters.notices import look_at_recording, look_for_repeats, look_for_stuck
-from robust_filterpy.filters.policies import lags, ordinary_noise
 from robust_filterpy.filters.shell import Shell
 from robust_filterpy.kernel.series import Rows
 

@@ -15,6 +15,7 @@ from robust_filterpy._arrays import state_of
 from robust_filterpy._brief import lines_of
 from robust_filterpy._checks import Array, shown
 from robust_filterpy.correction.definition import correct
+from robust_filterpy.correction.mixed import Mixed
 from robust_filterpy.correction.options import Choices, Grouping, Information, Scaling
 from robust_filterpy.correction.result import Correction
 from robust_filterpy.correction.spread import begin, settled
@@ -23,7 +24,7 @@ from robust_filterpy.filters.notices import PERIOD, look, look_for_repeats, look
 from robust_filterpy.filters.policies import Mixture, Options, Policy, policy_of
 from robust_filterpy.filters.snapshot import SLOTS, put_back, snapshot, whole
 from robust_filterpy.filters.states import Memories, StateMixin
-from robust_filterpy.kernel.moments import correction_of, weights_of
+from robust_filterpy.kernel.moments import log_density_of, read, weights_of
 
 _DEFAULT_INVERSE = np.linalg.inv
 Inverse = Callable[[Array], Array]
@@ -204,9 +205,7 @@ class Shell(StateMixin):
 
     def _predict_by_kernel(self, u: Any, B: Any, F: Any, Q: Any) -> bool:
         """Predict by F."""
-        if _extension is None or not self._by_kernel:
-            return False
-        return bool(_extension.predict(self, u, B, F, Q, None))
+        return _extension is not None and self._by_kernel and bool(_extension.predict(self, u, B, F, Q, None))
 
     def _predict_extended(self, u: Any, F: Any = None, moved: Any = None) -> bool:
         """Predict by F; where a function has moved x, by what F says of the rest: moved is False, or the P that sigma
@@ -216,15 +215,11 @@ class Shell(StateMixin):
 
     def _correct_by_kernel(self, z: Any, R: Any, H: Any, M: Any) -> bool:
         """Correct by a linear sensor."""
-        if _extension is None or not self._by_kernel:
-            return False
-        return self._taken(_extension.correct, z, R, H, M)
+        return _extension is not None and self._by_kernel and self._taken(_extension.correct, z, R, H, M)
 
     def _stepped(self, z: Any, predicted: Any, y: Any, C: Any, S: Any, R: Any) -> bool:
         """Correct by a nonlinear sensor, by z and its prediction or by y; C and S, or H and None."""
-        if _extension is None:
-            return False
-        return self._taken(_extension.correct_innovation, z, predicted, y, C, S, R)
+        return _extension is not None and self._taken(_extension.correct_innovation, z, predicted, y, C, S, R)
 
     def _taken(self, step: Any, *given: Any) -> bool:
         """Take a correction by the kernel and look at it, as one: what interrupts or refuses it undoes both."""
@@ -322,11 +317,16 @@ class Shell(StateMixin):
 
     def _arrays(self) -> Correction | None:
         """Return the last correction, as arrays."""
-        if type(self._last) is np.ndarray:
-            self._last = correction_of(self._last, self.x_post, self.P_post)
-        elif self._last is not None and type(self._last) is not Correction:
-            self._last = self._last.as_arrays()
+        last = self._record()
+        if isinstance(last, Mixed):
+            self._last = last.as_arrays()
         return self._last  # type: ignore[no-any-return]
+
+    def _record(self) -> Any:
+        """Return the last correction, of the kernel's record if that is what there is."""
+        if type(self._last) is np.ndarray:
+            self._last = read(self._last, self.x_post, self.P_post)
+        return self._last
 
     def _shown(self, name: str, absent: Any) -> Array:
         """Return a field of the last correction in the shape that y has for this kind of state."""
@@ -356,8 +356,9 @@ class Shell(StateMixin):
     def log_likelihood(self) -> float:
         """Log-likelihood of the last measurement under the density of psi; 0 if it was missing altogether."""
         if self._log_likelihood is None:
-            last = self._arrays() if type(self._last) is np.ndarray else self._last
-            self._log_likelihood = 0.0 if last is None else last.log_density
+            last = self._last
+            by_kernel = type(last) is np.ndarray
+            self._log_likelihood = log_density_of(last) if by_kernel else getattr(last, "log_density", 0.0)
         return self._log_likelihood
 
     @property

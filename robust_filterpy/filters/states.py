@@ -13,10 +13,11 @@ from robust_filterpy import _checks, _state
 from robust_filterpy._arrays import noise_covariance, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.learning import LearntNoise, describe
+from robust_filterpy.correction.mixed import ordinary_noise
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.side_by_side import slow
 from robust_filterpy.correction.spread import NUMBERS, SPREAD, WEIGHT
-from robust_filterpy.filters.policies import Bounded, Mixture, Prior, ordinary_noise
+from robust_filterpy.filters.policies import Bounded, Mixture, Prior
 from robust_filterpy.filters.snapshot import whole
 
 if TYPE_CHECKING:
@@ -120,11 +121,8 @@ class StateMixin:
 
     def _prior(self, m: int, passed: Array | None = None) -> Prior:
         """Return the memory before a correction by m sensors, by their places in z or their rows of H."""
-        learns = self._policy.learns
-        if learns and passed is None and m <= len(self._memory):
-            return Prior(self._memory[:m], self._kept)
         begin, keys = self._sensors_of(m, passed)
-        return Prior(self._remembered().of(begin, keys) if learns else begin, self._kept)
+        return Prior(self._remembered().of(begin, keys) if self._policy.learns else begin, self._kept)
 
     def _sensors_of(self, m: int, passed: Array | None) -> tuple[Array, list[Any]]:
         """Return memories without any knowledge, and what tells the m sensors: their places, or their rows of an H."""
@@ -135,14 +133,8 @@ class StateMixin:
 
     def _learn(self, memory: Array | None, m: int, passed: Array | None = None) -> None:
         """Keep what a correction by m sensors has taught, named as in `_prior`."""
-        if memory is None or not self._policy.learns:
-            return
-        if passed is None and m <= len(self._memory) and len(memory) == m:
-            places = self._memory.copy()
-            places[:m] = memory
-            self._memory = places
-            return
-        self._keep_sensors(self._remembered().updated(memory, *self._sensors_of(m, passed)))
+        if memory is not None and self._policy.learns:
+            self._keep_sensors(self._remembered().updated(memory, *self._sensors_of(m, passed)))
 
     def _spoken(self, sensor: str | int | None, correct: Callable[[], None]) -> None:
         """Correct by a sensor that is named, None for those that their places or rows of H tell."""
@@ -181,7 +173,8 @@ class StateMixin:
     @property
     def outlier_probability(self) -> float:
         """Under ``noise=``, the probability that a component of the last measurement was an outlier."""
-        return getattr(self._last, "outlier_probability", 0.0)
+        kf: Any = self
+        return getattr(kf._record(), "outlier_probability", 0.0)
 
     @property
     def learnt(self) -> Array | None:
@@ -202,21 +195,19 @@ class StateMixin:
     @property
     def noise_learnt(self) -> LearntNoise | None:
         """Under ``noise=Learnt(..)``, what has been learned of the noise: r, contamination, scale ratio, run length."""
-        if not self._learns_noise:
-            return None
-        classes = self._policy.classes
-        return describe(self._memory, np.array(classes.scales), self.dim_z if classes.grouping == "joint" else 1)
+        return self._described(self._memory, self.dim_z) if self._learns_noise else None
 
     @property
     def sensors_learnt(self) -> dict[str, LearntNoise] | None:
         """Under ``noise=Learnt(..)``, what has been learned of each sensor that `update` was given as `sensor`."""
         if not self._learns_noise:
             return None
+        return {name: self._described(memory, len(memory)) for name, memory in self._named_sensors.items()}
+
+    def _described(self, memory: Array, sensors: int) -> LearntNoise:
+        """Return what a memory says of noise."""
         classes = self._policy.classes
-        return {
-            name: describe(memory, np.array(classes.scales), len(memory) if classes.grouping == "joint" else 1)
-            for name, memory in self._named_sensors.items()
-        }
+        return describe(memory, np.array(classes.scales), sensors if classes.grouping == "joint" else 1)
 
     @property
     def R_learnt(self) -> Array | None:

@@ -44,13 +44,12 @@ __all__ = ["available"]
 def extension() -> Any:
     """Return the extension module, None (after one line in the log that says so) if the definition is to serve."""
     loaded = _loaded()
-    if isinstance(loaded, str):
-        if not _switched_off():
-            logging.getLogger("robust_filterpy").info(
-                "robust_filterpy: the definition in numpy serves, several times slower; %s", loaded
-            )
-        return None
-    return loaded
+    if not isinstance(loaded, str):
+        return loaded
+    if not _switched_off():
+        words = "robust_filterpy: the definition in numpy serves, several times slower; %s"
+        logging.getLogger("robust_filterpy").info(words, loaded)
+    return None
 
 
 def missing() -> str | None:

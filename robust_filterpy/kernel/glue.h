@@ -21,7 +21,7 @@
 #define ATTRIBUTES(X) \
     X(x) X(P) X(F) X(Q) X(H) X(R) X(B) X(z) X(dim_x) X(dim_z) X(inv) X(x_prior) X(P_prior) X(x_post) X(P_post) \
     X(_alpha_sq) X(rule) X(_memory) X(_other_sensors) X(_last) X(_y) X(_S) X(_SI) X(_K) X(_log_likelihood) X(_likelihood) X(_mahalanobis) \
-    X(_policy) X(_kept) X(record)
+    X(_policy) X(_kept)
 enum attribute {
 #define ATTRIBUTE(name) AT_##name,
     ATTRIBUTES(ATTRIBUTE)

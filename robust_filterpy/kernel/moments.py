@@ -2,38 +2,59 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from robust_filterpy._arrays import regardless
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.mixed import Mixed
 from robust_filterpy.correction.options import length_and_direction
 from robust_filterpy.correction.result import Correction, group_scaling
 from robust_filterpy.kernel.series import SCALINGS
 
-__all__ = ["correction_of", "judged_of", "weights_of"]
+__all__ = ["judged_of", "log_density_of", "read", "weights_of"]
 
 # A record: four numbers, rows of m numbers, then S and the transpose of C.
-_N, _M, _SCALING, _LOG_DENSITY, _HEAD = range(5)
+_N, _M, _KIND, _LOG_DENSITY, _HEAD = range(5)
 _Y, _E, _WEIGHTS, _PSI_DERIV, _D, _SCORE, _ORDER, _JUDGED, _ROWS = range(9)
+# That of a mixture has as many rows, weights in the same place, then mean, P, H, R, what no line explains of z, and M.
+_MIXED_ROWS = 6
 
 
 def _row(which: int, m: int) -> slice:
-    """Return where a record has one of its rows; behind the last begins S."""
+    """Return where a record has one of its rows."""
     return slice(_HEAD + which * m, _HEAD + (which + 1) * m)
 
 
-def correction_of(values: Array, x: Array, P: Array) -> Correction:
+def read(values: Array, x: Array, P: Array) -> Correction | Mixed:
     """Return what a record of numbers says."""
-    n, m = int(values[_N]), int(values[_M])
-    scaling, rest = SCALINGS[int(values[_SCALING])], values[_HEAD:]
-    y, e, weights, psi_deriv, d, score, order, judged = rest[: _ROWS * m].reshape(_ROWS, m)
-    S, C = rest[_ROWS * m : (_ROWS + m) * m].reshape(m, m), rest[(_ROWS + m) * m :].reshape(m, n).T
-    groups = _groups(order[: np.count_nonzero(psi_deriv == psi_deriv)])
+    n, m, kind = (int(values[i]) for i in (_N, _M, _KIND))
+    is_mixed = kind == len(SCALINGS)
+    count = _MIXED_ROWS if is_mixed else _ROWS
+    shapes = ((n,), (n, n), (m, n), (m, m), (m, m), (n, m)) if is_mixed else ((m, m), (m, n))
+    flat, *flats = np.split(values[_HEAD:], np.cumsum([count * m, *map(math.prod, shapes[:-1])]))
+    rows, parts = flat.reshape(count, m), [part.reshape(shape) for part, shape in zip(flats, shapes, strict=True)]
+    if is_mixed:
+        lags, outlying, weights, z, factors, leads = rows
+        prior_x, prior_P, H, R, curvature, M = parts
+        return Mixed(
+            np.ravel(x), P, None, log_density_of(values), weights, outlying, prior_x, prior_P, H, R,
+            M if M.any() else None, z, factors[:, None], lags, leads, curvature,
+        )  # fmt: skip
+    y, e, weights, psi_deriv, d, score, order, judged = rows
+    S, C = parts
+    groups, scaling = _groups(order[: np.count_nonzero(psi_deriv == psi_deriv)]), SCALINGS[kind]
     information = regardless(_information, S - np.diag(S.diagonal() - judged), e, d, groups, scaling)
     return Correction(
-        np.ravel(x), P, C, y, S, score, information, e, weights, psi_deriv,
-        tuple(map(tuple, groups)), scaling, float(values[_LOG_DENSITY]),
+        np.ravel(x), P, C.T, y, S, score, information, e, weights, psi_deriv, tuple(map(tuple, groups)), scaling,
+        log_density_of(values),
     )  # fmt: skip
+
+
+def log_density_of(values: Array) -> float:
+    """Return log p(z) alone."""
+    return float(values[_LOG_DENSITY])
 
 
 def weights_of(values: Array) -> Array:

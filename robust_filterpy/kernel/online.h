@@ -13,30 +13,26 @@ typedef struct {
 
 /* What judges a filter's measurements: psi, or a mixture of what their noise may have been. */
 typedef struct {
-    int mixes;
+    int mixes, learns;
     correction_rule bounded;
     learnt_rule mixture;
-    PyObject *make, *named; /* under a mixture: the class of a record, and the last entry of one */
+    npy_intp width;      /* numbers that are learned of a sensor, */
+    const double *begin; /* and what they are at first; NULL: zeros */
 } judge;
 
-/* Sensors by their places in z, or, of an H that is passed, by its rows: robust_filterpy.filters.states in C. */
+/* What a measurement is taken up by, checked, and whose readings it has: sensors by their places in z, or, of an H that is
+   passed, by its rows: robust_filterpy.filters.states in C. */
 #define ROWS_MOST 32 /* rows that are remembered */
 #define ROWS_NOW 16  /* sensors at once */
 typedef struct {
-    npy_intp m, width;           /* m: 0 where places tell */
-    npy_intp place[ROWS_NOW];
-    PyObject *key[ROWS_NOW];     /* bytes of its row, NULL where the place tells */
-    PyObject *places, *rows;     /* memories: an array, a dictionary */
-    const double *begin;         /* (width) memory of a new sensor; NULL: zeros */
-} sensor_rows;
-
-/* What a measurement is taken up by, checked. */
-typedef struct {
-    npy_intp m;
+    npy_intp m, known;       /* known: rows of what is learned */
     const double *H, *R, *M; /* M may be NULL */
-    PyObject *memory;        /* of these sensors, as the filter has it or read by rows; NULL where nothing is learned */
-    const double *learned;   /* its numbers, where it is bounded by psi */
-    sensor_rows rows;        /* width and begin are given, width 0 where nothing is learned by rows */
+    PyObject *memory;        /* of these sensors, as the filter has it or read by rows */
+    const double *learned;   /* its numbers; NULL where nothing is */
+    int by_rows;             /* 0 where places tell; else */
+    npy_intp place[ROWS_NOW];
+    PyObject *key[ROWS_NOW]; /* bytes of its row, NULL where the place tells */
+    PyObject *places, *rows; /* memories: an array, a dictionary */
 } sensors;
 
 /* What moves a state. */
@@ -73,13 +69,13 @@ static int take_judge(held *h, PyObject *filter, judge *by) {
     if (!rule) return -1;
     by->mixes = !PyTuple_Check(rule);
     if (by->mixes) {
-        PyObject *const record = hold_attribute(h, policy, AT_record);
-        if (!record || !take_objects(record, 2, of)) return record ? 0 : -1;
-        by->make = of[0], by->named = of[1];
-        return take_rule(&by->mixture, rule);
+        if (!take_rule(&by->mixture, rule)) return 0;
+        by->learns = by->mixture.learns, by->width = learnt_width(by->mixture.K), by->begin = by->mixture.begin;
+        return 1;
     }
     if (!take_objects(rule, 2, of) || !rule_of(of[0], &by->bounded)) return 0;
     if (of[1] != Py_None) by->bounded.psi = (psi_function){PSI_CALLED, 0, 0, 0, call_choices, of[1]};
+    by->learns = by->bounded.scaling == SCALING_LEARNT, by->width = SPREAD_NUMBERS, by->begin = NULL;
     return 1;
 }
 
@@ -141,67 +137,58 @@ static int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) 
 /* Plain, own where given is None; NULL with an exception. */
 static PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
 
-/* Say which sensors the rows of an H are, the ones with such rows; 1, 0, or -1 with an exception. */
-static int take_rows(held *h, sensor_rows *c, const double *H, PyObject *own, npy_intp n) {
-    const npy_intp m = c->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0;
-    const double *const ours = rows > 0 ? matrix_of(own, rows, n) : NULL;
+/* Say which sensors the rows of an H are, the ones with such rows, and read their memory: of a row that is met for the first
+   time that of its place. 1, 0, or -1 with an exception. */
+static int take_rows(held *h, const judge *by, sensors *s, PyObject *own, npy_intp n) {
+    const npy_intp m = s->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0, width = by->width;
+    const npy_intp places = is_array(s->places, 2) ? PyArray_DIM((PyArrayObject *)s->places, 0) : 0;
+    const double *const ours = rows > 0 ? matrix_of(own, rows, n) : NULL, *const learned = matrix_of(s->places, places, width);
     const size_t size = (size_t)n * sizeof(double);
     int same = 0;
-    if (m > ROWS_NOW || !ours || !PyDict_CheckExact(c->rows) || !is_array(c->places, 2) ||
-        !matrix_of(c->places, PyArray_DIM((PyArrayObject *)c->places, 0), c->width))
-        return 0;
+    if (m > ROWS_NOW || !ours || !PyDict_CheckExact(s->rows) || !learned) return 0;
     for (npy_intp i = 0; i < m; i++) {
-        c->place[i] = 0, c->key[i] = NULL;
-        while (c->place[i] < rows && memcmp(H + i * n, ours + c->place[i] * n, size)) c->place[i]++;
-        for (npy_intp j = 0; j < i; j++) same |= !memcmp(H + i * n, H + j * n, size);
+        s->place[i] = 0, s->key[i] = NULL;
+        while (s->place[i] < rows && memcmp(s->H + i * n, ours + s->place[i] * n, size)) s->place[i]++;
+        for (npy_intp j = 0; j < i; j++) same |= !memcmp(s->H + i * n, s->H + j * n, size);
     }
+    s->by_rows = 1, s->memory = array_of(h, NULL, 2, m, width, 0);
     for (npy_intp i = 0; i < m; i++) {
-        if (!same && c->place[i] == rows) {
-            c->key[i] = hold(h, PyBytes_FromStringAndSize((const char *)(H + i * n), (Py_ssize_t)size));
-            if (!c->key[i]) return -1;
-        }
+        if (!same && s->place[i] == rows) s->key[i] = hold(h, PyBytes_FromStringAndSize((const char *)(s->H + i * n), (Py_ssize_t)size));
+        if (h->failed) return -1;
         /* Sensors that see exactly the same are distinguished by their places. */
-        if (same || c->key[i]) c->place[i] = i;
-    }
-    return 1;
-}
-
-/* The memory of these sensors: of a row that is met for the first time that of its place. */
-static int read_rows(const sensor_rows *c, double *memory) {
-    const npy_intp places = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
-    for (npy_intp i = 0; i < c->m; i++) {
-        PyObject *const row = c->key[i] ? PyDict_GetItemWithError(c->rows, c->key[i]) : NULL;
-        const double *from = row ? vector_of(row, width) : NULL;
-        if (row && !from) return 0;
-        if (!row && c->place[i] < places) from = numbers_of(c->places) + c->place[i] * width;
-        if (!from) from = c->begin;
-        for (npy_intp k = 0; k < width; k++) memory[i * width + k] = from ? from[k] : 0;
+        if (same || s->key[i]) s->place[i] = i;
+        PyObject *const row = s->key[i] ? PyDict_GetItemWithError(s->rows, s->key[i]) : NULL;
+        const double *const from = row                   ? vector_of(row, width)
+                                   : s->place[i] < places ? learned + s->place[i] * width
+                                                          : by->begin;
+        if ((row && !from) || PyErr_Occurred()) return PyErr_Occurred() ? -1 : 0;
+        for (npy_intp k = 0; k < width; k++) numbers_of(s->memory)[i * width + k] = from ? from[k] : 0;
     }
     return 1;
 }
 
 /* Whether that went well. */
-static int set_rows(held *h, PyObject *filter, const sensor_rows *c, const double *memory) {
-    const npy_intp before = PyArray_DIM((PyArrayObject *)c->places, 0), width = c->width;
+static int set_rows(held *h, PyObject *filter, const judge *by, const sensors *s, const double *memory) {
+    const npy_intp before = PyArray_DIM((PyArrayObject *)s->places, 0), width = by->width;
     npy_intp count = before, at = 0;
-    PyObject *places, *rows = c->rows, *first, *none;
-    for (npy_intp i = 0; i < c->m; i++) count = c->place[i] < count ? count : c->place[i] + 1;
+    PyObject *places, *rows = s->rows, *first, *none;
+    for (npy_intp i = 0; i < s->m; i++) count = s->place[i] < count ? count : s->place[i] + 1;
     places = array_of(h, NULL, 2, count, width, 0);
     if (!places) return 0;
-    real_copy((int)(before * width), numbers_of(c->places), numbers_of(places));
-    for (npy_intp k = before * width; k < count * width; k++) numbers_of(places)[k] = c->begin ? c->begin[k % width] : 0;
-    for (npy_intp i = 0; i < c->m; i++) {
+    real_copy((int)(before * width), numbers_of(s->places), numbers_of(places));
+    for (npy_intp k = before * width; k < count * width; k++) numbers_of(places)[k] = by->begin ? by->begin[k % width] : 0;
+    for (npy_intp i = 0; i < s->m; i++) {
         PyObject *row;
-        real_copy((int)width, memory + i * width, numbers_of(places) + c->place[i] * width);
-        if (!c->key[i]) continue;
-        if (rows == c->rows && !(rows = hold(h, PyDict_Copy(c->rows)))) return 0;
+        real_copy((int)width, memory + i * width, numbers_of(places) + s->place[i] * width);
+        if (!s->key[i]) continue;
+        if (rows == s->rows && !(rows = hold(h, PyDict_Copy(s->rows)))) return 0;
         row = array_of(h, memory + i * width, 1, width, 0, 0);
         if (!row) return 0;
         /* The one that was met longest ago stands first. */
-        if (PyDict_Contains(rows, c->key[i]) == 1 && PyDict_DelItem(rows, c->key[i]) < 0) return 0;
-        if (PyDict_SetItem(rows, c->key[i], row) < 0) return 0;
+        if (PyDict_Contains(rows, s->key[i]) == 1 && PyDict_DelItem(rows, s->key[i]) < 0) return 0;
+        if (PyDict_SetItem(rows, s->key[i], row) < 0) return 0;
     }
-    while (rows != c->rows && PyDict_Size(rows) > ROWS_MOST) {
+    while (rows != s->rows && PyDict_Size(rows) > ROWS_MOST) {
         at = 0;
         if (!PyDict_Next(rows, &at, &first, &none)) return 0;
         Py_INCREF(first);
@@ -268,19 +255,24 @@ static int take_cross(sensors *s, npy_intp n, PyObject *M) {
     return M == Py_None || (s->M && all_finite(s->M, n * s->m));
 }
 
-/* What psi has learned of the sensors; whether it is that. */
-static int take_memory(const correction_rule *rule, sensors *s, PyObject *memory) {
-    s->learned = rule->scaling == SCALING_LEARNT ? matrix_of(memory, s->m, SPREAD_NUMBERS) : NULL;
-    return rule->scaling != SCALING_LEARNT || (s->learned && all_finite(s->learned, s->m * SPREAD_NUMBERS));
+/* What has been learned of the sensors, s->memory, or what is of each at first; whether it is that, -1 with an exception. */
+static int take_memory(held *h, const judge *by, sensors *s) {
+    s->known = by->mixes ? memory_rows(&by->mixture, s->m) : s->m, s->learned = NULL;
+    if (!by->learns && !by->mixes) return 1;
+    if (!by->learns) {
+        if (!(s->memory = array_of(h, NULL, 2, s->known, by->width, 0))) return -1;
+        for (npy_intp k = 0; k < s->known * by->width; k++) numbers_of(s->memory)[k] = by->begin[k % by->width];
+    }
+    s->learned = matrix_of(s->memory, s->known, by->width);
+    return s->learned && all_finite(s->learned, s->known * by->width);
 }
 
-/* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors, the last two where
-   something is learned. 1, 0, or -1 with an exception. */
-static int take_sensors(held *h, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s) {
+/* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors. 1, 0, or -1 with
+   an exception. */
+static int take_sensors(held *h, const judge *by, PyObject *const given[3], PyObject *const *own, npy_intp n, sensors *s) {
     PyObject *const R = given_or(h, given[0], own[2]);
     PyObject *const H = R ? given_or(h, given[1], own[3]) : NULL;
-    sensor_rows *const rows = &s->rows;
-    int outcome;
+    int outcome = 1;
     if (!H) return -1;
     if (own[1] != numpy_inverse || !is_array(H, 2)) return 0;
     s->m = PyArray_DIM((PyArrayObject *)H, 0);
@@ -289,25 +281,9 @@ static int take_sensors(held *h, PyObject *const given[3], PyObject *const *own,
     s->R = covariance_of(h, R, s->m);
     if (!s->R && PyErr_Occurred()) return -1;
     if (!s->H || !s->R || !take_cross(s, n, given[2])) return 0;
-    rows->m = 0;
-    if (rows->width == 0 || H == own[3]) return 1;
-    rows->m = s->m, rows->places = own[4], rows->rows = own[5];
-    outcome = take_rows(h, rows, s->H, own[3], n);
-    if (outcome <= 0) return outcome;
-    s->memory = array_of(h, NULL, 2, s->m, rows->width, 0);
-    if (!s->memory) return -1;
-    return read_rows(rows, numbers_of(s->memory)) ? 1 : PyErr_Occurred() ? -1 : 0;
-}
-
-/* Give a filter what a measurement has left of it but x and P; memory: NULL where nothing is learned. 1, or -1. */
-static int set_measured(held *h, PyObject *filter, PyObject *z, PyObject *record, const sensor_rows *rows, PyObject *memory) {
-    if (set_attribute(filter, AT_z, z) < 0 || set_attribute(filter, AT__last, record) < 0) return -1;
-    if (memory && !(rows && rows->m ? set_rows(h, filter, rows, numbers_of(memory))
-                                    : set_attribute(filter, AT__memory, memory) == 0))
-        return -1;
-    for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
-        if (set_attribute(filter, which, Py_None) < 0) return -1;
-    return 1;
+    s->by_rows = 0, s->memory = s->places = own[4], s->rows = own[5];
+    if (by->learns && H != own[3] && !(by->mixes && by->mixture.joint)) outcome = take_rows(h, by, s, own[3], n);
+    return outcome > 0 ? take_memory(h, by, s) : outcome;
 }
 
 /* A function of the module for one step of a filter: call it with h and arguments, if there are so many. */

@@ -12,7 +12,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction import learning, learnt, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
 from robust_filterpy.correction.learnt import Corrected
-from robust_filterpy.correction.options import GROUPINGS, Choices
+from robust_filterpy.correction.options import GROUPINGS, Choices, leads
 from robust_filterpy.correction.side_by_side import Models, Scales
 from robust_filterpy.influence.functions import Linear
 
@@ -208,15 +208,13 @@ def mixture_rule(noise: NoiseClasses, process: Scales) -> Array:
     with whom.
     """
     drawn = () if process.probabilities is None else process.probabilities
-    groups: Any = () if isinstance(noise.grouping, str) else noise.grouping
-    leads = {i: min(group) for group in groups for i in group}
-    named = -1 if noise.grouping == "joint" else max(leads, default=-1) + 1
+    named = 0 if isinstance(noise.grouping, str) else 1 + max(i for group in noise.grouping for i in group)
     head = Head(
         len(process.scales), len(noise.scales), process.stay, process.jump, noise.memory, noise.r_memory, noise.learns,
-        len(drawn) > 0, named,
+        len(drawn) > 0, -1 if noise.grouping == "joint" else named,
     )  # fmt: skip
     start = learning.start(len(noise.scales), noise.probabilities)
-    return np.array([*head, *process.scales, *noise.scales, *start, *drawn, *(leads.get(i, i) for i in range(named))])
+    return np.array([*head, *process.scales, *noise.scales, *start, *drawn, *leads(noise.grouping, named)])
 
 
 def begin_models(models: Models, memory: Array) -> State:

@@ -7,7 +7,7 @@ typedef struct {
     const learnt_rule *rule;
     learnt_state s;
     PyObject *kept;     /* as the filter has it: a tuple, or None where there is one model */
-    PyObject *x, *P;    /* priors that nobody writes to */
+    const double *x;    /* their mean */
     PyObject *after[5]; /* of a tuple of the same kind: means, covariances, p, x, P */
 } models;
 
@@ -15,19 +15,14 @@ typedef struct {
    definition, but for an x that has been moved. */
 static int take_models(held *h, const learnt_rule *rule, PyObject *kept, const filter_state *now, int moved, models *f) {
     const npy_intp n = now->n, rows = learnt_rows(rule), beliefs = learnt_beliefs(1, rule);
-    const double *means = now->x, *covariances = now->P, *p = NULL;
-    f->rule = rule, f->kept = kept;
-    if (n > 1000) return 0;
-    if (kept == Py_None) {
-        if (rows != 1) return 0;
-        f->x = array_of(h, now->x, 1, n, 0, 0), f->P = array_of(h, now->P, 2, n, n, 0);
-    } else {
+    const double *means = now->x, *covariances = now->P, *p = NULL, *P = now->P;
+    f->rule = rule, f->kept = kept, f->x = now->x;
+    if (n > 1000 || (kept == Py_None && rows != 1)) return 0;
+    if (kept != Py_None) {
         npy_intp lengths[AXES] = UNKNOWN_AXES;
-        const double *x, *P;
         AXIS('n') = n, AXIS('q') = rows, AXIS('b') = beliefs;
-        if (!take_arrays(kept, "qn qnn bn n nn", lengths, (void *[]){&means, &covariances, &p, &x, &P})) return 0;
-        f->x = PyTuple_GetItem(kept, 3), f->P = PyTuple_GetItem(kept, 4);
-        if (!moved && memcmp(x, now->x, (size_t)n * sizeof *x)) return 0;
+        if (!take_arrays(kept, "qn qnn bn n nn", lengths, (void *[]){&means, &covariances, &p, &f->x, &P})) return 0;
+        if (!moved && memcmp(f->x, now->x, (size_t)n * sizeof *f->x)) return 0;
         if (memcmp(P, now->P, (size_t)(n * n) * sizeof *P)) return 0;
     }
     f->after[0] = array_of(h, means, 2, rows, n, 0), f->after[1] = array_of(h, covariances, 3, rows, n, n);
@@ -40,29 +35,21 @@ static int take_models(held *h, const learnt_rule *rule, PyObject *kept, const f
     return learnt_has_parts((int)n, rule, &f->s);
 }
 
-/* Merge the models, into x and P too: code of Python's may get the others. Whether that is finite. */
-static int merge(const int n, models *f, PyObject *x, PyObject *P, double *work) {
-    double *const mean = numbers_of(f->after[3]), *const covariance = numbers_of(f->after[4]);
-    if (!learnt_merge(n, f->rule, &f->s, mean, covariance, work)) return 0;
-    real_copy(n, mean, numbers_of(x)), real_copy(n * n, covariance, numbers_of(P));
-    return 1;
+/* Let x and P be what the models have merged to: code of Python's may get the others. */
+static void show_models(const models *f, PyObject *x, PyObject *P) {
+    const int n = (int)PyArray_DIM((PyArrayObject *)P, 0);
+    real_copy(n, numbers_of(f->after[3]), numbers_of(x)), real_copy(n * n, numbers_of(f->after[4]), numbers_of(P));
 }
 
-/* A named tuple of a class, its entries the one argument given, which is let go: its own constructor is Python's code. */
-static PyObject *tuple_of(PyObject *kind, PyObject *entries) {
-    const newfunc make = (newfunc)PyType_GetSlot(&PyTuple_Type, Py_tp_new);
-    const int fits = PyType_Check(kind) && PyType_IsSubtype((PyTypeObject *)kind, &PyTuple_Type);
-    PyObject *const made = entries && fits ? make((PyTypeObject *)kind, entries, NULL) : NULL;
-    if (!fits) PyErr_SetString(PyExc_TypeError, "a filter's record: expected a class of tuples");
-    Py_XDECREF(entries);
-    return made;
-}
-
-/* What the filter is to keep after the step: a tuple of the same kind, or None. */
+/* What the filter is to keep after the step: a tuple of the same kind, whose own constructor is Python's code, or None. */
 static PyObject *kept_of(held *h, const models *f) {
-    PyObject *const *const of = f->after;
+    const newfunc make = (newfunc)PyType_GetSlot(&PyTuple_Type, Py_tp_new);
+    PyObject *const *const of = f->after, *entries, *made;
     if (f->kept == Py_None) return Py_None;
-    return hold(h, tuple_of((PyObject *)Py_TYPE(f->kept), Py_BuildValue("((OOOOO))", of[0], of[1], of[2], of[3], of[4])));
+    entries = Py_BuildValue("((OOOOO))", of[0], of[1], of[2], of[3], of[4]);
+    made = entries ? make(Py_TYPE(f->kept), entries, NULL) : NULL;
+    Py_XDECREF(entries);
+    return hold(h, made);
 }
 
 #define NO_PART 1e-12 /* correlation that is rounding */
@@ -152,10 +139,11 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *con
             how.F = rest, rest = curvature + n * n;
         }
         if (!moves) control = work;
-        for (int i = 0; !moves && i < n; i++) control[i] = now.x[i] - real_dot(n, how.F + i * n, numbers_of(f.x));
+        for (int i = 0; !moves && i < n; i++) control[i] = now.x[i] - real_dot(n, how.F + i * n, f.x);
         learnt_predict(n, f.rule, &f.s, how.F, how.Q, control, how.alpha_sq, rest);
         if (to) bend_models(n, &f, curvature);
-        fine = merge(n, &f, x, P, rest);
+        fine = learnt_merge(n, f.rule, &f.s, numbers_of(f.after[3]), numbers_of(f.after[4]), rest);
+        show_models(&f, x, P);
     } else if (fine) {
         fine = predict(n, now.x, now.P, how.F, how.Q, control, how.alpha_sq, numbers_of(x), numbers_of(P), work + n);
         if (!moves) real_copy(n, now.x, numbers_of(x));
@@ -170,17 +158,17 @@ static int take_prediction(held *h, PyObject *filter, PyObject *u, PyObject *con
 STEP(predict_step, 6, take_prediction(&h, arguments[0], arguments[1], arguments + 2, arguments[5]),
      "predict: expected a filter, u, B, F, Q and what has moved x")
 
-/* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Numbers, rows of m numbers, S and C'. */
-enum record_number { RECORD_N, RECORD_M, RECORD_SCALING, RECORD_LOG_DENSITY, RECORD_HEAD };
+/* What a correction leaves: see robust_filterpy.kernel.moments, which reads it. Numbers and rows of m numbers; then S and C',
+   or, under a mixture, the mean, P, H, R, what no line explains, and M. */
+enum record_number { RECORD_N, RECORD_M, RECORD_KIND, RECORD_LOG_DENSITY, RECORD_HEAD };
 enum record_row { ROW_Y, ROW_E, ROW_WEIGHTS, ROW_PSI_DERIV, ROW_D, ROW_SCORE, ROW_ORDER, ROW_JUDGED, RECORD_ROWS };
+enum mixed_row { ROW_LAGS, ROW_OUTLYING, ROW_Z = ROW_WEIGHTS + 1, ROW_FACTORS, ROW_LEADS, MIXED_ROWS };
+#define RECORD_MIXED (SCALING_BOUNDED + 1) /* the kind of one under a mixture, else its scaling */
 
-static double *record_row(double *record, enum record_row which, npy_intp m) { return record + RECORD_HEAD + which * m; }
+static double *record_row(double *record, int which, npy_intp m) { return record + RECORD_HEAD + which * m; }
 
 /* All but the innovations, S and C. */
-static void begin_record(double *record, npy_intp n, npy_intp m, const correction_rule *rule, const correction *c) {
-    record[RECORD_N] = (double)n;
-    record[RECORD_M] = (double)m;
-    record[RECORD_SCALING] = (double)rule->scaling;
+static void begin_record(double *record, npy_intp m, const correction_rule *rule, const correction *c) {
     record[RECORD_LOG_DENSITY] = correction_log_likelihood(rule, c);
     real_copy((int)(4 * m), c->e, record_row(record, ROW_E, m));     /* e, weights, slopes, d */
     real_copy((int)(2 * m), c->v, record_row(record, ROW_SCORE, m)); /* v, order */
@@ -188,24 +176,25 @@ static void begin_record(double *record, npy_intp n, npy_intp m, const correctio
     real_copy((int)m, c->first, record_row(record, ROW_JUDGED, m));  /* S_ii by which it was judged */
 }
 
-/* What a correction makes: x and P in the shape of before, a record, z with NaN where missing, and the memory of the
-   sensors, NULL where nothing is learned. */
+/* What a correction makes: x and P in the shape of before, a record, z with NaN where missing, the memory of the sensors,
+   NULL where nothing is learned, and what the filter keeps besides, NULL where psi bounds. */
 typedef struct {
-    PyObject *x, *P, *record, *z, *memory;
+    PyObject *x, *P, *record, *z, *memory, *kept;
 } corrected;
 
 /* Make room for all that; z may be there. -1 with an exception. */
-static int begin_corrected(held *h, const filter_state *now, const sensors *s, PyObject *z, corrected *made) {
+static int begin_corrected(held *h, const judge *by, const filter_state *now, const sensors *s, PyObject *z,
+                           corrected *made) {
     const npy_intp n = now->n, m = s->m;
+    const npy_intp length = by->mixes ? MIXED_ROWS * m + n + n * n + 2 * m * (m + n) : (RECORD_ROWS + m + n) * m;
     made->x = array_of(h, NULL, now->ndim, n, 1, 0), made->P = array_of(h, now->P, 2, n, n, 0);
-    made->record = array_of(h, NULL, 1, RECORD_HEAD + (RECORD_ROWS + m + n) * m, 0, 0);
+    made->record = array_of(h, NULL, 1, RECORD_HEAD + length, 0, 0);
     made->z = z ? z : array_of(h, NULL, now->ndim, m, 1, 0);
-    made->memory = s->learned ? array_of(h, s->learned, 2, m, SPREAD_NUMBERS, 0) : NULL;
-    return h->failed ? -1 : 1;
-}
-
-static spread_memory *spreads_of(const corrected *made) {
-    return made->memory ? (spread_memory *)numbers_of(made->memory) : NULL;
+    made->memory = s->learned ? array_of(h, s->learned, 2, s->known, by->width, 0) : NULL, made->kept = NULL;
+    if (h->failed) return -1;
+    const double head[RECORD_HEAD] = {(double)n, (double)m, by->mixes ? RECORD_MIXED : by->bounded.scaling, 0};
+    real_copy(RECORD_HEAD, head, numbers_of(made->record));
+    return 1;
 }
 
 /* An innovation, NaN where missing, and what it has to do with the state: C (n, m) and S, or both follow from H. */
@@ -223,6 +212,8 @@ static int correct_bounded(const correction_rule *rule, const filter_state *now,
     double stack[STACK_WORK], *const work = work_of(stack, update_work(n, m)), *const values = numbers_of(made->record);
     double *const x = numbers_of(made->x), *const innovations = record_row(values, ROW_Y, m);
     double *const shown = record_row(values, RECORD_ROWS, m);
+    const spread_memory *const before = (const spread_memory *)s->learned;
+    spread_memory *const memory = before ? (spread_memory *)numbers_of(made->memory) : NULL;
     int fine = 0;
     if (!work) return -1;
     correction_begin(n, m, 1, &c, work);
@@ -233,155 +224,28 @@ static int correct_bounded(const correction_rule *rule, const filter_state *now,
         for (int k = 0; given->S && k < n; k++) c.C[i * n + k] = given->C[k * m + i];
     }
     if (given->S) real_copy(m * m, given->S, c.S);
-    fine = fine && is_covariance(s->R, m, shown) && update(n, m, rule, z, y, s->H, s->R, s->M, spreads_of(made), x,
-                                                           numbers_of(made->P), &c, shown, work);
-    if (fine) begin_record(values, n, m, rule, &c);
+    fine = fine && is_covariance(s->R, m, shown) &&
+           update(n, m, rule, z, y, s->H, s->R, s->M, memory, x, numbers_of(made->P), &c, shown, work);
+    if (fine) begin_record(values, m, rule, &c);
     for (int k = 0; given->y && k < n; k++) x[k] = now->x[k] + x[k];
+    /* That a sensor's far reading repeats for the first time is said, which may refuse the call: for the definition. */
+    for (int i = 0; before && i < m; i++) fine = fine && !(before[i].filled == 0 && memory[i].filled > 0);
     work_done(stack, work);
     return called_outcome(fine && all_finite(x, n));
 }
 
-/* Give a filter what psi has made of a measurement; 1, or -1 with an exception. */
-static int set_corrected(held *h, PyObject *filter, const sensors *s, const corrected *made, const sensor_rows *rows) {
-    /* That a sensor's far reading repeats for the first time is said, which may refuse the call: for the definition. */
-    for (npy_intp i = 0; made->memory && i < s->m; i++)
-        if (((const spread_memory *)s->learned)[i].filled == 0 && spreads_of(made)[i].filled > 0) return 0;
+/* Give a filter what was made of a measurement; 1, or -1 with an exception. */
+static int set_corrected(held *h, PyObject *filter, const judge *by, const sensors *s, const corrected *made) {
     if (!set_state(h, filter, made->x, made->P, AT_x_post, AT_P_post)) return -1;
-    return set_measured(h, filter, made->z, made->record, rows, made->memory);
-}
-
-/* Whether H x is a number everywhere. */
-static int is_finite_product(const double *H, const double *x, npy_intp m, npy_intp n) {
-    for (npy_intp i = 0; i < m; i++) {
-        const double total = real_dot((int)n, H + i * n, x);
-        if (total - total != 0) return 0;
-    }
+    if (made->kept && set_attribute(filter, AT__kept, made->kept) < 0) return -1;
+    if (set_attribute(filter, AT_z, made->z) < 0 || set_attribute(filter, AT__last, made->record) < 0) return -1;
+    if (by->learns && !(s->by_rows ? set_rows(h, filter, by, s, numbers_of(made->memory))
+                                   : set_attribute(filter, AT__memory, made->memory) == 0))
+        return -1;
+    for (enum attribute which = AT__y; which <= AT__mahalanobis; which++)
+        if (set_attribute(filter, which, Py_None) < 0) return -1;
     return 1;
 }
-
-/* A correction under a mixture as robust_filterpy.filters.policies.Mixed has it, and what the filter gets. */
-typedef struct {
-    PyObject *x_set, *P_set, *shown;
-    PyObject *x, *P, *memory, *weights, *outlying, *prior_x, *prior_P, *H, *R, *M, *z, *before, *curvature;
-    double log_density;
-} mixed;
-
-/* Make room for what is the same of every sensor; before: its memory as it is, of which `rows` rows are each of one. */
-static void begin_mixed(held *h, const learnt_rule *rule, const filter_state *now, const sensors *s, PyObject *z,
-                        const double *before, mixed *made) {
-    const npy_intp n = now->n, m = s->m;
-    made->x_set = array_of(h, NULL, now->ndim, n, 1, 0), made->P_set = array_of(h, NULL, 2, n, n, 0), made->shown = z;
-    made->memory = array_of(h, before, 2, memory_rows(rule, m), learnt_width(rule->K), 0);
-    made->weights = array_of(h, NULL, 1, m, 0, 0), made->outlying = array_of(h, NULL, 1, m, 0, 0);
-    made->R = array_of(h, s->R, 2, m, m, 0), made->M = s->M ? array_of(h, s->M, 2, n, m, 0) : Py_None;
-    made->before = s->memory, made->curvature = Py_None, made->log_density = 0;
-}
-
-/* Correct by z (m), the sensors having read `readings`; whether that was ordinary. work: correct_work. */
-static int weigh(int n, int m, const learnt_rule *rule, learnt_state *s, const double *z, const double *readings,
-                 const double *H, const double *R, const double *M, mixed *made, double *work) {
-    const double *const weights = numbers_of(made->weights);
-    s->memory = numbers_of(made->memory);
-    if (learnt_correct(n, m, rule, s, z, readings, H, R, M, numbers_of(made->weights), numbers_of(made->outlying),
-                       &made->log_density, work) <= 0)
-        return 0;
-    /* That a sensor is stuck is said in words, by the definition. */
-    for (int i = 0; i < m; i++)
-        if (weights[i] == 0) return 0;
-    return 1;
-}
-
-#define NO_LAG 0.1 /* standard deviations that a start leaves where there is no noise */
-
-/* Give a filter what a mixture has made of a measurement; kept: NULL where it keeps what it has. 1, or -1 with an
-   exception. */
-static int set_mixed(held *h, PyObject *filter, const judge *by, int n, int m, const mixed *made, PyObject *kept,
-                     const sensor_rows *rows) {
-    const double *const z = numbers_of(made->z), *const H = numbers_of(made->H), *const R = numbers_of(made->R);
-    const double *const bend = made->curvature == Py_None ? NULL : numbers_of(made->curvature);
-    const int width = by->mixture.joint ? 0 : learnt_width(by->mixture.K);
-    PyObject *const lags = array_of(h, NULL, 1, m, 0, 0), *record;
-    for (int i = 0; lags && i < m; i++) {
-        const double y = z[i] - real_dot(n, H + i * n, numbers_of(made->prior_x));
-        const double noise = R[i * m + i] * numbers_of(made->before)[i * width] + (bend ? bend[i * m + i] : 0);
-        const double variance = noise + real_square(n, H + i * n, numbers_of(made->prior_P));
-        numbers_of(lags)[i] = fabs(y) < NO_LAG * sqrt(variance) ? 0 : y;
-    }
-    record = lags ? hold(h, tuple_of(by->make, Py_BuildValue("((OOOdOOOOOOOOOOOO))", made->x, made->P, made->memory,
-                                                             made->log_density, made->weights, made->outlying,
-                                                             made->prior_x, made->prior_P, made->H, made->R, made->M,
-                                                             made->z, made->before, lags, made->curvature, by->named)))
-                  : NULL;
-    if (!record || !set_state(h, filter, made->x_set, made->P_set, AT_x_post, AT_P_post)) return -1;
-    if (kept && set_attribute(filter, AT__kept, kept) < 0) return -1;
-    return set_measured(h, filter, made->shown, record, rows, by->mixture.learns ? made->memory : NULL);
-}
-
-/* Correct the models by linear sensors. */
-static int correct_mixture(held *h, PyObject *filter, const judge *by, PyObject *kept, const filter_state *now, sensors *s,
-                           PyObject *z) {
-    const learnt_rule *const rule = &by->mixture;
-    const int n = (int)now->n, m = (int)s->m, rows = (int)memory_rows(rule, m), width = learnt_width(rule->K);
-    const double *before;
-    double stack[STACK_WORK], *work;
-    models f;
-    mixed made;
-    int fine = m > 1000 || !is_finite_product(s->H, now->x, m, n) ? 0 : take_models(h, rule, kept, now, 0, &f);
-    if (fine <= 0) return fine;
-    if (!rule->learns) {
-        if (!(s->memory = array_of(h, NULL, 2, rows, width, 0))) return -1;
-        for (int k = 0; k < rows * width; k++) numbers_of(s->memory)[k] = rule->begin[k % width];
-    }
-    before = matrix_of(s->memory, rows, width);
-    if (!before) return 0;
-    begin_mixed(h, rule, now, s, array_of(h, NULL, now->ndim, m, 1, 0), before, &made);
-    /* z is shown in the shape of x, and kept as a vector. */
-    made.z = array_of(h, NULL, 1, m, 0, 0), made.H = array_of(h, s->H, 2, m, n, 0);
-    made.prior_x = f.x, made.prior_P = f.P, made.x = f.after[3], made.P = f.after[4];
-    work = h->failed ? NULL : work_of(stack, correct_work(rule, n, m) + (size_t)(m * m));
-    if (!work) return -1;
-    fine = take_measurement(z, m, numbers_of(made.z)) && is_covariance(s->R, m, work) &&
-           weigh(n, m, rule, &f.s, numbers_of(made.z), numbers_of(made.z), s->H, s->R, s->M, &made, work) &&
-           merge(n, &f, made.x_set, made.P_set, work);
-    work_done(stack, work);
-    if (!fine) return 0;
-    real_copy(m, numbers_of(made.z), numbers_of(made.shown));
-    kept = kept_of(h, &f);
-    return kept ? set_mixed(h, filter, by, n, m, &made, kept, &s->rows) : -1;
-}
-
-/* given: R, H and M for this call, or None. */
-static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
-    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory,
-                                           AT__other_sensors, AT__kept};
-    static const moments_given none = {NULL, NULL, NULL};
-    judge by;
-    filter_state now;
-    sensors s;
-    corrected made;
-    PyObject *const *own;
-    int outcome = take_judge(h, filter, &by);
-    if (outcome <= 0) return outcome;
-    own = h->objects + h->count;
-    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
-    if (!take_filter(own[0], own[1], own[2], &now)) return 0;
-    s.memory = own[7];
-    s.rows = by.mixes ? (sensor_rows){.width = by.mixture.learns && !by.mixture.joint ? learnt_width(by.mixture.K) : 0,
-                                      .begin = by.mixture.begin}
-                      : (sensor_rows){.width = by.bounded.scaling == SCALING_LEARNT ? SPREAD_NUMBERS : 0};
-    outcome = take_sensors(h, given, own + 3, now.n, &s);
-    if (outcome <= 0) return outcome;
-    if (!(z = as_plain(h, z))) return -1;
-    if (by.mixes) return correct_mixture(h, filter, &by, own[9], &now, &s, z);
-    if (!take_memory(&by.bounded, &s, s.memory)) return 0;
-    if (begin_corrected(h, &now, &s, NULL, &made) < 0) return -1;
-    if (!take_measurement(z, s.m, numbers_of(made.z))) return 0;
-    outcome = correct_bounded(&by.bounded, &now, &s, &none, &made);
-    return outcome > 0 ? set_corrected(h, filter, &s, &made, &s.rows) : outcome;
-}
-
-STEP(correct_step, 5, take_correction(&h, arguments[0], arguments[1], arguments + 2),
-     "correct: expected a filter, z, R, H and M")
 
 /* The models (rows, n) with k further states at 0, with this covariance, each in the part of the first one that its sensor
    sees; whole: H (k, n + k). to: their arrays. */
@@ -402,55 +266,104 @@ static void extend(int n, int k, const models *f, const double *covariance, cons
         if (covariance[i] != 0) learnt_join(all, f->rule, to, n + i / k, n + i % k);
 }
 
-/* Correct models by a line, as if the state were at 0, and by a state of its own for what the line does not explain. */
-static int correct_by_line(held *h, PyObject *filter, const judge *by, PyObject *kept, const filter_state *now, sensors *s,
-                           const moments_given *given, PyObject *z, PyObject *y) {
+#define NO_LAG 0.1 /* standard deviations that a start leaves where there is no noise */
+
+/* Correct models by the readings of linear sensors in made->z, or by an innovation, y not NULL, of a line through the state,
+   which counts as 0, and by a state of its own for what the line does not explain; as `correct_bounded`. */
+static int correct_models(held *h, const judge *by, PyObject *kept, const filter_state *now, const sensors *s,
+                          const moments_given *given, corrected *made) {
     const learnt_rule *const rule = &by->mixture;
     const int n = (int)now->n, m = (int)s->m, k = given->S ? m : 0, all = n + k, rows = learnt_rows(rule);
-    const double *const before = matrix_of(s->memory, memory_rows(rule, m), learnt_width(rule->K));
     const size_t own = (size_t)((rows + 1) * all * (all + 1) + learnt_beliefs(all, rule) + m * all);
     double stack[STACK_WORK], *work;
     models f;
-    mixed made;
-    int fine = n > 1000 || m > 1000 || !before ? 0 : take_models(h, rule, kept, now, 0, &f);
+    int fine = m > 1000 ? 0 : take_models(h, rule, kept, now, 0, &f);
     if (fine <= 0) return fine;
-    begin_mixed(h, rule, now, s, z, before, &made);
-    made.z = y, made.H = array_of(h, s->H, 2, m, n, 0);
-    made.prior_x = array_of(h, NULL, 1, n, 0, 0), made.prior_P = f.P, made.x = f.after[3], made.P = f.after[4];
-    made.curvature = array_of(h, NULL, 2, m, m, 0);
-    work = h->failed ? NULL : work_of(stack, own + correct_work(rule, all, m) + (size_t)(m * m) + regress_work(n, m));
+    work = work_of(stack, own + correct_work(rule, all, m) + (size_t)(m * m) + regress_work(n, m));
     if (!work) return -1;
+    double *const values = numbers_of(made->record), *const weights = record_row(values, ROW_WEIGHTS, m);
+    double *const lags = record_row(values, ROW_LAGS, m), *const z = record_row(values, ROW_Z, m);
+    double *const x_prior = record_row(values, MIXED_ROWS, m), *const P_prior = x_prior + n, *const H = P_prior + n * n;
+    double *const R = H + m * n, *const bend = R + m * m, *const M = bend + m * m;
     double *const x = work, *const P = x + all, *const whole = P + all * all, *const means = whole + m * all;
-    learnt_state state = {means, means + rows * all, means + rows * all * (all + 1), NULL};
-    double *const rest = state.p + learnt_beliefs(all, rule), *const H = numbers_of(made.H);
-    double *const bend = numbers_of(made.curvature), *const mean = numbers_of(made.x), *const shown = numbers_of(made.P);
+    double *const rest = means + rows * all * (all + 1) + learnt_beliefs(all, rule);
+    double *const mean = numbers_of(f.after[3]), *const covariance = numbers_of(f.after[4]);
+    learnt_state state = f.s;
+    real_copy(m, given->y ? given->y : numbers_of(made->z), z);
+    for (int i = 0; i < n; i++) x_prior[i] = given->y ? 0 : now->x[i];
+    real_copy(n * n, now->P, P_prior), real_copy(m * m, s->R, R);
+    for (int i = 0; i < m * n; i++) H[i] = s->H ? s->H[i] : 0, M[i] = s->M ? s->M[i] : 0;
     for (int i = 0; i < m * m; i++) bend[i] = 0;
-    for (int i = 0; i < n; i++) numbers_of(made.prior_x)[i] = 0;
-    fine = is_covariance(s->R, m, rest);
-    if (fine && k) regress(n, m, now->P, given->C, given->S, s->R, H, bend, rest);
+    fine = is_covariance(R, m, rest);
+    if (fine && k) regress(n, m, now->P, given->C, given->S, R, H, bend, rest);
     for (int i = 0; i < m; i++) {
-        int sees = 0;
+        int sees = !given->y;
         for (int j = 0; j < all; j++) whole[i * all + j] = j < n ? H[i * n + j] : j - n == i;
         for (int j = 0; j < n; j++) sees |= H[i * n + j] != 0;
-        if (!sees) numbers_of(y)[i] = NAN;
+        if (!sees) z[i] = NAN;
+        const double lag = real_dot(n, H + i * n, x_prior), factor = s->learned[rule->joint ? 0 : i * by->width];
+        const double variance = R[i * m + i] * factor + bend[i * m + i] + real_square(n, H + i * n, P_prior);
+        /* The definition says where H x is no number. */
+        fine = fine && lag - lag == 0;
+        lags[i] = fabs(z[i] - lag) < NO_LAG * sqrt(variance) ? 0 : z[i] - lag;
+        record_row(values, ROW_FACTORS, m)[i] = factor, record_row(values, ROW_LEADS, m)[i] = learnt_lead(rule, i);
     }
-    for (int i = 0; i < rows * n; i++) f.s.x[i] -= now->x[i % n];
-    extend(n, k, &f, bend, whole, &state);
-    fine = fine && weigh(all, m, rule, &state, numbers_of(y), numbers_of(z), whole, s->R, NULL, &made, rest) &&
+    for (int i = 0; given->y && i < rows * n; i++) f.s.x[i] -= now->x[i % n];
+    if (k) {
+        state = (learnt_state){means, means + rows * all, means + rows * all * (all + 1), NULL};
+        extend(n, k, &f, bend, whole, &state);
+    }
+    state.memory = numbers_of(made->memory);
+    fine = fine && learnt_correct(all, m, rule, &state, z, numbers_of(made->z), whole, R, s->M, weights,
+                                  record_row(values, ROW_OUTLYING, m), values + RECORD_LOG_DENSITY, rest) > 0 &&
            learnt_merge(all, rule, &state, x, P, rest);
+    /* That a sensor is stuck is said in words, by the definition. */
+    for (int i = 0; i < m; i++) fine = fine && weights[i] != 0;
     for (int i = 0; i < n; i++) {
-        mean[i] = now->x[i] + x[i];
-        for (int j = 0; j < n; j++) shown[i * n + j] = 0.5 * (P[i * all + j] + P[j * all + i]);
+        mean[i] = given->y ? now->x[i] + x[i] : x[i];
+        for (int j = 0; j < n; j++) covariance[i * n + j] = 0.5 * (P[i * all + j] + P[j * all + i]);
     }
-    for (int i = 0; i < rows * n; i++) f.s.x[i] = state.x[i / n * all + i % n] + (mean[i % n] - x[i % n]);
-    for (int i = 0; i < rows * n * n; i++) f.s.P[i] = state.P[(i / (n * n) * all + i / n % n) * all + i % n];
-    for (int i = 0; i < learnt_beliefs(n, rule); i++) f.s.p[i] = state.p[i / n * all + i % n];
+    for (int i = 0; given->y && i < rows * n; i++) f.s.x[i] = state.x[i / n * all + i % n] + (mean[i % n] - x[i % n]);
+    for (int i = 0; k && i < rows * n * n; i++) f.s.P[i] = state.P[(i / (n * n) * all + i / n % n) * all + i % n];
+    for (int i = 0; k && i < learnt_beliefs(n, rule); i++) f.s.p[i] = state.p[i / n * all + i % n];
     work_done(stack, work);
-    if (!fine || !all_finite(mean, n) || !all_finite(shown, n * n)) return 0;
-    real_copy(n, mean, numbers_of(made.x_set)), real_copy(n * n, shown, numbers_of(made.P_set));
-    kept = kept_of(h, &f);
-    return kept ? set_mixed(h, filter, by, n, m, &made, kept, NULL) : -1;
+    if (!fine || !all_finite(mean, n) || !all_finite(covariance, n * n)) return 0;
+    show_models(&f, made->x, made->P);
+    return (made->kept = kept_of(h, &f)) ? 1 : -1;
 }
+
+/* Correct, by what judges; 1, 0 or -1. */
+static int correct_by(held *h, PyObject *filter, const judge *by, PyObject *kept, const filter_state *now, const sensors *s,
+                      const moments_given *given, corrected *made) {
+    const int outcome = by->mixes ? correct_models(h, by, kept, now, s, given, made)
+                                  : correct_bounded(&by->bounded, now, s, given, made);
+    return outcome > 0 ? set_corrected(h, filter, by, s, made) : outcome;
+}
+
+/* given: R, H and M for this call, or None. */
+static int take_correction(held *h, PyObject *filter, PyObject *z, PyObject *const given[3]) {
+    static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_dim_z, AT_inv, AT_R, AT_H, AT__memory,
+                                           AT__other_sensors, AT__kept};
+    static const moments_given none = {NULL, NULL, NULL};
+    judge by;
+    filter_state now;
+    sensors s;
+    corrected made;
+    PyObject *const *own;
+    int outcome = take_judge(h, filter, &by);
+    if (outcome <= 0) return outcome;
+    own = h->objects + h->count;
+    if (hold_all(h, filter, names, sizeof names / sizeof *names) < 0) return -1;
+    if (!take_filter(own[0], own[1], own[2], &now)) return 0;
+    outcome = take_sensors(h, &by, given, own + 3, now.n, &s);
+    if (outcome <= 0) return outcome;
+    if (!(z = as_plain(h, z)) || begin_corrected(h, &by, &now, &s, NULL, &made) < 0) return -1;
+    if (!take_measurement(z, s.m, numbers_of(made.z))) return 0;
+    return correct_by(h, filter, &by, own[9], &now, &s, &none, &made);
+}
+
+STEP(correct_step, 5, take_correction(&h, arguments[0], arguments[1], arguments + 2),
+     "correct: expected a filter, z, R, H and M")
 
 /* The Jacobian of sensors (m, n) and None, or C (n, m) and S; whether they are that. */
 static int take_moments(sensors *s, moments_given *given, PyObject *C, PyObject *S, npy_intp n) {
@@ -471,7 +384,7 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
     static const enum attribute names[] = {AT_dim_x, AT_x, AT_P, AT_inv, AT_R, AT__memory, AT__kept};
     judge by;
     filter_state now;
-    sensors s;
+    sensors s = {.by_rows = 0};
     moments_given innovation;
     corrected made;
     PyObject *const *own, *plain[6], *z, *y;
@@ -485,15 +398,13 @@ static int take_innovation(held *h, PyObject *filter, PyObject *const given[6]) 
     if (!take_moments(&s, &innovation, plain[3], plain[4], now.n)) return 0;
     s.R = covariance_of(h, plain[5], s.m), s.memory = own[5];
     if (!s.R) return PyErr_Occurred() ? -1 : 0;
-    if (!by.mixes && !take_memory(&by.bounded, &s, s.memory)) return 0;
+    outcome = take_memory(h, &by, &s);
+    if (outcome <= 0) return outcome;
     z = array_of(h, NULL, now.ndim, s.m, 1, 0), y = array_of(h, NULL, 1, s.m, 0, 0);
-    if (h->failed) return -1;
+    if (h->failed || begin_corrected(h, &by, &now, &s, z, &made) < 0) return -1;
     if (!take_difference(plain, s.m, numbers_of(z), numbers_of(y))) return 0;
-    if (by.mixes) return correct_by_line(h, filter, &by, own[6], &now, &s, &innovation, z, y);
-    if (begin_corrected(h, &now, &s, z, &made) < 0) return -1;
     innovation.y = numbers_of(y);
-    outcome = correct_bounded(&by.bounded, &now, &s, &innovation, &made);
-    return outcome > 0 ? set_corrected(h, filter, &s, &made, NULL) : outcome;
+    return correct_by(h, filter, &by, own[6], &now, &s, &innovation, &made);
 }
 
 STEP(innovation_step, 7, take_innovation(&h, arguments[0], arguments + 1),

@@ -86,7 +86,7 @@ def test_a_step_of_any_option_is_the_kernels_and_the_definitions(way, options, b
             z = z + 60.0 * (way == "M" and k > 15)
             z = np.where(np.arange(2) == (k % 5 == 4), np.nan, z) if k % 5 == 4 else z
             take(kf, k, z, way)
-            lags = np.nansum(getattr(kf._last, "lags", 0.0))
+            lags = np.nansum(getattr(kf._record(), "lags", 0.0))
             rows.append(shown(kf, "outlier_probability") | {"lags": lags})
         return rows, [kf._memory, *kf._other_sensors.values(), *kf._named_sensors.values()]
 
