@@ -11,7 +11,7 @@
 * `side_by_side`: models of a filter that differ in what they take the process for.
 * `hypotheses`: models of a state, advanced together: what failed, what moved, which repair explains a recording.
 * `factor`: one factor by which P, Q and R that are given are all too large or too small.
-* `learnt`: the correction of models under such noise, learned or given.
+* `learnt`: the correction of models under such noise, learned or given; `mixed`: what a filter keeps of one.
 
 Imports from below: `robust_filterpy.influence`.
 """
