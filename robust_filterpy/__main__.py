@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import platform
-import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -12,14 +10,6 @@ from robust_filterpy import __version__, kernel
 
 _NEEDED = ("numpy", "scipy", "filterpy", "control")
 _EXTRAS = ("matplotlib", "pandas", "narwhals", "pyarrow")
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m robust_filterpy", description=(__doc__ or "").split(": ", 1)[1])
-    parser.parse_args(arguments)
-    print(status())
-    return 0
 
 
 def status() -> str:
@@ -50,4 +40,4 @@ def _versions(names: tuple[str, ...]) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    print(status())

@@ -156,16 +156,22 @@ def stack(name: str, default: Any, values: Any, steps: int | None, shape: tuple[
     return matrices
 
 
+def control_matrix(B: Any, n: int) -> Array:
+    """Return B, shape (n, dim_u), without columns where there is no input."""
+    B = _checks.numbers("B", B)
+    if B.ndim == 0 and B == 0.0:
+        return np.zeros((n, 0))
+    if B.ndim > 2 or (B.shape[:1] != (n,) and (B.ndim or n > 1)):
+        raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(B)}")
+    return B.reshape(n, -1)
+
+
 def control_term(B: Any, u: Any, shape: tuple[int, ...]) -> Array:
     """Return B u in the shape of x."""
-    B, u = _checks.numbers("B", B), _checks.numbers("u", u)
-    n = shape[0]
-    if B.ndim == 0 and B == 0.0:
+    u, n = _checks.numbers("u", u), shape[0]
+    if np.ndim(B) == 0 and B == 0.0:
         return np.zeros(shape)
-    if B.ndim > 2 or B.shape[:1] != (n,):
-        if not (B.ndim == 0 and n == 1):
-            raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(B)}")
-    B = B.reshape(n, -1)
+    B = control_matrix(B, n)
     width = B.shape[1]
     if u.ndim == 0 and (u == 0.0 or width == 1):
         return (B[:, 0] * u if width else np.zeros(n)).reshape(shape)

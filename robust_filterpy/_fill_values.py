@@ -86,7 +86,7 @@ def fill_values(signal: Array) -> FillValues:
     for i in np.flatnonzero(repeated)[np.argsort(-distance[repeated])]:
         # What repeats as far out as this one may be another fill value, and says nothing of the width of the rest.
         rest = ~(repeated & (distance >= 0.5 * distance[i]))
-        if rest.sum() < _LEAST_DIFFERENT or not _is_far(finite, values[i], values[rest], counts[rest]):
+        if rest.sum() < _LEAST_DIFFERENT or not _is_far(finite, values[i], np.repeat(values[rest], counts[rest])):
             break
         fills.append(int(i))
     if not fills or len(fills) > _MOST_VALUES:
@@ -129,14 +129,10 @@ def _table(rows: Any) -> Array:
     return np.array([gap if row is None else np.asarray(row, dtype=float) for row in rows])
 
 
-def _is_far(finite: Array, value: float, others: Array, counts: Array) -> bool:
-    """Tell whether a value lies far outside the others, sorted, with counts, and between ordinary ones in time."""
-    places = np.cumsum(counts) - 0.5 * counts
-    low, middle, high = np.interp(counts.sum() * np.array([0.01, 0.5, 0.99]), places, others)
-    deviations = np.abs(others - middle)
-    order = np.argsort(deviations)
-    half = int(np.searchsorted(np.cumsum(counts[order]), 0.5 * counts.sum()))
-    scale = _MAD_TO_SCALE * float(deviations[order][min(half, order.size - 1)])
+def _is_far(finite: Array, value: float, others: Array) -> bool:
+    """Tell whether a value lies far outside the others and between ordinary ones in time."""
+    low, middle, high = np.quantile(others, [0.01, 0.5, 0.99])
+    scale = _MAD_TO_SCALE * float(np.median(np.abs(others - middle)))
     # More than half of the others at one value: their width is all that there is.
     away = max(_FAR * scale, high - low)
     alone = float(np.abs(others - value).min()) > _FAR * scale

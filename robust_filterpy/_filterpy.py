@@ -4,16 +4,9 @@ the stub next to this page.
 
 from __future__ import annotations
 
-from filterpy.kalman import (
-    CubatureKalmanFilter,
-    EnsembleKalmanFilter,
-    ExtendedKalmanFilter,
-    FixedLagSmoother,
-    KalmanFilter,
-    UnscentedKalmanFilter,
-)
-
-__all__ = [
-    "CubatureKalmanFilter", "EnsembleKalmanFilter", "ExtendedKalmanFilter", "FixedLagSmoother", "KalmanFilter",
-    "UnscentedKalmanFilter",
-]  # fmt: skip
+from filterpy.kalman import CubatureKalmanFilter as CubatureKalmanFilter
+from filterpy.kalman import EnsembleKalmanFilter as EnsembleKalmanFilter
+from filterpy.kalman import ExtendedKalmanFilter as ExtendedKalmanFilter
+from filterpy.kalman import FixedLagSmoother as FixedLagSmoother
+from filterpy.kalman import KalmanFilter as KalmanFilter
+from filterpy.kalman import UnscentedKalmanFilter as UnscentedKalmanFilter

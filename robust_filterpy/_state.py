@@ -144,9 +144,7 @@ def _numbers(name: str, value: Any) -> Array:
 
 def _text(shape: Shape) -> str:
     """Return a shape as a message shows it."""
-    return (
-        "(" + ", ".join("any" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
-    )
+    return str(shape).replace("None", "any")
 
 
 def pack(state: Any) -> bytes:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 
 from robust_filterpy import _checks
-from robust_filterpy._arrays import noise_covariance, process_noise, state_of
+from robust_filterpy._arrays import control_matrix, noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.correction.policies import process_scales
@@ -171,12 +171,12 @@ def _require_joint(choices: Choices, R: Array) -> None:
 
 def _matrices(kf: RobustKalmanFilter | RobustExtendedKalmanFilter) -> dict[str, Any]:
     """Return the matrices of a filter, as the model in C has them, or raise."""
-    n, m, B = kf.dim_x, kf.dim_z, _control(kf.B, kf.dim_x)
+    n, m, B = kf.dim_x, kf.dim_z, control_matrix(0.0 if kf.B is None else kf.B, kf.dim_x)
     F = _checks.finite("F", kf.F, (n, n))
     H = {"H": _checks.finite("H", kf.H, (m, n))} if isinstance(kf, RobustKalmanFilter) else {}
     Q, R = symmetric("Q", process_noise(kf.Q, None, n)), symmetric("R", noise_covariance(kf.R, None, m))
     alpha_sq = float(kf.state().get("alpha_sq", 1.0))
-    model = {"F": F, **({} if B is None else {"B": B}), "Q": Q, **H, "R": R}
+    model = {"F": F, **({"B": _checks.finite("B", B, B.shape)} if B.size else {}), "Q": Q, **H, "R": R}
     return model if alpha_sq == 1.0 else model | {"alpha_sq": alpha_sq}
 
 
@@ -255,16 +255,6 @@ def symmetric(name: str, matrix: Array) -> Array:
             f"{name}: expected a symmetric matrix, got one that differs from its transpose; use 0.5*({name} + {name}.T)"
         )
     return 0.5 * (matrix + matrix.T)
-
-
-def _control(B: Any, n: int) -> Array | None:
-    """Return the control matrix, shape (n, dim_u), None if there is none."""
-    if B is None or (np.ndim(B) == 0 and B == 0.0) or np.size(B) == 0:
-        return None
-    control = _checks.numbers("B", B)
-    if control.size % n or (control.ndim and len(control) != n):
-        raise ValueError(f"B: expected shape ({n}, dim_u) for dim_x={n}, got {_checks.described(control)}")
-    return _checks.finite("B", control.reshape(n, -1), (n, control.size // n))
 
 
 def described_tracker(tracker: ParameterTracker, name: str) -> Described:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy import special
 
 LOG_SQRT_2PI = 0.5 * math.log(2.0 * math.pi)
+# The standard normal density is 0 here in double precision, and that of the length of 400 of them too.
+_END = 60.0
 
 
 def outlier_odds(k: float) -> float:
@@ -99,7 +100,7 @@ def expected_joint_information(influence: Any, dim: int) -> float:
         across = np.clip(influence.weights(r), 0.0, 1.0)
         return (along + (dim - 1) * across) / dim * stats.chi.pdf(r, dim)
 
-    return _integral(share, influence, positive_only=True)
+    return _integral(share, influence, 0.0)
 
 
 @lru_cache(maxsize=64)
@@ -111,13 +112,10 @@ def _under_normal(influence: Any) -> float:
     return _integral(lambda e: influence.psi_deriv(e) * stats.norm.pdf(e), influence)
 
 
-def _integral(function: Any, influence: Any, positive_only: bool = False) -> float:
-    """Integrate over the line, or its positive half, piece by piece between the corners of an influence function."""
+def _integral(function: Any, influence: Any, low: float = -_END) -> float:
+    """Integrate piece by piece between the corners of an influence function, to where a normal density is 0."""
     from scipy.integrate import quad
 
-    inner = sorted({0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, *getattr(influence, "corners", ())})
-    edges = [*inner, np.inf]
-    if not positive_only:
-        edges = [-e for e in reversed(edges)][:-1] + edges
-    pieces = (quad(lambda e: float(function(np.array([e]))[0]), *ends, limit=200)[0] for ends in pairwise(edges))
-    return sum(pieces)
+    corners = np.array([0.5, 1.0, 2.0, 4.0, 8.0, 16.0, *getattr(influence, "corners", ())])
+    points = [point for point in np.unique([*-corners, 0.0, *corners]) if low < point < _END]
+    return float(quad(lambda e: function(np.array([e]))[0], low, _END, points=points, limit=500, epsabs=1e-13)[0])

@@ -89,11 +89,6 @@ def stems(ax: Any, x: Any, y: Any, colour: str, marker: str, label: str) -> None
     ax.plot(x, y, marker, color=colour, markersize=5, linestyle="none", label=label)
 
 
-def ring(ax: Any, x: Any, y: Any) -> None:
-    """Draw a ring around what was chosen."""
-    ax.plot(x, y, "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen")
-
-
 def with_band(ax: Any, x: Any, lines: Any, name: str, place: int, band: str, steps: bool = False) -> None:
     """Draw the line of a place, and from the second to the third line its band, which the first place explains."""
     (line, *edges), look = lines, line_of(place)
@@ -136,17 +131,6 @@ def column(source: Any, name: str, of_run: str) -> Array:
     return recorded(source, name) if is_saver(source) else rows("source", source)
 
 
-def mean_and_deviation(source: Any, covariances: Any) -> tuple[Array, Array | None]:
-    """Return states or parameters (N, n) and their standard deviations."""
-    mean = column(source, "x", "theta")
-    if is_run(source):
-        # No band where nothing is estimated yet.
-        return mean, np.where(np.isfinite(source.std), source.std, np.nan)
-    if is_saver(source):
-        covariances = recorded(source, "P").reshape(*mean.shape, -1)
-    return mean, deviations("covariances", covariances, mean)
-
-
 def deviations(name: str, covariances: Any, of: Array) -> Array | None:
     """Return sqrt of the diagonals of covariances of something, shape (N, n), if there are any."""
     if covariances is None:
@@ -158,32 +142,21 @@ def deviations(name: str, covariances: Any, of: Array) -> Array | None:
 
 
 def times_of(t: Any, length: int, source: Any = None) -> Any:
-    """Return the abscissa: t, or the index that the source has, or the number of the sample."""
-    index = getattr(source, "index", None) if t is None else t
-    if t is None and (index is None or callable(index)):
+    """Return the abscissa: t, or the index that the source has, or the number of the sample; durations in seconds."""
+    index: Any = getattr(source, "index", None) if t is None else t
+    index = index.to_timestamp() if hasattr(index, "to_timestamp") else index
+    # matplotlib shows the hours of the place.
+    values = np.asarray(index.tz_localize(None) if getattr(index, "tz", None) is not None else index)
+    if values.dtype.kind == "O" and values.size and hasattr(values.flat[0], "isoformat"):
+        values = values.astype("datetime64[us]")
+    elif values.dtype.kind == "m":
+        values = values / np.timedelta64(1, "s")
+    if t is None and values.dtype.kind not in "iufM":
         return np.arange(length, dtype=float)
-    values = dates(index)
-    if values is None:
-        kind = np.asarray(index).dtype.kind
-        values = np.arange(length, dtype=float) if t is None and kind not in "iuf" else numbers("t", index).ravel()
+    values = values if values.dtype.kind == "M" else numbers("t", values).ravel()
     if len(values) != length:
         raise ValueError(f"t: expected {length} times for {length} samples, got {len(values)}")
     return values
-
-
-def dates(values: Any) -> Any:
-    """Return dates as datetime64, durations as seconds; None if values are neither."""
-    if hasattr(values, "to_timestamp"):
-        values = values.to_timestamp()
-    # matplotlib shows the hours of the place.
-    if getattr(values, "tz", None) is not None:
-        values = values.tz_localize(None)
-    stamps = np.asarray(values)
-    if stamps.dtype.kind == "O" and stamps.size and hasattr(stamps.flat[0], "isoformat"):
-        stamps = stamps.astype("datetime64[us]")
-    if stamps.dtype.kind == "m":
-        return stamps.astype("timedelta64[ns]").astype(float) * 1e-9
-    return stamps if stamps.dtype.kind == "M" else None
 
 
 def chosen(name: str, which: Any, n: int) -> list[int]:
@@ -250,8 +223,14 @@ def plot_states(
     The axis shows what the states and the truth do; an outlier among zs beyond it is left outside, and so is the band
     of a tracker's first samples, where P is large.
     """
-    mean, deviation = mean_and_deviation(source, covariances)
-    (N, n), tracked = mean.shape, is_run(source)
+    mean, tracked = column(source, "x", "theta"), is_run(source)
+    N, n = mean.shape
+    if is_saver(source):
+        covariances = recorded(source, "P").reshape(N, n, n)
+    deviation = deviations("covariances", covariances, mean)
+    if tracked:
+        # No band where nothing is estimated yet.
+        deviation = np.where(np.isfinite(source.std), source.std, np.nan)
     width, which = positive("sigmas", sigmas), chosen("states", states, n)
     if names is None and tracked:
         names = source.names or None

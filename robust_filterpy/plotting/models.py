@@ -27,7 +27,6 @@ from robust_filterpy.plotting.figures import (
     legend_outside,
     line_of,
     one_axes,
-    ring,
     several_axes,
     stems,
     times_of,
@@ -348,7 +347,9 @@ def plot_structure_selection(selection: Selection, *, axes: Any = None) -> Any:
         counted = shows if shows.any() else ~shows
         front = [best_of(values[counted & (size == n)]) for n in sizes]
         ax.plot(sizes, front, color=COLOURS[0], linewidth=1.2, label="best of its size")
-        ring(ax, size[:1], values[:1])
+        ax.plot(
+            size[:1], values[:1], "o", color=MARK, markersize=10, fillstyle="none", markeredgewidth=1.8, label="chosen"
+        )
         ax.xaxis.get_major_locator().set_params(integer=True)
     best = float(np.nanmax(fit))
     worst = max(float(np.nanmin(fit)), best - _DEEP)

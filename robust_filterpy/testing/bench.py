@@ -274,6 +274,14 @@ class FilterSubject:
         scenarios = [draw(model, _STEPS, contamination=contamination, rng=self.rng) for _ in range(count)]
         return [runs.run_filter(self.new(model), scenario) for scenario in scenarios]
 
+    def meet(self, kf: Any, model: StateModel, e: float | Array) -> tuple[Array, Array, Array, Array]:
+        """Correct a filter by e deviations of each sensor; return its x and P before, S and z."""
+        x, P = runs.state(kf)
+        S = model.innovation_covariance(P)
+        z = model.H @ x + e * np.sqrt(S.diagonal())
+        runs.measure(kf, z, model)
+        return x, P, S, z
+
     def corrected(self, e: float, age: int = 0, R_ratio: float = 1.0) -> tuple[Array, Array, Array, Array]:
         """Return the step of a correction by e deviations of each sensor, the Kalman gain's, P before and after."""
         model = self.model()
@@ -285,9 +293,6 @@ class FilterSubject:
             model = model.with_(H=other.H, R=other.R)
             kf.H, kf.R = model.H.copy(), model.R.copy()
         kf.predict()
-        x, P = runs.state(kf)
-        S = model.innovation_covariance(P)
-        y = e * np.sqrt(S.diagonal())
-        runs.measure(kf, model.H @ x + y, model)
+        x, P, S, z = self.meet(kf, model, e)
         after, P_after = runs.state(kf)
-        return after - x, P @ model.H.T @ np.linalg.solve(S, y), P, P_after
+        return after - x, P @ model.H.T @ np.linalg.solve(S, z - model.H @ x), P, P_after

@@ -228,13 +228,11 @@ def _same(subject: FilterSubject, scenario: Scenario, other: list[tuple[Array, A
 def innovation_and_its_covariance_are_shown(subject: FilterSubject) -> None:
     """kf.y = z - H x_prior and kf.S = H P_prior H' + R after update(z), where shown; R as learned, if it is."""
     model = subject.model()
-    kf, x, P = subject.predicted(model, 2)
+    kf = subject.predicted(model, 2)[0]
     if not hasattr(kf, "y") or not hasattr(kf, "S"):
         raise unittest.SkipTest("shows no y or S")
     learnt = getattr(kf, "R_learnt", None)
-    S = model.with_(R=model.R if learnt is None else learnt).innovation_covariance(P)
-    z = model.H @ x + 0.3 * np.sqrt(S.diagonal())
-    runs.measure(kf, z, model)
+    x, _, S, z = subject.meet(kf, model if learnt is None else model.with_(R=learnt), 0.3)
     for name, got, wanted in (("y", np.ravel(kf.y), z - model.H @ x), ("S", np.asarray(kf.S), S)):
         if np.shape(got) != wanted.shape or not np.allclose(got, wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max()):
             sign = "; it has the other sign" if np.shape(got) == wanted.shape and np.allclose(got, -wanted) else ""
@@ -247,12 +245,10 @@ def innovation_and_its_covariance_are_shown(subject: FilterSubject) -> None:
 def likelihood_is_the_gaussian_density_of_the_innovation(subject: FilterSubject) -> None:
     """log_likelihood = -(y' S^-1 y + log det S + m log 2 pi)/2, of the Kalman filter."""
     model = subject.model()
-    kf, x, P = subject.predicted(model, 3)
+    kf = subject.predicted(model, 3)[0]
     if not hasattr(kf, "log_likelihood"):
         raise unittest.SkipTest("has no log_likelihood")
-    S = model.innovation_covariance(P)
-    z = model.H @ x + np.sqrt(S.diagonal())
-    runs.measure(kf, z, model)
+    x, _, S, z = subject.meet(kf, model, 1.0)
     wanted = float(stats.multivariate_normal(model.H @ x, S).logpdf(z))
     got = float(kf.log_likelihood)
     if not abs(got - wanted) <= 1e-6 * max(abs(wanted), 1.0):
@@ -273,16 +269,13 @@ def likelihood_integrates_to_one(subject: FilterSubject) -> None:
     kf = subject.new(model)
     if not hasattr(kf, "log_likelihood"):
         raise unittest.SkipTest("has no log_likelihood")
-    x, P = state(kf)
-    sigma = float(np.sqrt(model.innovation_covariance(P)[0, 0]))
     # Steps that grow with the distance reach heavy tails.
-    t = np.linspace(-6.0, 6.0, 301)
-    offsets, density = sigma * np.sinh(t), np.empty(t.size)
-    for k, offset in enumerate(offsets):
+    t, density = np.linspace(-6.0, 6.0, 301), np.empty(301)
+    for k, e in enumerate(np.sinh(t)):
         kf = subject.at_prior(model)
-        runs.measure(kf, model.H @ x + offset, model)
-        density[k] = np.exp(float(kf.log_likelihood))
-    integral = float(np.sum(density * sigma * np.cosh(t)) * (t[1] - t[0]))
+        _, _, S, _ = subject.meet(kf, model, e)
+        density[k] = np.exp(float(kf.log_likelihood)) * np.sqrt(S[0, 0])
+    integral = float(np.sum(density * np.cosh(t)) * (t[1] - t[0]))
     if not abs(integral - 1.0) <= 0.02:
         raise AssertionError(f"the likelihood integrates to {integral:.3g} over z, expected 1: it is no density")
 
@@ -325,10 +318,7 @@ def influence_of_one_measurement_is_bounded(subject: FilterSubject) -> None:
         for size in _SIZES:
             kf = subject.advance(subject.new(model), zs, model)
             kf.predict()
-            x, P = state(kf)
-            z = model.H @ x
-            z[sensor] += size * np.sqrt(model.innovation_covariance(P)[sensor, sensor])
-            runs.measure(kf, z, model)
+            x, P, _, _ = subject.meet(kf, model, size * np.eye(len(model.R))[sensor])
             step = np.ravel(kf.x) - x
             moved = math.sqrt(max(float(step @ np.linalg.solve(P, step)), 0.0)) if np.isfinite(step).all() else np.inf
             if not moved <= _MOST:

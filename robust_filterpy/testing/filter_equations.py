@@ -90,9 +90,7 @@ def measurement_counts_at_once(subject: FilterSubject) -> None:
     for shift in (0.0, 1.0):
         kf = subject.advance(subject.new(model), zs, model)
         kf.predict()
-        x, P = state(kf)
-        S = model.innovation_covariance(P)
-        runs.measure(kf, model.H @ x + shift * np.sqrt(S.diagonal()), model)
+        subject.meet(kf, model, shift)
         after.append(np.ravel(kf.x).astype(float))
     if np.allclose(after[0], after[1], rtol=1e-12, atol=0.0):
         raise AssertionError(
@@ -115,8 +113,7 @@ def measurement_makes_the_state_more_certain(subject: FilterSubject) -> None:
     """After a small innovation P - P+ is positive semidefinite and not zero."""
     model = subject.model()
     kf = subject.at_prior(model)
-    x, P = state(kf)
-    runs.measure(kf, model.H @ x + 0.1, model)
+    _, P, _, _ = subject.meet(kf, model, 0.1)
     gained = (P - state(kf)[1]) / np.outer(deviations(P), deviations(P))
     if not np.isfinite(gained).all():
         raise AssertionError("P holds NaN or infinity after an update")
