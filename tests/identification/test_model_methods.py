@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from robust_filterpy import plotting
 from robust_filterpy.identification import ARX, FIR, GreyBox, OutputError, ParameterTracker, StateSpace, identify
-from robust_filterpy.identification.estimation.state_space import _driven
+from robust_filterpy.identification.estimation.outputs import _driven
 
 matplotlib.use("Agg")
 

@@ -13,8 +13,9 @@ from statsmodels.tsa.ar_model import AutoReg
 from robust_filterpy import _progress
 from robust_filterpy.identification import ARMAX, ARX, FIR, BoxJenkins, OutputError, identify, select_structure
 from robust_filterpy.identification.estimation import search
+from robust_filterpy.identification.estimation.estimate import near
 from robust_filterpy.identification.judging import select
-from robust_filterpy.identification.judging.select import Grid, _as_begin
+from robust_filterpy.identification.judging.select import Grid
 from robust_filterpy.identification.models.noise import fit_percent
 
 
@@ -220,9 +221,9 @@ Y = 7.0 + lfilter(B, A, U[:, 0]) + lfilter([0.0, 0.4], A, U[:, 1]) + 0.3 * RNG.n
 @pytest.fixture
 def searched(monkeypatch):
     """Collect the structures that are searched from every start."""
-    structures, starts = [], search._starts
+    structures, starts = [], search.starts_of
     monkeypatch.setattr(
-        search, "_starts", lambda model, *given: structures.append(model.structure) or starts(model, *given)
+        search, "starts_of", lambda model, *given: structures.append(model.structure) or starts(model, *given)
     )
     return structures
 
@@ -246,7 +247,7 @@ def test_structures_next_to_the_best_begin_at_it_and_are_as_likely_as_from_every
 def test_a_model_as_the_beginning_of_another_structure_has_its_output():
     model = identify(Y, U, OutputError(2, (2, 1)), trend="constant")
     structure = BoxJenkins(nb=(3, 2), nc=1, nd=1, nf=3)
-    p, places = _as_begin(model, structure), structure.polynomials
+    p, places = near(model.structure, model.theta, model.offset, structure, U), structure.polynomials
     inputs = zip(places.b, U.T, model.operating_point, strict=True)
     f = np.append(1.0, p[places.f])
     output = sum(lfilter(np.append(0.0, p[b]), f, column - rest) for b, column, rest in inputs)

@@ -1,7 +1,7 @@
 """The model of a whole recording, from nothing.
 
 * `identify`: the way from y and u to a model, and the model of one output; those of states and of physics:
-* `state_space`, `grey_box`; each found by
+* `outputs`; each found by
 * `disturbances`, the one driver of a model with levels that break and outliers of u: p outputs, k recordings.
 * `estimate`: one model of one output, in the units of the recording, and how sure its parameters are, by
 * `search`: from several `starts` down to the least loss (`prediction_error`, with parameters that are fixed, or between

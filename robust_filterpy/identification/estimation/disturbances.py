@@ -13,6 +13,7 @@ are larger than a step of the sensor.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from robust_filterpy.identification.estimation.starts import robust_regression
 from robust_filterpy.identification.models.dependence import another_gain, feedback, slow_inputs, uneven, unlike, wraps
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.results import Finding
-from robust_filterpy.identification.models.signals import held
+from robust_filterpy.identification.models.signals import fingerprint, held
 from robust_filterpy.influence.functions import Huber
 from robust_filterpy.influence.regression import mad_scale, resolution
 
@@ -104,9 +105,7 @@ def piecewise_level(r: Array, u: Array, line: bool = False) -> Trend:
         # White residuals make the most of a break: what is little of that is less with a color.
         if max(score.max() for score in scores) < 0.5 * PRICE * np.log(N):
             break
-        candidates = [
-            Break(kind, int(at[score.argmax()])) for (kind, at), score in zip(places, scores, strict=True)
-        ]
+        candidates = [Break(kind, int(at[score.argmax()])) for (kind, at), score in zip(places, scores, strict=True)]
         tried = [_Fit.of(r, rows, u, [*fit.breaks, one]) for one in candidates]
         least = min(one.scale for one in tried)
         fit = min(tried, key=lambda one: float(Huber(_K).rho(one.residual[rows] / least).sum()))
@@ -349,6 +348,14 @@ class Search(NamedTuple):
         if best.u.shape[1] and not all(one.is_rounding for one in best.noises):
             findings += feedback([(best.u[part] - rest, residual[part]) for part in self.spans], direct, meaning)
         return tuple(findings)
+
+    def concluded(self, best: Explanation, findings: tuple[Finding, ...]) -> Any:
+        """Return the model with what was found, and with the levels that its methods take off the same recordings."""
+        shape = best.model.weights.shape
+        before = [trend for _, trend in best.model.trends] or [0.0] * len(self.spans)
+        parts = [(self.y[part], best.levels.reshape(shape)[part]) for part in self.spans]
+        trends = ((fingerprint(y), level + one) for (y, level), one in zip(parts, before, strict=True))
+        return replace(best.model, findings=findings, trends=tuple(one for one in trends if one[1].any()))
 
     def _with_levels(self, trend: str | Settled) -> Explanation:
         """Find the model with levels that break."""

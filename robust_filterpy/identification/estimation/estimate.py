@@ -141,8 +141,6 @@ class Problem(NamedTuple):
         Which polynomials there are.
     u : ndarray, shape (N, n_inputs)
         Input, as measured.
-    rest : ndarray, shape (n_inputs,)
-        Its operating point.
     influence : Influence or None
         Loss; None: learned.
     offset : bool
@@ -163,7 +161,6 @@ class Problem(NamedTuple):
 
     structure: Structure
     u: Array
-    rest: Array
     influence: Influence | None
     offset: bool
     R: float | None
@@ -179,24 +176,15 @@ class Problem(NamedTuple):
         return spans_of(self.begins, len(self.u))
 
     @property
-    def centre(self) -> Array:
-        """Where inputs have their zero in the search: in their mean, where that is a matter of the constant alone."""
-        alone = self.offset and not (self.structure.nf or self.structure.takes_phi)
-        return self.u.mean(axis=0) if alone else self.rest
+    def rest(self) -> Array:
+        """The operating point of the inputs."""
+        moves = self.offset and not self.structure.takes_phi
+        return operating_point(self.u) if moves else np.zeros(self.u.shape[1])
 
-    def of_zero(self, p: Array, moved: Array) -> Array:
-        """Return free parameters for inputs whose zero has moved by so much, of a model without F."""
-        p, n = p.copy(), self.structure.n_theta
-        if moved.any():
-            gains = [p[place].sum() for place in self.structure.polynomials.b]
-            p[n : n + len(self.begins)] += moved @ gains
-        return p
-
-    def of_inputs(self, u: Array) -> Problem:
-        """Return the problem with other values of the inputs in some samples."""
-        if u is self.u:
-            return self
-        return self._replace(u=u, rest=operating_point(u) if self.offset else self.rest)
+    @property
+    def zero(self) -> Array:
+        """Where inputs have their zero in the search: at rest, or in their mean where the constant alone changes."""
+        return self.rest if self.structure.nf or self.structure.takes_phi or not self.offset else self.u.mean(axis=0)
 
     def residuals_of(self, y: Array, u: Array) -> PolynomialModel:
         """Return what gives the residuals of these signals."""
@@ -211,7 +199,7 @@ class Estimated(NamedTuple):
     model : Model
         For the recording as it was measured.
     p : ndarray, shape (n,)
-        Free parameters, of inputs from their operating point.
+        Free parameters, of inputs from their zero.
     sizes : ndarray, shape (k,)
         Of the levels that were found with it.
     """
@@ -221,11 +209,24 @@ class Estimated(NamedTuple):
     sizes: Array
 
 
+def near(ours: Structure, theta: Array, offset: float, theirs: Structure, u: Array) -> Array:
+    """Return free parameters of a structure, inputs from their zero, that make it a model of another, or nearly."""
+    own, places, p = ours.polynomials, theirs.polynomials, np.zeros(theirs.n_theta + 1 + theirs.nf)
+    for part, place in ((own.a, places.a), (own.f, places.f), (own.c, places.c), (own.d, places.d)):
+        p[place.start : place.start + part.stop - part.start] = theta[part]
+    gain, zero = 0.0, Problem(theirs, u, None, True, None, None).zero
+    for part, place, (nb, nk), (count, lag), at in zip(own.b, places.b, ours.inputs, theirs.inputs, zero, strict=True):
+        for j in range(max(nk, lag), min(nk + nb, lag + count)):
+            p[place.start + j - lag] = theta[part.start + j - nk]
+        gain += at * theta[part].sum()
+    p[theirs.n_theta] = offset + gain / (1.0 + theta[own.f].sum())
+    return p
+
+
 def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: Array | None = None) -> Estimated:
     """Find the model of an output; its ``warning`` says what is doubtful."""
     structure, offset, variance = problem.structure, problem.offset, problem.R
-    centre = problem.centre
-    signal, missing = problem.u - centre, np.isnan(y)
+    signal, missing = problem.u - problem.zero, np.isnan(y)
     units = Units.of(y[:, None], signal, problem.spans, offset)
     units = units._replace(y=np.where(units.y > 0.0, units.y, 1.0))
     unit = float(units.y[0])
@@ -236,7 +237,7 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         given = problem.limits
         limits = None if given is None else given.times(1.0 / units.factor(model)[: structure.n_theta])
         R, least = None if variance is None else variance / unit**2, least_variance(y, unit)
-        at = None if begin is None else units.forth(model, problem.of_zero(begin, centre - problem.rest))
+        at = None if begin is None else units.forth(model, begin)
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
         best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))
@@ -259,17 +260,15 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         doubt = "; ".join(words for words in (doubt, _at_limits(structure, held, limits)) if words)
     P = None if best.P is None else best.P * np.outer(units.factor(model), units.factor(model))
     estimate = _as_model(problem, recorded, best._replace(p=p, P=P), unit, missing, replaced, held)
-    estimate = replace(estimate, dt=problem.dt, endings=endings, warning=doubt, operating_point=problem.rest)
-    estimate = _with_inputs_from_zero(estimate, *recorded.of(-1, p), centre)
-    split, own = p.size - recorded.columns.shape[1], problem.of_zero(p, problem.rest - centre)
+    estimate, split = replace(estimate, endings=endings, warning=doubt), p.size - recorded.columns.shape[1]
     if len(recorded.spans) == 1:
-        return Estimated(estimate, own[:split], own[split:])
+        return Estimated(estimate, p[:split], p[split:])
     each = (recorded.of(i, p) for i in range(len(problem.begins)))
     levels = np.array([resting_level(one.parts(q)) for one, q in each])
     apart = [np.full(y[part].size, level - levels[-1]) for part, level in zip(problem.spans, levels, strict=True)]
     known_again = tuple((fingerprint(y[part]), trend) for part, trend in zip(problem.spans, apart, strict=True))
     estimate = replace(estimate, levels=levels + (estimate.level - levels[-1]), trends=known_again)
-    return Estimated(estimate, own[:split], own[split:])
+    return Estimated(estimate, p[:split], p[split:])
 
 
 def _with_levels(
@@ -359,18 +358,20 @@ def _as_model(
     weights[model.first :] = noise.weights(residual)
     weights[end.wrong] = 0.0
     weights[missing] = np.nan
-    offset, offset_std = (float(p[at]), float(np.sqrt(max(P[at, at], 0.0)))) if model.offset else (0.0, 0.0)
-    # Differences show nothing of the constant.
-    offset_std = np.inf if model.offset and not jacobian[:, at].any() else offset_std
+    recorded, q, slope = _from_zero(*model.of(-1, p), problem.zero)
+    offset, square, cross = 0.0, 0.0, np.zeros(n)
+    if model.offset:
+        offset, cross = float(q[n]), P[:n, at] - P[:n, :n] @ slope
+        # Differences show nothing of the constant.
+        square = float(P[at, at] if jacobian[:, at].any() else np.inf) - float(slope @ (P[:n, at] + cross))
     total = problem.R or noise.R * samples / (samples - model.n + held.sum())
     return Model(
-        structure=structure, theta=p[:n], offset=offset, P=P[:n, :n], offset_std=offset_std,
-        offset_covariance=P[:n, at] if model.offset else np.zeros(n), has_offset=model.offset,
+        structure=structure, theta=p[:n], offset=offset, P=P[:n, :n], offset_std=float(np.sqrt(max(square, 0.0))),
+        offset_covariance=cross, has_offset=model.offset, dt=problem.dt, operating_point=problem.rest,
         own_fit=ordinary_fit(y, y - residual, ordinary_samples(np.where(rows, residual, np.nan), y)),
         noise=_as_measured(replace(noise, R=total), residual, replaced[model.first :], ~missing[model.first :]),
         weights=weights, log_likelihood=noise.log_likelihood(residual[rows]), endings=(), warning="",
-        memory=filled_memory(*model.of(-1, p)),
-        profiled=bent, colour=colour, evidence=evidence(noise, residual, rows),
+        memory=filled_memory(recorded, q), profiled=bent, colour=colour, evidence=evidence(noise, residual, rows),
     )  # fmt: skip
 
 
@@ -394,33 +395,21 @@ def _require_samples(problem: Problem, missing: Any, first: int) -> None:
             )
 
 
-def _with_inputs_from_zero(model: Model, recorded: PolynomialModel, p: Array, rest: Array) -> Model:
-    """Return a model of inputs from some zero for inputs as they were measured."""
-    if not rest.any():
-        return model
-    places, parts, n = recorded.structure.polynomials, recorded.parts(p), recorded.structure.n_theta
-    # What an input at that zero adds to the constant, and its derivatives: gain = B(1)/F(1).
-    slope, total, F = np.zeros(n), 0.0, float(parts.f.sum())
-    for acting, b in zip(recorded.inputs, parts.b, strict=True):
-        at = float(rest[recorded.structure.polynomials.b.index(acting.place)])
-        slope[acting.place] = at / F
-        slope[places.f] -= at * b.sum() / F**2
-        total += at * float(b.sum()) / F
-    q = np.concatenate((p[: n + 1], np.zeros(recorded.nf)))
-    q[n + 1 : p.size] = p[n + 1 :]
-    q[n] -= total
+def _from_zero(model: PolynomialModel, p: Array, zero: Array) -> tuple[PolynomialModel, Array, Array]:
+    """Return a recording with its inputs as measured, its free parameters, and what theta takes off the constant."""
+    places, parts, n = model.structure.polynomials, model.parts(p), model.structure.n_theta
+    slope, F = np.zeros(n), float(parts.f.sum())
+    if not zero.any():
+        return model, p, slope
+    # What an input at that zero adds to the constant: gain = B(1)/F(1).
+    for place, at in zip(places.b, zero.tolist(), strict=True):
+        slope[place] = at / F
+    total = float(slope @ p[:n])
+    slope[places.f] = -total / F
     # In the first samples 1/F has not yet brought the input there.
-    q[n + 1 :] += total * (np.cumsum(parts.f)[: recorded.nf] - F)
-    P, cross = model.P, model.offset_covariance
-    variance = model.offset_std**2 - 2.0 * slope @ cross + slope @ P @ slope
-    whole = PolynomialModel(recorded.structure, recorded.y, recorded.u + rest, True)
-    return replace(
-        model,
-        offset=float(q[n]),
-        offset_std=float(np.sqrt(max(float(variance), 0.0))),
-        offset_covariance=cross - P @ slope,
-        memory=filled_memory(whole, q),
-    )
+    q = np.concatenate((p[:n], [p[n] - total], total * (np.cumsum(parts.f)[: model.nf] - F)))
+    q[n + 1 : p.size] += p[n + 1 :]
+    return PolynomialModel(model.structure, model.y, model.u + zero, True), q, slope
 
 
 def _as_measured(noise: Noise, residual: Array, replaced: Array, measured: Any) -> Noise:

@@ -16,28 +16,18 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
-from robust_filterpy.identification.estimation.disturbances import (
-    LAGS_OF_IMPULSES,
-    PRICE,
-    TRENDS,
-    Explanation,
-    Search,
-    Settled,
-    far_outside,
-    of_impulses,
-)
+from robust_filterpy.identification.estimation import disturbances
+from robust_filterpy.identification.estimation.disturbances import TRENDS, Explanation, Search, Settled
 from robust_filterpy.identification.estimation.estimate import Problem, estimated
-from robust_filterpy.identification.estimation.grey_box import identified_grey_box
 from robust_filterpy.identification.estimation.outliers import cleaned
+from robust_filterpy.identification.estimation.outputs import identified_grey_box, identified_state_space
 from robust_filterpy.identification.estimation.prediction_error import Limits, colour_of
-from robust_filterpy.identification.estimation.state_space import identified_state_space
 from robust_filterpy.identification.models.dependence import another_delay, driven, parts_of, wraps
 from robust_filterpy.identification.models.grey_box import GreyBox, GreyBoxModel
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.noise import ORDINARY
-from robust_filterpy.identification.models.recording import recorded, require_motion
+from robust_filterpy.identification.models.recording import Recording, recorded, require_motion
 from robust_filterpy.identification.models.results import Finding, said
-from robust_filterpy.identification.models.signals import fingerprint, operating_point
 from robust_filterpy.identification.models.state_space import StateSpace, StateSpaceModel
 from robust_filterpy.identification.models.structures import OutputError, Structure
 from robust_filterpy.influence.functions import Influence
@@ -56,14 +46,15 @@ _LEAST_CLEAR_BESIDE: Final = 0.75
 
 
 def identified_polynomials(
-    problem: Problem, y: Array, index: Any, trend: str | Settled, begin: Array | None = None
+    problem: Problem, recording: Recording, trend: str | Settled, begin: Array | None = None
 ) -> Model:
-    """Find the model of recordings of one output, shape (N, 1), with whatever else these have."""
-    spans, own = problem.spans, y[:, 0]
+    """Find the model of recordings of one output with whatever else these have."""
+    y, spans = recording.y, recording.spans
+    own = y[:, 0]
 
     def find(u: Array, levels: Array, columns: list[Array], end: Any) -> Explanation:
         at = np.hstack(columns) if columns else None
-        estimate = estimated(problem.of_inputs(u), (y - levels)[:, 0], at, begin if end is None else end)
+        estimate = estimated(problem._replace(u=u), (y - levels)[:, 0], at, begin if end is None else end)
         moved = levels if at is None else levels + (at @ estimate.sizes)[:, None]
         return Explanation(estimate.model, moved, u, estimate.model.evidence, end=estimate.p)
 
@@ -71,27 +62,24 @@ def identified_polynomials(
         return np.concatenate([model.simulate(u[part]) for part in spans])[:, None]
 
     def starts(u: Array, plain: Model) -> Iterator[Array]:
-        yield of_impulses(y, u, spans)
-        acted = problem.of_inputs(u)
+        yield disturbances.of_impulses(y, u, spans)
+        acted = problem._replace(u=u)
         if _is_slow(plain, len(y)) and len(spans) == 1:
             try:
-                differences = acted._replace(u=np.diff(u, axis=0), rest=np.zeros(u.shape[1]))
-                model = estimated(differences, np.diff(own)).model
+                model = estimated(acted._replace(u=np.diff(u, axis=0)), np.diff(own)).model
             except ValueError:
                 return
             yield replace(model, operating_point=acted.rest).simulate(u)[:, None]
 
     def settled(best: Explanation) -> Explanation:
-        return _without_endless_motion(problem.of_inputs(best.u), own, best)
+        return _without_endless_motion(problem._replace(u=best.u), own, best)
 
-    search = Search(y, problem.u, spans, find, alone, starts, True, settled, index)
+    search = Search(y, problem.u, spans, find, alone, starts, True, settled, recording.axis.index)
     # A row of the caller's regressor is no input that is held.
     best = _without_leverage(problem, own) if problem.structure.takes_phi else search.best(trend)
-    model, levels = best.model, best.levels[:, 0]
-    before = [trend for _, trend in model.trends] or [np.zeros(len(own))]
-    trends = ((fingerprint(own[part]), one + levels[part]) for part, one in zip(spans, before, strict=True))
-    model = replace(model, trends=tuple(one for one in trends if one[1].any()))
-    return replace(model, findings=(*best.findings, *_left(search, problem.of_inputs(best.u), best, model)))
+    model = search.concluded(best, (*recording.findings, *best.findings))
+    left = _left(search, problem._replace(u=best.u), best, model)
+    return replace(model, findings=(*model.findings, *left))
 
 
 def _left(search: Search, problem: Problem, best: Explanation, model: Model) -> tuple[Finding, ...]:
@@ -130,7 +118,7 @@ def _noise_of_sensor(model: Model, problem: Problem, y: Array, residual: Array) 
     gain = 2.0 * colour_of(np.where(seen, model.noise.psi(np.nan_to_num(residual)), np.nan)).gain
     other = OutputError(structure.na + structure.nf, structure.nb, structure.nk, integrated=structure.integrated)
     what = "leaves follows itself, and so does its regressor, which holds y"
-    if gain < PRICE * np.log(seen.sum()):
+    if gain < disturbances.PRICE * np.log(seen.sum()):
         explained = _explained_outliers(model, problem._replace(structure=other, limits=None), y)
         if explained <= 0.5:
             return ()
@@ -203,7 +191,7 @@ def _is_slow(model: Model, samples: int) -> bool:
     parts, impulse = model.parts, np.eye(1, samples).ravel()
     with np.errstate(all="ignore"):
         sizes = [np.abs(lfilter(b, np.convolve(parts.a, parts.f), impulse)) for b in parts.b]
-        return any(size[LAGS_OF_IMPULSES:].sum() > _SLOW * size.sum() for size in sizes)
+        return any(size[disturbances.LAGS_OF_IMPULSES :].sum() > _SLOW * size.sum() for size in sizes)
 
 
 def _without_leverage(problem: Problem, y: Array) -> Explanation:
@@ -213,7 +201,7 @@ def _without_leverage(problem: Problem, y: Array) -> Explanation:
         model = estimated(problem, np.where(wrong, np.nan, y)).model
         return Explanation(model, np.zeros((y.size, 1)), problem.u)
 
-    far = np.column_stack([far_outside(column) for column in problem.u.T]).any(axis=1)
+    far = np.column_stack([disturbances.far_outside(column) for column in problem.u.T]).any(axis=1)
     if not far.any():
         return without(far)
     try:
@@ -381,21 +369,18 @@ def _of_polynomials(
             raise ValueError(f'trend: expected "none" with offset=False, got {_checks.shown(trend)}; leave offset out')
     recording = recorded(structure, y, u)
     require_motion(recording.y, recording.u)
-    signal = recording.u
     offset = offset and trend != "none"
-    moves = offset and not structure.takes_phi
     problem = Problem(
-        structure, signal, operating_point(signal) if moves else np.zeros(signal.shape[1]), influence, offset,
-        None if R is None else _checks.positive("R", R), recording.axis.dt, limits=limits,
+        structure, recording.u, influence, offset, None if R is None else _checks.positive("R", R), recording.axis.dt,
+        limits=limits,
         begins=tuple(part.start for part in recording.spans), draws=not isinstance(trend, Settled) or trend.draws,
     )  # fmt: skip
     begin = trend.begin if isinstance(trend, Settled) else None
     if isinstance(trend, Settled) and not trend.values.size:
         trend = None
     # Noise that is summed up has steps of its own.
-    chosen = trend or ("breaks" if moves and not structure.integrated else "constant")
-    model = identified_polynomials(problem, recording.y, recording.axis.index, chosen, begin)
-    return replace(model, findings=(*recording.findings, *model.findings))
+    chosen = trend or ("breaks" if offset and not (structure.takes_phi or structure.integrated) else "constant")
+    return identified_polynomials(problem, recording, chosen, begin)
 
 
 def _of_outputs(

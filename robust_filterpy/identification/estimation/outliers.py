@@ -95,10 +95,9 @@ class End(NamedTuple):
 
 
 def response(model: PolynomialModel, p: Array) -> Array:
-    """Return h, what one unit more in an output adds to its residual and to those after it, until it is small."""
-    parts = model.parts(p)
-    h = lfilter(np.convolve(parts.a, parts.d), parts.c, np.eye(1, min(_LONGEST, model.y.size)).ravel())
-    return np.asarray(h[: np.flatnonzero(np.abs(h) > _SMALL)[-1] + 1])
+    """Return h, the pattern of one unit more in an output, until it is small."""
+    h = model.parts(p).pattern(min(_LONGEST, model.y.size))
+    return h[: np.flatnonzero(np.abs(h) > _SMALL)[-1] + 1]
 
 
 class _Wide(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -13,18 +12,9 @@ from robust_filterpy._progress import stage
 from robust_filterpy.correction.contaminated import START, Contaminated
 from robust_filterpy.identification.estimation.outliers import FORGOTTEN, End, begun, drawn
 from robust_filterpy.identification.estimation.prediction_error import MOST_STEPS, Limits, minimised
-from robust_filterpy.identification.estimation.starts import (
-    Start,
-    autocorrelation_start,
-    bounded_mean,
-    disturbance_start,
-    output_error_starts,
-    regression_start,
-    require_informative,
-)
+from robust_filterpy.identification.estimation.starts import require_informative, starts_of
 from robust_filterpy.identification.models.noise import Noise
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
-from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.functions import Huber, Influence
 from robust_filterpy.influence.regression import mad_scale
 
@@ -67,7 +57,7 @@ def ends(
         chosen = [end for end, _ in _apart(inside, _UNMOVED)]
         again = [end._replace(y=model.y, wrong=missing, residual=model.residuals(end.p)) for end in chosen]
         return _best_first(model, missing, [searched(model, end, missing, limits) for end in again], limits)
-    starts = [begun(model, s.p, noise, missing, s.name) for s in _starts(model, missing)]
+    starts = [begun(model, s.p, noise, missing, s.name) for s in starts_of(model, missing)]
     if model.remembers:
         first = [Ranked(one._replace(noise=replace(one.noise, influence=loss)), 0.0) for one in starts]
         followed = [searched(model, one, missing, limits, True) for one, _ in _apart(first, _UNMOVED)]
@@ -161,56 +151,3 @@ def _best_first(
         price = 0.5 * THRESHOLD**2 * (end.wrong.sum() - missing.sum())
         losses.append(noise.cost(end.residual[end.rows]) + price + information)
     return _apart([Ranked(ends[i], float(losses[i] - min(losses))) for i in np.argsort(losses, kind="stable")], same)
-
-
-def _starts(model: PolynomialModel, missing: Any) -> Iterator[Start]:
-    """Yield the starts that suit the structure."""
-    if len(model.spans) > 1:
-        joined, gaps = model.joined(missing)
-        for start in _starts(joined, gaps):
-            yield Start(start.name, model.shared(start.p))
-        return
-    order = max(model.na, model.nf)
-    rows = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
-    if model.na and not rows.any():
-        raise ValueError(
-            f"y: expected somewhere {model.na + 1} measured samples in a row for {model.structure!r}, got gaps in "
-            "all of them, so that nothing shows the noise; identify an OutputError, which needs no outputs in a row"
-        )
-    if not model.nf:
-        yield regression_start(model, rows)
-    if not order:
-        return
-    if not model.inputs:
-        yield autocorrelation_start(model)
-        return
-    nb, nk = zip(*model.structure.inputs, strict=True)
-    simple = PolynomialModel(OutputError(order, nb, nk), model.y, model.u, model.offset, model.moving)
-    starts = output_error_starts(simple, ~missing[simple.first :])
-    if model.structure.polynomials == simple.structure.polynomials:
-        yield from starts
-        return
-    best = _best_of(simple, missing, starts)
-    p, rows = model.from_output_error(simple.parts(best)), ~missing[model.first :]
-    yield Start("output-error model", p)
-    if model.nf + model.nd:
-        yield disturbance_start("output-error model and its disturbance", model, p, rows)
-        p = model.from_output_error(simple.parts(_of_differences(simple, missing)))
-        yield disturbance_start("differences", model, p, rows)
-
-
-def _of_differences(model: PolynomialModel, missing: Any) -> Array:
-    """Return the free parameters of the best start for differences of the signals: a level that wanders is gone."""
-    gaps = missing[1:] | missing[:-1]
-    other = PolynomialModel(model.structure, np.diff(model.y), np.diff(model.u, axis=0), model.offset, model.moving)
-    p, n = _best_of(other, gaps, output_error_starts(other, ~gaps[other.first :])), model.structure.n_theta
-    p[n:] = 0.0
-    if model.offset:
-        p[n] = np.median(model.equation_error(p)[~missing[model.first :]])
-    return p
-
-
-def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:
-    """Return the free parameters of the best start as it is."""
-    rows = ~missing[model.first :]
-    return min((start.p for start in starts), key=lambda p: bounded_mean(model.residuals(p)[rows]))

@@ -22,9 +22,11 @@ import numpy as np
 from scipy.linalg import hankel, lstsq, toeplitz
 
 from robust_filterpy._checks import Array
+from robust_filterpy.identification.models.noise import with_linear
 from robust_filterpy.identification.models.polynomial_model import PolynomialModel
 from robust_filterpy.identification.models.regressor import mirrored, stabilised
 from robust_filterpy.identification.models.state_space import Matrices, StateSpaceResiduals
+from robust_filterpy.identification.models.structures import OutputError
 from robust_filterpy.influence.regression import in_directions, mad_scale, robust_regression
 
 # Singular values below this share of the largest are zero but for rounding.
@@ -117,12 +119,12 @@ class Start(NamedTuple):
     p: Array
 
 
-def bounded_mean(residual: Array) -> float:
+def _bounded_mean(residual: Array) -> float:
     """Return the mean size of residuals, none larger than three standard deviations of ordinary ones."""
     return float(np.minimum(np.abs(residual), 3.0 * mad_scale(residual)).mean())
 
 
-def regression_start(model: PolynomialModel, rows: Any) -> Start:
+def _regression_start(model: PolynomialModel, rows: Any) -> Start:
     """Return the robust regression of a model that is linear, or becomes so where C = D = F = 1."""
     places, p = model.structure.polynomials, np.zeros(model.n)
     free = np.ones(model.n, dtype=bool)
@@ -130,13 +132,7 @@ def regression_start(model: PolynomialModel, rows: Any) -> Start:
         free[place] = False
     if not free.any():
         return Start("regression", p)
-    return Start("regression", _with_linear(model, p, free, rows))
-
-
-def _with_linear(model: Any, p: Array, free: Any, rows: Any) -> Array:
-    """Return free parameters with those in which the residuals are linear found by robust regression, from 0."""
-    p[free] = robust_regression(-model.jacobian(p)[rows][:, free], model.residuals(p)[rows])
-    return p
+    return Start("regression", with_linear(model, p, free, rows))
 
 
 def _inside(A: Array) -> Array:
@@ -146,14 +142,14 @@ def _inside(A: Array) -> Array:
     return A if np.array_equal(inside, values) else np.real(vectors * inside @ np.linalg.inv(vectors))
 
 
-def autocorrelation_start(model: PolynomialModel) -> Start:
+def _autocorrelation_start(model: PolynomialModel) -> Start:
     """Return the Yule-Walker solution for a model without input, from robust autocorrelations."""
     p = np.zeros(model.n)
     p[model.structure.polynomials.a] = _autoregression(model.y, model.na)[1:]
     return Start("autocorrelations", p)
 
 
-def disturbance_start(name: str, model: PolynomialModel, p: Array, rows: Any) -> Start:
+def _disturbance_start(name: str, model: PolynomialModel, p: Array, rows: Any) -> Start:
     """Return parameters whose D is that of an autoregression of what the inputs do not explain."""
     p, v = p.copy(), model.equation_error(p)
     p[model.structure.polynomials.d] = _autoregression(np.where(rows, v - np.median(v[rows]), 0.0), model.nd)[1:]
@@ -173,7 +169,7 @@ def _autoregression(signal: Array, order: int) -> Array:
     return stabilised(np.concatenate(([1.0], a)))
 
 
-def output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
+def _output_error_starts(model: PolynomialModel, rows: Any) -> Iterator[Start]:
     """Yield starts for an output-error model."""
     longest = max(int(rows.sum()) // (3 * len(model.inputs)), model.nf + 2)
     for length in sorted({min(length, longest) for length in _LENGTHS}):
@@ -218,7 +214,60 @@ def _refitted(model: PolynomialModel, rows: Any, f: Array) -> Array:
     """Return all free parameters for a given F, the rest by robust regression."""
     p, free, place = np.zeros(model.n), np.ones(model.n, dtype=bool), model.structure.polynomials.f
     p[place], free[place] = f[1:], False
-    return _with_linear(model, p, free, rows)
+    return with_linear(model, p, free, rows)
+
+
+def starts_of(model: PolynomialModel, missing: Any) -> Iterator[Start]:
+    """Yield the starts that suit the structure."""
+    if len(model.spans) > 1:
+        joined, gaps = model.joined(missing)
+        for start in starts_of(joined, gaps):
+            yield Start(start.name, model.shared(start.p))
+        return
+    order = max(model.na, model.nf)
+    rows = ~np.convolve(missing, np.ones(model.na + 1))[model.first : missing.size].astype(bool)
+    if model.na and not rows.any():
+        raise ValueError(
+            f"y: expected somewhere {model.na + 1} measured samples in a row for {model.structure!r}, got gaps in "
+            "all of them, so that nothing shows the noise; identify an OutputError, which needs no outputs in a row"
+        )
+    if not model.nf:
+        yield _regression_start(model, rows)
+    if not order:
+        return
+    if not model.inputs:
+        yield _autocorrelation_start(model)
+        return
+    nb, nk = zip(*model.structure.inputs, strict=True)
+    simple = PolynomialModel(OutputError(order, nb, nk), model.y, model.u, model.offset, model.moving)
+    starts = _output_error_starts(simple, ~missing[simple.first :])
+    if model.structure.polynomials == simple.structure.polynomials:
+        yield from starts
+        return
+    best = _best_of(simple, missing, starts)
+    p, rows = model.from_output_error(simple.parts(best)), ~missing[model.first :]
+    yield Start("output-error model", p)
+    if model.nf + model.nd:
+        yield _disturbance_start("output-error model and its disturbance", model, p, rows)
+        p = model.from_output_error(simple.parts(_of_differences(simple, missing)))
+        yield _disturbance_start("differences", model, p, rows)
+
+
+def _of_differences(model: PolynomialModel, missing: Any) -> Array:
+    """Return the free parameters of the best start for differences of the signals: a level that wanders is gone."""
+    gaps = missing[1:] | missing[:-1]
+    other = PolynomialModel(model.structure, np.diff(model.y), np.diff(model.u, axis=0), model.offset, model.moving)
+    p, n = _best_of(other, gaps, _output_error_starts(other, ~gaps[other.first :])), model.structure.n_theta
+    p[n:] = 0.0
+    if model.offset:
+        p[n] = np.median(model.equation_error(p)[~missing[model.first :]])
+    return p
+
+
+def _best_of(model: PolynomialModel, missing: Any, starts: Iterator[Start]) -> Array:
+    """Return the free parameters of the best start as it is."""
+    rows = ~missing[model.first :]
+    return min((start.p for start in starts), key=lambda p: _bounded_mean(model.residuals(p)[rows]))
 
 
 def predictor_start(model: StateSpaceResiduals, cleaned: list[Array], reach: int) -> Array | None:
@@ -276,6 +325,6 @@ def _from(model: StateSpaceResiduals, A: Array, C: Array, K: Array | None) -> Ar
     q[model.places["K"]] = 0.0
     for name in ("A", "C", "K"):
         free[model.places[name]] = False
-    _with_linear(model, q, free, model.rows)
+    q = with_linear(model, q, free, model.rows)
     q[model.places["K"]] = gain
     return q

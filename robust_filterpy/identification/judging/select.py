@@ -29,6 +29,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage, stages
 from robust_filterpy._warning import warn
 from robust_filterpy.identification.estimation.disturbances import PRICE, Settled
+from robust_filterpy.identification.estimation.estimate import near
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.estimation.search import THRESHOLD
 from robust_filterpy.identification.models import structures
@@ -56,7 +57,6 @@ class Grid(NamedTuple):
     kind: Kind
     #: By argument, and number of the input that it is of: each has b's and a delay of its own.
     ranges: dict[tuple[str, int], tuple[int, ...] | None]
-    several: bool
 
     @classmethod
     def of(cls, kind: Kind, given: dict[str, Any], count: int) -> Grid:
@@ -88,13 +88,13 @@ class Grid(NamedTuple):
             for name, values in ranges.items()
             for i in range(max(count, 1) if name in _OF_INPUTS else 1)
         }
-        return cls(kind, of_each, count > 1)
+        return cls(kind, of_each)
 
     def structure(self, orders: Orders) -> Structure:
         """Return the structure of these orders; those of several inputs are a tuple."""
         arguments: dict[str, Any] = {}
         for (name, _), order in zip(self.ranges, orders, strict=True):
-            each = self.several and name in _OF_INPUTS
+            each = name in _OF_INPUTS and (name, 1) in self.ranges
             arguments[name] = (*arguments.get(name, ()), order) if each else order
         return self.kind(**arguments)
 
@@ -457,7 +457,8 @@ class _Comparison:
         models = [one.model for one in self.tried.values() if not one.model.levels.size]
         sizes = ("na", "nf", "nc", "nd")
         within = [one for one in models if all(getattr(one.structure, n) <= getattr(structure, n) for n in sizes)]
-        return _as_begin(max(within, key=lambda one: one.log_likelihood), structure) if within else None
+        best = max(within, key=lambda one: one.log_likelihood, default=None)
+        return None if best is None else near(best.structure, best.theta, best.offset, structure, self.u)
 
     def try_out(self, orders: Orders) -> None:
         """Identify a structure, and keep its criterion, log-likelihood, residuals and output."""
@@ -529,22 +530,6 @@ class _Comparison:
         ordinary = ordinary_samples(best.residual, y)
         rows = [row._replace(fit=ordinary_fit(y, output, ordinary)) for row, _, _, output in self.tried.values()]
         return tuple(sorted(rows, key=lambda row: row.rank))
-
-
-def _as_begin(model: Model, structure: Structure) -> Array:
-    """Return the free parameters of another structure that make it this model, or nearly."""
-    ours, theirs = model.structure.polynomials, structure.polynomials
-    p = np.zeros(structure.n_theta + 1 + structure.nf)
-    for own, place in ((ours.a, theirs.a), (ours.f, theirs.f), (ours.c, theirs.c), (ours.d, theirs.d)):
-        p[place.start : place.start + own.stop - own.start] = model.theta[own]
-    gain = 0.0
-    inputs = zip(ours.b, theirs.b, model.structure.inputs, structure.inputs, model.operating_point, strict=True)
-    for own, place, (nb, nk), (count, lag), rest in inputs:
-        for j in range(max(nk, lag), min(nk + nb, lag + count)):
-            p[place.start + j - lag] = model.theta[own.start + j - nk]
-        gain += rest * model.theta[own].sum()
-    p[structure.n_theta] = model.offset + gain / model.parts.f.sum()
-    return p
 
 
 def _signals(model: Model, y: Array, u: Array | None) -> tuple[Array, Array]:

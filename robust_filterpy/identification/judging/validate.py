@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import fftconvolve
 from scipy.stats import chi2, norm
 
 from robust_filterpy import _checks
@@ -98,13 +98,11 @@ def _of_one(model: Model, y: Any, u: Any) -> Judged:
     (prepared, measured), residual = model.prepared(y, u), model.residuals(y, u)
     seen: Any = ~np.isnan(residual)
     e, clean = np.where(seen, residual, 0.0), cleaned(model, y, u)
-    clear = _untouched(_memory(model), seen[:, None], model.noise.weights(e)[:, None])[:, 0]
+    memory = model.parts.pattern(_LONGEST_REACH + 1)[1:, None, None]
+    clear = _untouched(memory, seen[:, None], model.noise.weights(e)[:, None])[:, 0]
     clear = seen & (clear if clean is None else clean.clear)
     tested = np.where(clear, e if clean is None else clean.residual, np.nan)
-    n, P = model.theta.size + model.has_offset, model.P
-    if model.has_offset:
-        cross = model.offset_covariance[:, None]
-        P = np.block([[P, cross], [cross.T, np.full((1, 1), model.offset_std**2)]])
+    n, P = model.theta.size + model.has_offset, model.joint if model.has_offset else model.P
     # The fit has seen those rows too that are not tested; outliers in the regressor are replaced.
     whole = model.without_outliers(prepared, measured) if clean is None else clean.prepared
     J = np.zeros((residual.size, n))
@@ -130,15 +128,8 @@ def _of_outputs(model: Any, measured: Array, signal: Array, predictor: Any, q: A
     return Judged(measured, residual, tested, signal, model.noise, model.weights, J, P, levelled)
 
 
-def _memory(model: Model) -> Array:
-    """Return what an innovation that is not believed does to the residuals after it, shape (lags, 1, 1)."""
-    parts = model.parts
-    impulse = np.concatenate(([1.0], np.zeros(_LONGEST_REACH)))
-    return np.asarray(lfilter(np.convolve(parts.a, parts.d), parts.c, impulse))[1:, None, None]
-
-
 def _memory_of_states(model: StateSpaceModel) -> Array:
-    """Return the same for several outputs, each in units of its noise, shape (lags, p, p)."""
+    """Return what innovations that are not believed do to residuals after them, in units of the noise, (lags, p, p)."""
     size, x, responses = np.sqrt(model.R), model.K, []
     for _ in range(_LONGEST_REACH if model.K.any() else 0):
         responses.append(model.C @ x * size / size[:, None])
@@ -427,32 +418,31 @@ class Validation(Pictured):
     __str__ = to_text
 
 
+def _by_output(name: str, good: str, doc: str) -> Any:
+    """Return a property that says of each output what is not good."""
+
+    def read(self: Validations) -> str:
+        said = [getattr(one, name) for one in self]
+        if len(set(said)) == 1 and (len(said) == 1 or said[0] == _NO_INPUT):
+            return str(said[0])
+        return "; ".join(f"output {j}: {text}" for j, text in enumerate(said) if text != good) or good
+
+    return property(read, doc=doc)
+
+
 class Validations(Pictured, tuple[Validation, ...]):
     """What a model of several outputs leaves in the residuals of each: a `Validation` for each output."""
 
     picture = "models.plot_validation"
 
-    @property
-    def verdict(self) -> str:
-        """What is wrong, in words, by output."""
-        return self._by_output("verdict", _RIGHT)
-
-    @property
-    def dynamics(self) -> str:
-        """Whether the model has the dynamics from the inputs, in words, by output; see `Validation.dynamics`."""
-        return self._by_output("dynamics", _DYNAMICS)
-
-    @property
-    def noise(self) -> str:
-        """Whether the model has the color of the noise, in words, by output; see `Validation.noise`."""
-        return self._by_output("noise", _WHITE)
-
-    def _by_output(self, name: str, good: str) -> str:
-        """Return what is not good of each output."""
-        said = [getattr(one, name) for one in self]
-        if len(set(said)) == 1 and (len(said) == 1 or said[0] == _NO_INPUT):
-            return str(said[0])
-        return "; ".join(f"output {j}: {text}" for j, text in enumerate(said) if text != good) or good
+    verdict = _by_output("verdict", _RIGHT, "What is wrong, in words, by output.")
+    dynamics = _by_output(
+        "dynamics", _DYNAMICS,
+        "Whether the model has the dynamics from the inputs, in words, by output; see `Validation.dynamics`.",
+    )  # fmt: skip
+    noise = _by_output(
+        "noise", _WHITE, "Whether the model has the color of the noise, in words, by output; see `Validation.noise`."
+    )
 
     def to_text(self) -> str:
         """Return the verdict, the statistics and the fits of each output.

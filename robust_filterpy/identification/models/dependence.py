@@ -31,8 +31,9 @@ LAGS: Final = 16
 _CHANCE: Final = 1e-8
 #: Residuals beyond so many robust standard deviations count as that.
 CLIP: Final = 2.0
-#: Blocks of samples whose scores are kept.
+#: Blocks of so many samples whose scores are kept.
 BLOCKS: Final = 12
+BLOCK: Final = 40
 # Fewer blocks do not tell how much their scores scatter; of blocks that tell more than others there are fewer: a slow
 # input tells all that it does where it moves, and colored noise has one value there.
 _FEWEST: Final = 6
@@ -103,12 +104,9 @@ def dependence(
     n, k = inputs.shape[-2:]
     lags = max(lags // max(k, 1), 2)
     columns = np.concatenate([inputs[..., lags - 1 - j : n - j, :] for j in range(lags)], axis=-1)
-    r = residuals[..., lags - 1 :]
-    seen = ~np.isnan(r)
+    clipped, scale = _ordinary(residuals[..., lags - 1 :])
+    seen = ~np.isnan(residuals[..., lags - 1 :])
     count = seen.sum(axis=-1)
-    r = np.where(seen, r, 0.0)
-    level, scale = level_and_scale(r, seen)
-    clipped = np.where(seen, np.clip(r - level[..., None], -CLIP * scale[..., None], CLIP * scale[..., None]), 0.0)
     weight = seen / np.maximum(count, 1)[..., None]
     clipped = np.where(seen, clipped - (clipped * weight).sum(axis=-1)[..., None], 0.0)
     centred = columns - np.einsum("...n,...nj->...j", weight, columns)[..., None, :]
@@ -126,8 +124,7 @@ def dependence(
     followed = np.einsum("...nj,...j->...n", columns, weights)
     total = (clipped**2).sum(axis=-1)
     freedom = count - rank - 1
-    output = inputs[..., 0] - np.median(inputs[..., 0], axis=-1)[..., None]
-    enough = scale > ROUNDING * np.abs(output).max(axis=-1)
+    enough = scale > ROUNDING * np.ptp(inputs[..., 0], axis=-1)
     enough &= (total > 0.0) & (freedom >= rank) & (rank > 0) & (count >= n // 2)
     raw = np.where(enough, explained / np.where(total > 0.0, total, 1.0), 0.0)
     odds = raw / np.maximum(rank, 1) / (np.maximum(1.0 - raw, 1e-12) / np.maximum(freedom, 1))
@@ -146,7 +143,7 @@ def _filtered(signals: Array, whitening: tuple[float, ...]) -> Array:
 
 def autocovariances(residuals: Array) -> Array:
     """Return the autocovariances at lags 0 to 2 of clipped residuals in units of their scale."""
-    e = _ordinary(residuals)
+    e, _ = _ordinary(residuals)
     return np.array([e[j:] @ e[: e.size - j] for j in range(3)]) / e.size
 
 
@@ -185,12 +182,13 @@ def driven(structure: Structure, theta: Array, prediction: Array, u: Array) -> A
         return -model.residuals(theta)
 
 
-def score(residuals: Array, x: Array, n: int) -> tuple[float, float]:
-    """Return score and information of the gain in the last n samples of a window, 0 and 0 where they tell nothing."""
-    samples = _of_samples(residuals, x)
-    if samples is None or x.size < n:
-        return 0.0, 0.0
-    return float(samples[0, -n:].sum()), float(samples[1, -n:].sum())
+def scored(scores: Array, residuals: Array, x: Array) -> Array:
+    """Return scores and information of the gain in blocks, with those of a window behind, 0 where it does not tell."""
+    blocks, samples = residuals.size // BLOCK, _of_samples(residuals, x)
+    new = np.zeros((2, blocks * BLOCK))
+    if samples is not None:
+        new[:, new.shape[1] - x.size :] = samples
+    return np.concatenate((scores, new.reshape(2, -1, BLOCK).sum(axis=2).T))[blocks:]
 
 
 def changed(scores: Array) -> float:
@@ -205,16 +203,15 @@ def changed(scores: Array) -> float:
 
 def _of_samples(residual: Array, x: Array) -> Array | None:
     """Return what each sample that x tells of adds to score and information, shape (2, M); None if nearly none do."""
-    e = residual[residual.size - x.size :]
-    seen = ~np.isnan(e) & np.isfinite(x)
+    e = np.where(np.isfinite(x), residual[residual.size - x.size :], np.nan)
+    seen = ~np.isnan(e)
     if seen.sum() < max(x.size // 4, 1):
         return None
-    level, scale = level_and_scale(e, seen)
-    clipped = np.where(seen, np.clip(e - level, -CLIP * scale, CLIP * scale), 0.0)
-    R = float(clipped @ clipped) / seen.sum()
+    clipped, scale = _ordinary(e)
+    R = float(scale**2 * (clipped @ clipped)) / seen.sum()
     if not R > 0.0:
         return None
-    clipped, x = (np.where(seen, part - part[seen].mean(), 0.0) for part in (clipped, np.where(seen, x, 0.0)))
+    clipped, x = (np.where(seen, part - part[seen].mean(), 0.0) for part in (scale * clipped, np.where(seen, x, 0.0)))
     return np.stack((clipped * x, x * x)) / R
 
 
@@ -272,7 +269,7 @@ def unlike(residual: Array, signals: Array, others: bool = False) -> tuple[Findi
 
 def another_delay(residual: Array, signals: Array) -> tuple[Finding, ...]:
     """Find out whether what a model leaves follows an input that it has long forgotten."""
-    e, most, whitening = _ordinary(residual), len(signals) // _PARTS, whitening_of(autocovariances(residual))
+    e, most, whitening = _ordinary(residual)[0], len(signals) // _PARTS, whitening_of(autocovariances(residual))
     for j, u in enumerate(signals.T if most > LAGS else ()):
         news = _filtered(u[:, None], whitening_of(autocovariances(u)))[:, 0]
         pulls = np.abs(fftconvolve(e, news[::-1])[u.size - 1 :][:most])
@@ -296,7 +293,7 @@ def slow_inputs(u: Array) -> Array:
 
 def uneven(residual: Array, inputs: Array) -> tuple[Finding, ...]:
     """Find out whether the size of what a model leaves follows the inputs, in whichever direction these move."""
-    size = np.where(np.isnan(residual), np.nan, np.abs(_ordinary(residual)))
+    size = np.where(np.isnan(residual), np.nan, np.abs(_ordinary(residual)[0]))
     whitening = whitening_of(autocovariances(size))
     for j, means in enumerate(slow_inputs(inputs).T):
         products = [a * b for i, a in enumerate(means.T) for b in means.T[i:]]
@@ -344,7 +341,7 @@ def feedback(parts: list[tuple[Array, Array]], direct: bool, meaning: str) -> tu
     for u, left in parts:
         if len(u) <= 2 * _PAST:
             continue
-        residual = np.column_stack([_ordinary(one) for one in left.T])
+        residual = _ordinary(left.T)[0].T
         rows = np.arange(_PAST, len(u))
         pasts.append(np.hstack((*(u[rows - lag] for lag in range(1, _PAST + 1)), np.ones((rows.size, 1)))))
         lagged.append(np.hstack([residual[rows - j] for j in lags]))
@@ -379,11 +376,12 @@ def _evidence(chance: Array) -> float:
     return float(-2.0 * np.log(np.maximum(chance.min(), np.finfo(float).tiny)))
 
 
-def _ordinary(residual: Array) -> Array:
-    """Return residuals in units of their scale, clipped, 0 where there are none."""
+def _ordinary(residual: Array) -> tuple[Array, Array]:
+    """Return residuals in units of their scale along the last axis, clipped, 0 where there are none; and the scale."""
     measured = ~np.isnan(residual)
     level, scale = level_and_scale(residual, measured)
-    return np.where(measured, np.clip((np.nan_to_num(residual) - level) / (scale or 1.0), -CLIP, CLIP), 0.0)
+    shown = (residual - level[..., None]) / np.where(scale > 0.0, scale, 1.0)[..., None]
+    return np.where(measured, np.clip(shown, -CLIP, CLIP), 0.0), scale
 
 
 def basis_of(X: Array) -> Array:

@@ -17,11 +17,10 @@ from numpy.typing import ArrayLike
 
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
-from robust_filterpy.identification.models.noise import Noises, OutputResiduals
+from robust_filterpy.identification.models.noise import Noises, OutputResiduals, with_linear
 from robust_filterpy.identification.models.recording import ANY_TIMES, Recording, columns_of, recorded
 from robust_filterpy.identification.models.results import Identified
 from robust_filterpy.identification.models.signals import Signals, TimeAxis, held_input, trend_of
-from robust_filterpy.influence.regression import robust_regression
 
 _DIFFERENCE: Final = 1e-5
 _MOST_STEPS: Final = 128
@@ -396,10 +395,7 @@ def _likeliest(model: GreyResiduals, z: Array, noise: Noises) -> Array:
     size, rows = np.sqrt(noise.variance), model.rows
     cost = noise.cost(model.residuals(z)[rows])
     for _ in range(_START_STEPS):
-        J = model.jacobian(z)[rows, model.k :] / size[:, None]
-        step = np.zeros(z.size)
-        step[model.k :] = robust_regression(-J, model.residuals(z)[rows] / size)
-        before = cost
+        step, before = with_linear(model, z, slice(model.k, None), rows, size) - z, cost
         for share in 0.5 ** np.arange(_HALVINGS):
             trial = model.residuals(z + share * step)[rows]
             if np.isfinite(trial).all() and noise.cost(trial) < cost:

@@ -35,7 +35,7 @@ from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import Contaminated
 from robust_filterpy.identification.models import regressor, signals
-from robust_filterpy.identification.models.noise import Noise
+from robust_filterpy.identification.models.noise import Noise, with_linear
 from robust_filterpy.identification.models.polynomial_model import Parts, PolynomialModel
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import Layout, Memory
@@ -61,10 +61,7 @@ def motion_after(model: Model, y: Any, u: Any) -> tuple[Any, Array]:
     if cleaned is not recorded:
         recorded, seen = cleaned, np.ones(seen.size, dtype=bool)
     p = np.concatenate((model.theta, [model.offset], np.zeros(recorded.nf)))
-    rows = seen[recorded.first :]
-    if recorded.nf and rows.any():
-        p[n + 1 :] = robust_regression(-recorded.jacobian(p)[rows][:, n + 1 :], recorded.residuals(p)[rows])
-    return recorded, p
+    return recorded, with_linear(recorded, p, slice(n + 1, None), seen[recorded.first :])
 
 
 def resting_level(parts: Parts) -> float:
@@ -273,6 +270,12 @@ class Model(PolynomialSystem, Identified):
         return self.noise.R
 
     @property
+    def joint(self) -> Array:
+        """Covariance of theta and the offset, shape (n + 1, n + 1)."""
+        cross = self.offset_covariance[:, None]
+        return np.block([[self.P, cross], [cross.T, np.full((1, 1), self.offset_std**2)]])
+
+    @property
     def parts(self) -> Parts:
         """The polynomials with their leading 1, and the constant."""
         return Parts.of(self.structure, np.append(self.theta, self.offset), True)
@@ -371,12 +374,9 @@ class Model(PolynomialSystem, Identified):
 
     def _predicted(self, model: PolynomialModel, seen: Any, steps: int) -> Array:
         """Return the prediction of each output of a checked recording."""
-        parts = self.parts
-        if model.na == 0 and parts.c.size == parts.d.size == 1:
+        if not model.remembers:
             return self._from_inputs(model, seen)
-        error = self._equation_error(model, seen)
-        cleaned = cleaned_residuals(parts, error, seen[model.first :], self.noise)
-        ahead = predicted(parts, model.y[model.first :], cleaned, steps)
+        ahead = predicted(self.parts, model.y[model.first :], self._cleaned(model, seen), steps)
         return np.concatenate((np.full(model.first, np.nan), ahead))
 
     def prepared(self, y: Any, u: Any) -> tuple[PolynomialModel, Any]:
@@ -425,12 +425,10 @@ class Model(PolynomialSystem, Identified):
         PolynomialModel
             The same one where no residual reaches another.
         """
-        parts, first = self.parts, recorded.first
-        if not recorded.na and parts.c.size == parts.d.size == 1:
+        if not recorded.remembers:
             return recorded
-        cleaned = cleaned_residuals(parts, self._equation_error(recorded, seen), seen[first:], self.noise)
-        output = recorded.y.copy()
-        output[first:] += (cleaned.weights - 1.0) * cleaned.residual
+        cleaned, output = self._cleaned(recorded, seen), recorded.y.copy()
+        output[recorded.first :] += (cleaned.weights - 1.0) * cleaned.residual
         return recorded.with_output(output)
 
     # Helpers.
@@ -452,8 +450,8 @@ class Model(PolynomialSystem, Identified):
             raise ValueError('start: expected a model that has seen a recording for "continued", got one that has none')
         return self.memory
 
-    def _equation_error(self, model: PolynomialModel, seen: Any) -> Array:
-        """Return A y - B/F u - d from the first sample that has a regressor on."""
+    def _cleaned(self, model: PolynomialModel, seen: Any) -> CleanedResiduals:
+        """Return the residuals from the first sample that has a regressor on, one by one."""
         if model.nf:
             disturbance = np.nan_to_num(model.y - self._from_inputs(model, seen))
             error = np.asarray(lfilter(self.parts.a, [1.0], disturbance)[model.first :])
@@ -462,7 +460,7 @@ class Model(PolynomialSystem, Identified):
         if self.structure.integrated:
             # What is summed up may begin anywhere.
             error = error - np.median(error[seen[model.first :]][:_FIRST_LEVEL])
-        return error
+        return cleaned_residuals(self.parts, error, seen[model.first :], self.noise)
 
     def _from_inputs(self, model: PolynomialModel, seen: Any) -> Array:
         """Return the output from inputs alone, whatever was in motion when the recording began."""

@@ -18,7 +18,7 @@ from robust_filterpy._checks import Array
 from robust_filterpy.correction.contaminated import SETTLING_STEPS, START, Contaminated, maximised
 from robust_filterpy.correction.spread import FAR
 from robust_filterpy.influence.functions import Influence
-from robust_filterpy.influence.regression import mad_scale, moving_size, resolution, size_of
+from robust_filterpy.influence.regression import mad_scale, moving_size, resolution, robust_regression, size_of
 
 #: What a model leaves of an output, in units of its size, that is rounding and tells nothing.
 ROUNDING: Final = 1e-12
@@ -124,7 +124,8 @@ class Noise:
     def refitted(self, residual: Array, steps: int = 5) -> Noise:
         """Return the noise that these residuals show, of a `Contaminated` after steps with its weak priors."""
         if isinstance(self.influence, Contaminated):
-            return self._maximised(self.influence, residual, steps)
+            fitted = maximised(residual, self.influence, self.R, self.given, self.least, steps)
+            return replace(self, influence=Contaminated(*fitted[:2]), R=fitted[2])
         return self if self.given else replace(self, R=max(mad_scale(residual) ** 2, self.least))
 
     def settled(self, residual: Array) -> Noise:
@@ -177,11 +178,6 @@ class Noise:
             beyond = 2.0 * float(np.sum(np.log(np.maximum(np.abs(residual) / reach, 1.0))))
             residual = np.clip(residual, -reach, reach)
         return -self.cost(residual) - beyond - residual.size * (normalizer(1) + 0.5 * math.log(self.R))
-
-    def _maximised(self, mixture: Contaminated, residual: Array, steps: int) -> Noise:
-        """Return the noise after some steps of expectation-maximization."""
-        contamination, ratio, R = maximised(residual, mixture, self.R, self.given, self.least, steps)
-        return replace(self, influence=Contaminated(contamination, ratio), R=R)
 
 
 def likelihood_of_mixture(residual: Array, wild: float) -> float:
@@ -245,6 +241,14 @@ class Noises(NamedTuple):
         for j, noise in enumerate(self.parts):
             values[self.which == j] = of(noise, residual[self.which == j])
         return values
+
+
+def with_linear(model: Any, p: Array, free: Any, rows: Any, size: Any = 1.0) -> Array:
+    """Return free parameters with those in which residuals, in units of a size, are linear at their robust best."""
+    q, J = p.copy(), model.jacobian(p)[rows][:, free]
+    if J.size:
+        q[free] += robust_regression((-J.T / size).T, model.residuals(p)[rows] / size)
+    return q
 
 
 class OutputResiduals:

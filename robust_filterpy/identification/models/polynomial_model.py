@@ -56,6 +56,10 @@ class Parts(NamedTuple):
         b = tuple(p[place] for place in places.b if place.stop > place.start)
         return cls(a, b, f, c, d, float(p[n]) if offset else 0.0, p[n + offset :])
 
+    def pattern(self, length: int) -> Array:
+        """Return A D/C, what one unit more in an output adds to its residual and to those after it."""
+        return np.asarray(lfilter(np.convolve(self.a, self.d), self.c, np.eye(1, length).ravel()))
+
 
 class Input(NamedTuple):
     """One input that acts: its samples, its orders, and where its coefficients stand in theta."""

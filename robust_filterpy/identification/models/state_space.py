@@ -20,13 +20,12 @@ from numpy.typing import ArrayLike
 from robust_filterpy import _checks
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.models import signals
-from robust_filterpy.identification.models.noise import Noises, OutputResiduals
+from robust_filterpy.identification.models.noise import Noises, OutputResiduals, with_linear
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import period
 from robust_filterpy.identification.models.responses import System
 from robust_filterpy.identification.models.results import Identified, signals_of
 from robust_filterpy.identification.models.signals import Signals, TimeAxis
-from robust_filterpy.influence.regression import robust_regression
 
 if TYPE_CHECKING:
     import control
@@ -442,11 +441,8 @@ class StateSpaceModel(System, Identified):
         if alone:
             model.weights = [np.zeros(y.shape)]
         for _ in range(1 if alone or not self.structure.disturbance else 3):
-            scale = np.sqrt(noise.variance)
             q[-n:] = 0.0
-            J = -model.jacobian(q)[rows, -n:] / scale[:, None]
-            if rows.any():
-                q[-n:] = robust_regression(J, model.residuals(q)[rows] / scale)
+            q = with_linear(model, q, slice(-n, None), rows, np.sqrt(noise.variance))
             if not alone and self.structure.disturbance:
                 model.weights = model.believed(q, noise)
         return y, u, model, q

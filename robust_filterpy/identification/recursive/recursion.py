@@ -28,7 +28,7 @@ from robust_filterpy.identification.models.dependence import BLOCKS
 from robust_filterpy.identification.models.regressor import CLEANED_FROM, GUARDS, Layout, Memory, bounded, pushed
 from robust_filterpy.identification.models.results import Sample
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.identification.recursive.watch import USUAL, Watch
+from robust_filterpy.identification.recursive.watch import SPAN, USUAL, WINDOW, Watch
 
 #: What the gain is computed from.
 Gradient: TypeAlias = Literal["pseudolinear", "filtered"]
@@ -149,11 +149,9 @@ class Unjudged(NamedTuple):
 
     #: y, u, and the row that each gave, with the axes (n, 1).
     samples: tuple[tuple[Any, ...], ...] = ()
-    #: After how many the next look at anything is.
+    #: After how many the next look is.
     due: int = 0
-    #: After how many the next look at starts and at what residuals follow is.
-    looked_at: int = 0
-    #: The actuators that start anew if their residuals follow the inputs.
+    #: The actuators that have a model and learn.
     watched: Any = None
     #: What the kernel was to do, with who learns.
     flags: Any = None
@@ -210,6 +208,11 @@ class State(NamedTuple):
         """Past signals."""
         return Memory(*map(self.part, Memory._fields))
 
+    @property
+    def restarts(self) -> np.ndarray:
+        """Whether another model may be made when this one is no longer the plant's, which inputs tell, (n,)."""
+        return (self.part("restarts") > 0.0) & (self.watch.rows.shape[2] > 4)
+
     def with_parts(self, which: Any = slice(None), **parts: Any) -> State:
         """Return it with parts of what moves, of some actuators, as given."""
         moved = self.moved.copy()
@@ -227,16 +230,16 @@ class State(NamedTuple):
 
     def arrays(self) -> dict[str, Array]:
         """Return it as plain arrays with a leading axis, what was warned of not among them."""
-        seen, usual, rows, scores = self.watch[:4]
-        none, waits = np.zeros((0, rows.shape[2] - 1)), np.full(len(seen), -1.0)
+        seen, waits = np.where(self.restarts, self.watch.seen, 0), np.full(len(self.watch.seen), -1.0)
+        followed = self.watch.rows[:, WINDOW - min(int(seen.max(initial=0)), SPAN) :, :-2]
+        none = np.zeros((0, followed.shape[2] - 1))
         waits[list(self.starts)] = [start.waits for start in self.starts.values()]
         recorded = {i: np.column_stack((start.y, start.u)) for i, start in self.starts.items()}
         each = [recorded.get(i, none) for i in range(len(seen))]
-        shown = min(int(seen.max(initial=0)), rows.shape[1])
         return {
             **{name: self.part(name) for name in self.record.names or ()}, "waits": waits, "start": padded(each),
-            "kept": np.array([len(one) for one in each]), "seen": seen, "usual": usual, "scores": scores,
-            "followed": rows[:, rows.shape[1] - shown :], **self.settings,
+            "kept": np.array([len(one) for one in each]), "seen": seen, "followed": followed,
+            "usual": self.watch.usual, "scores": self.watch.scores, **self.settings,
             **{name: np.stack([one[name] for one in self.kept]) for one in self.kept[:1] for name in one},
         }  # fmt: skip
 

@@ -20,14 +20,14 @@ from robust_filterpy._progress import stage
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.notices import StuckSensorWarning
 from robust_filterpy.identification.estimation.disturbances import Settled
+from robust_filterpy.identification.estimation.estimate import near
 from robust_filterpy.identification.estimation.identify import identify
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.recording import measurements
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
-from robust_filterpy.identification.models.signals import operating_point
 from robust_filterpy.identification.recursive import recursion
 from robust_filterpy.identification.recursive.recursion import ColdStart, Form, Recursion, State, Unjudged
-from robust_filterpy.identification.recursive.watch import OF_START, OF_STUCK, STUCK, News, Trouble, is_right, long_held
+from robust_filterpy.identification.recursive.watch import OF_START, OF_STUCK, SPAN, STUCK, News, is_right, long_held
 from robust_filterpy.kernel.series import SCALINGS, rule
 
 _LEARNT = float(SCALINGS.index("learnt"))
@@ -74,8 +74,8 @@ def advance(
         now, said = settled(form, now)
     out = np.empty((*y.shape, form.width))
     while k < length:
-        waiting = now.unjudged if now.unjudged.samples else _begun(form, now, flags)
-        part = slice(k, min(k + waiting.looked_at, length))
+        waiting = now.unjudged if now.unjudged.samples else _begun(form, now, flags, waits)
+        part = slice(k, min(k + waiting.due, length))
         if not waits:
             stage(f"sample {k} of {length}")
             for i in np.flatnonzero(~now.begun).tolist():
@@ -117,55 +117,44 @@ def predicted(form: Form, now: State, enabled: np.ndarray, u: Array) -> Array:
 # From one look to the next.
 
 
-def _begun(form: Form, now: State, flags: np.ndarray) -> Unjudged:
+def _begun(form: Form, now: State, flags: np.ndarray, waits: bool) -> Unjudged:
     """Return what is needed before the first of some samples to look at them together."""
-    mask = (now.part("restarts") > 0.0) & (flags[:, 3] > 0) & bool(form.structure.n_inputs)
+    mask = flags[:, 3] > 0
     mask[list(now.starts)] = False
     watched = np.flatnonzero(mask)
-    looked_at = min([now.watch.waits(watched), *(max(start.waits, 1) for start in now.starts.values())])
-    due = min(looked_at, now.watch.fills)
-    return Unjudged((), due, looked_at, watched, flags, now.part("readings")[:, -1])
+    # Where a look changes nothing of the recursion, those at a recording wait for its end.
+    changing = watched if waits else watched[now.restarts[watched]]
+    due = min([now.watch.waits(changing), *(max(start.waits, 1) for start in now.starts.values())])
+    return Unjudged((), due, watched, flags, now.part("readings")[:, -1])
 
 
 def _judged(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Array) -> tuple[State, News]:
-    """Return what samples that have been taken say of sensors, models and starts."""
+    """Return what samples that have been taken say of sensors, starts, and of models that turn out to be lost."""
     left_out = np.isnan(shown[:, :, 1]) & ~np.isnan(y)
-    watch, said = now.watch.once(OF_STUCK, long_held(left_out, waiting.stuck), STUCK, StuckSensorWarning)
-    # A model that is looked for still claims nothing.
-    claimed = shown.copy()
-    claimed[list(now.starts), :, 2] = np.nan
-    watch, news = watch.filled(claimed[:, :, 1:], now.scale[:, 0], form.has_offset, now.scale[:, 4])
-    now, more = _looked(form, now._replace(watch=watch), waiting, y, u, shown)
-    return now, said + news + more
-
-
-def _looked(form: Form, now: State, waiting: Unjudged, y: Array, u: Array, shown: Array) -> tuple[State, News]:
-    """Return what these samples make of the starts, and of those that turn out to be lost."""
-    news: News = []
-    watched = waiting.watched
+    watch, news = now.watch.once(OF_STUCK, long_held(left_out, waiting.stuck), STUCK, StuckSensorWarning)
+    now = now._replace(watch=watch)
     for i, start in list(now.starts.items()):
         start = start.added(y[i], u[i])
         now = now._replace(starts={**now.starts, i: start})
         if waiting.flags[i, 3] and start.waits <= 0:
             now, said = _with_model(form, now, i, start)
             news += said
-    if watched.size:
-        new = np.concatenate((shown[:, :, [1, 0]], u), axis=2)[watched]
-        watch, lost = now.watch.looked(
-            watched, new, form.structure, now.theta[watched][:, form.own], form.has_offset, now.scale[watched, 4]
-        )
-        now = now._replace(watch=watch)
-        for one in lost:
-            i = one.actuator
-            if one.gain:
-                now = with_gain(form, now, i, one.gain, watch.rows[i, :, 2:].mean(axis=0))
-                news.append(one)
-                continue
+    if not waiting.watched.size:
+        return now, news
+    prediction, residual, *believed = np.moveaxis(shown, -1, 0)
+    new = np.stack((residual, prediction, *np.moveaxis(u, -1, 0), *believed), axis=-1)[waiting.watched]
+    theta = now.theta[:, form.own]
+    watch, lost = now.watch.looked(
+        waiting.watched, now.restarts, new, form.structure, theta, now.scale, form.has_offset
+    )
+    now = now._replace(watch=watch)
+    for i, one in ((one.actuator, one) for one in lost):
+        if one.gain:
+            now = with_gain(form, now, i, one.gain, watch.rows[i, -SPAN:, 2:-2].mean(axis=0))
+        elif one.restarts:
             start = ColdStart.of(form.structure.n_theta, form.structure.n_inputs, int(now.part("samples")[i]))
             now = now._replace(starts={**now.starts, i: start}, watch=now.watch.forgotten(i))
-            anew = f"{one.text}; it starts anew, and theta may jump when a model of the next samples is found"
-            news.append(Trouble(i, anew))
-    return now, news
+    return now, news + lost
 
 
 def _with_model(form: Form, now: State, i: int, start: ColdStart) -> tuple[State, News]:
@@ -214,12 +203,9 @@ def _near(form: Form, now: State, i: int, start: ColdStart) -> Model | None:
     stays = start.is_last_look and structure.nc + structure.nd > 0
     if stays or start.is_first_look(structure.n_theta) or not (now.begun[i] and stable):
         return None
-    begin = np.zeros(structure.n_theta + form.has_offset + structure.nf)
-    begin[: structure.n_theta] = theta
-    if form.has_offset:
-        rest = np.zeros(structure.n_inputs) if structure.takes_phi else operating_point(start.u)
-        constant = now.theta[i, structure.constant_place] + rest @ np.array([theta[b].sum() for b in places.b])
-        begin[structure.n_theta] = now.part("centre")[i] * a + constant / f
+    offset = float(now.part("centre")[i] * a + now.theta[i, structure.constant_place] / f) if form.has_offset else 0.0
+    begin = near(structure, theta, offset, structure, start.u)
+    begin = begin if form.has_offset else np.delete(begin, structure.n_theta)
     try:
         model = _identified(form, now, i, start, begin)
     except ValueError:
@@ -277,9 +263,7 @@ def gone_on(form: Form, now: State, i: int, model: Model) -> State:
         a, f = (1.0 + float(model.theta[part].sum()) for part in (places.a, places.f))
         constant, J = (model.offset - centre * a) * f, np.eye(n + 1)
         J[n, places.a], J[n, n] = -centre * f, f
-        cross, square = model.offset_covariance[:, None], np.array([[np.nan_to_num(model.offset_std, posinf=0.0) ** 2]])
-        joint = np.block([[P, cross], [cross.T, square]])
-        order = np.insert(np.arange(n), place, n)
+        order, joint = np.insert(np.arange(n), place, n), np.nan_to_num(model.joint, posinf=0.0)
         x, P = np.append(x, constant)[order], (J @ joint @ J.T)[np.ix_(order, order)]
     P, scale = 0.5 * (P + P.T), now.scale[i].copy()
     # Of past outputs in the regressor, too.

@@ -5,38 +5,28 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import STOPPED, RobustFilterWarning, pointer
 from robust_filterpy.identification.models import dependence as gain
-from robust_filterpy.identification.models.dependence import (
-    CLIP,
-    SHARE,
-    autocovariances,
-    dependence,
-    level_and_scale,
-    whitening_of,
-)
+from robust_filterpy.identification.models.dependence import autocovariances, dependence, level_and_scale, whitening_of
 from robust_filterpy.identification.models.structures import Structure
-from robust_filterpy.influence.regression import mad_scale
 
 __all__ = ["LOST", "OF_START", "OF_STUCK", "USUAL", "LostTrackerWarning", "News", "Trouble", "Watch", "long_held"]
 
-# Samples that are judged together.
-_WINDOW: Final = 200
 # A filter that has clipped half of what it saw believes in another model than the data.
 _LEAST_WEIGHT: Final = 0.5
 # More steps than this share that leave the stable models come from a wrong structure or step.
 _MOST_GUARDED: Final = 0.25
 # A level next to which the scatter of the residuals is small is an offset.
 _OFFSET: Final = 2.0
-# Residuals are held against the past inputs in windows of so many samples, this many apart: a plant that changes is
-# in the whole of one after their sum.
+# So many samples are judged together. So many are held against the inputs at a time, each once: a plant that changes is
+# in all of them after twice as many.
+WINDOW: Final = 200
 SPAN: Final = 120
-_PERIOD: Final = 40
 # A level has moved if so many residuals in a row, or more, are so many standard deviations of their mean off zero: with
 # 30 % outliers, all on one side, quiet runs reach 5.6.
 _IN_A_ROW: Final = 20
@@ -66,8 +56,9 @@ class Trouble(NamedTuple):
     actuator: int
     text: str
     category: type[UserWarning] = LostTrackerWarning
-    #: What is to be added to the model's gain, in shares of it, where that mends it.
+    #: What is to be added to the model's gain, in shares of it, where that mends it; or whether only a start does.
     gain: float = 0.0
+    restarts: bool = False
 
     @property
     def said(self) -> str:
@@ -89,12 +80,10 @@ class Watch(NamedTuple):
     seen: np.ndarray
     #: Of ordinary residuals the autocovariances, and how much of them follows the inputs anyway, (n, 4).
     usual: Array
-    #: The last residuals, and the predictions and inputs of the same samples, (n, SPAN, 1 + n_signals).
-    rows: Array
-    #: Of the gain in the last blocks of _PERIOD samples, (n, gain.BLOCKS, 2).
+    #: Of the gain in the last blocks of gain.BLOCK samples, (n, gain.BLOCKS, 2).
     scores: Array
-    #: Residual, weight and guard of the last samples, until there are enough to judge them, (n, L, 3).
-    recent: Array
+    #: Residuals, predictions and inputs of the last samples, and their weights and guards, (n, WINDOW, 3 + n_signals).
+    rows: Array
     #: R when it was first judged, NaN before, (n,).
     R: Array
     #: What has been said, (n, 3).
@@ -103,41 +92,36 @@ class Watch(NamedTuple):
     @classmethod
     def none(cls, n: int, n_signals: int) -> Watch:
         """Return it before the first sample."""
-        rows, scores, spoken = np.zeros((n, SPAN, 1 + n_signals)), np.zeros((n, gain.BLOCKS, 2)), np.zeros((n, 3), bool)
-        seen, usual = np.zeros(n, dtype=int), np.zeros((n, USUAL))
-        return cls(seen, usual, rows, scores, np.zeros((n, 0, 3)), np.full(n, np.nan), spoken)
+        rows, scores = np.full((n, WINDOW, 3 + n_signals), np.nan), np.zeros((n, gain.BLOCKS, 2))
+        seen, spoken = np.zeros(n, dtype=int), np.zeros((n, 3), dtype=bool)
+        return cls(seen, np.zeros((n, USUAL)), scores, rows, np.full(n, np.nan), spoken)
 
     def restored(self, stored: Mapping[str, Array]) -> Watch:
         """Return it with what a state has of it; what was said stays said."""
         last = stored["followed"][:, -SPAN:]
-        empty = Watch.none(len(last), last.shape[2] - 1)
-        empty.rows[:, SPAN - last.shape[1] :] = last
+        after = Watch.none(len(last), last.shape[2] - 1)
+        # How much was believed of them, no state says.
+        after.rows[:, WINDOW - last.shape[1] :, :-2] = last
         seen, usual, scores = stored["seen"].astype(int), stored["usual"], stored["scores"]
-        return empty._replace(seen=seen, usual=usual, scores=scores, spoken=self.spoken)
+        return after._replace(seen=seen, usual=usual, scores=scores, spoken=self.spoken)
 
     def waits(self, which: np.ndarray) -> int:
         """Return after how many samples one of some actuators is to be looked at."""
-        return int((_PERIOD - self.seen[which] % _PERIOD).min()) if which.size else sys.maxsize
-
-    @property
-    def fills(self) -> int:
-        """After how many samples the next window is full."""
-        return _WINDOW - self.recent.shape[1] % _WINDOW
+        return int((SPAN - self.seen[which] % SPAN).min()) if which.size else sys.maxsize
 
     def forgotten(self, i: int, whole: bool = True) -> Watch:
-        """Return it with nothing seen of an actuator, for another model; or but for the window that fills."""
+        """Return it with nothing seen of an actuator, for another model; or but for how R was."""
         watch = Watch(*(a.copy() for a in self))
-        for a in watch[:4]:
-            a[i] = 0
+        watch.seen[i], watch.usual[i], watch.scores[i], watch.rows[i] = 0, 0.0, 0.0, np.nan
         if whole:
-            watch.recent[i], watch.R[i], watch.spoken[i, LOST] = np.nan, np.nan, False
+            watch.R[i], watch.spoken[i, LOST] = np.nan, False
         return watch
 
     def begun(self, i: int, residuals: Array, signals: Array, rounding: float) -> tuple[Watch, float]:
         """Return it with what is usual of an actuator: what its model leaves of its own recording."""
         windows = [slice(k - SPAN, k) for k in range(len(residuals), SPAN - 1, -SPAN)]
         after = self.forgotten(i, False)
-        if not windows or np.isnan(residuals).all() or _tells_nothing(residuals, rounding):
+        if not windows or _tells_nothing(residuals, rounding):
             return after, 0.0
         covariances = np.mean([autocovariances(residuals[window]) for window in windows], axis=0)
         regressions = [dependence(residuals[w], signals[w], whitening=whitening_of(covariances)) for w in windows]
@@ -146,28 +130,30 @@ class Watch(NamedTuple):
         return after, float(np.mean(shares)) if np.mean([one.significant for one in regressions]) > 0.5 else 0.0
 
     def looked(
-        self, which: np.ndarray, new: Array, structure: Structure, theta: Array, has_offset: bool, rounding: Array
-    ) -> tuple[Watch, News]:
-        """Return it with samples of some actuators, at most `waits`, and of which the model is another plant's."""
-        seen, usual, rows, scores = (a.copy() for a in self[:4])
-        rows[which] = np.concatenate((rows[which], new), axis=1)[:, -SPAN:]
-        seen[which] += new.shape[1]
-        news: News = []
-        for k, i in enumerate(which.tolist()):
-            e, shown = rows[i, :, 0], rows[i, :, 1:]
-            if seen[i] % _PERIOD or seen[i] < SPAN or _tells_nothing(e, float(rounding[k])):
-                continue
-            trouble, usual[i] = _trouble(e, shown, usual[i], has_offset)
-            x = gain.driven(structure, theta[k], shown[:, 0], shown[:, 1:])
-            scores[i] = *scores[i, 1:], gain.score(e, x, _PERIOD)
-            g = gain.changed(scores[i])
+        self, which: np.ndarray, restarts: np.ndarray, new: Array, structure: Structure, theta: Array, scale: Array,
+        has_offset: bool,
+    ) -> tuple[Watch, News]:  # fmt: skip
+        """Return it with samples of some actuators, at most `waits` of those that restart, and what is wrong."""
+        watch, length = Watch(*(a.copy() for a in self)), new.shape[1]
+        whole, seen = np.concatenate((self.rows[which], new), axis=1), self.seen[which, None]
+        ends = SPAN - seen % SPAN + SPAN * np.arange(-(-length // SPAN))
+        windows = whole[np.arange(which.size)[:, None, None], np.minimum(ends, length)[:, :, None] + np.arange(WINDOW)]
+        due = (ends <= length) & ~_tells_nothing(windows[..., -SPAN:, 0], scale[which, None, 4])
+        watch.rows[which], watch.seen[which] = whole[:, length:], seen[:, 0] + length
+        news = watch._lost(which, windows, due & (seen + ends >= WINDOW), scale[which], has_offset)
+        for i in which[due[:, 0] & restarts[which]].tolist():
+            e, shown = watch.rows[i, -SPAN:, 0], watch.rows[i, -SPAN:, 1:-2]
+            trouble, watch.usual[i] = _trouble(e, shown, watch.usual[i], has_offset)
+            x = gain.driven(structure, theta[i], shown[:, 0], shown[:, 1:])
+            watch.scores[i] = gain.scored(watch.scores[i], e, x)
+            g = gain.changed(watch.scores[i])
             if trouble:
-                news.append(Trouble(i, trouble))
+                news.append(Trouble(i, f"{trouble}; {_ANEW}", restarts=True))
             elif g:
-                judged = int(np.count_nonzero(scores[i, :, 1])) * _PERIOD
+                judged = int(np.count_nonzero(watch.scores[i, :, 1])) * gain.BLOCK
                 news.append(Trouble(i, _GAIN.format(1.0 + g, judged), gain=g))
-                scores[i] = 0.0
-        return Watch(seen, usual, rows, scores, *self[4:]), news
+                watch.scores[i] = 0.0
+        return watch, news
 
     def once(
         self, of: int, which: np.ndarray, text: str, category: type[UserWarning] = LostTrackerWarning
@@ -178,27 +164,30 @@ class Watch(NamedTuple):
         spoken[:, of] |= which
         return self._replace(spoken=spoken), news
 
-    def filled(self, new: Array, R: Array, has_offset: bool, rounding: Array) -> tuple[Watch, News]:
-        """Return it with samples (n, N, 3), R (n,) after these, and what is wrong, once for each actuator."""
-        if self.spoken[:, LOST].all():
-            return self, []
-        recent = np.concatenate((self.recent, new), axis=1)
-        n, count = len(recent), recent.shape[1] // _WINDOW
-        if not count:
-            return self._replace(recent=recent), []
-        windows, recent = recent[:, : count * _WINDOW].reshape(n, count, _WINDOW, 3), recent[:, count * _WINDOW :]
-        seen, R = ~np.isnan(windows[..., 1]), np.maximum(R, rounding**2 / 12.0)
-        judged = seen.sum(axis=2) >= _WINDOW // 2
-        # Residuals of a plant that rests, or has no noise, are rounding.
-        quiet = seen & (np.abs(np.nan_to_num(windows[..., 0])) <= rounding[:, None, None])
-        judged &= quiet.sum(axis=2) < _NEARLY_ALL * seen.sum(axis=2)
-        first = np.where(np.isnan(self.R) & judged.any(axis=1), R, self.R)
-        news = _judged(windows, seen, judged & ~self.spoken[:, LOST, None], R, first, has_offset)
-        spoken = self.spoken.copy()
-        spoken[[one.actuator for one in news], LOST] = True
-        return self._replace(recent=recent, R=first, spoken=spoken), news
+    def _lost(self, which: np.ndarray, windows: Array, due: np.ndarray, scale: Array, has_offset: bool) -> News:
+        """Say of each of some actuators once what is wrong with a window (w, k, WINDOW, ..) of it, and note so."""
+        seen, R = ~np.isnan(windows[..., -2]), np.maximum(scale[:, 0], scale[:, 4] ** 2 / 12.0)
+        due = due & (seen.sum(axis=2) >= WINDOW // 2) & ~self.spoken[which, LOST, None]
+        first = self.R[which] = np.where(np.isnan(self.R[which]) & due.any(axis=1), R, self.R[which])
+        level, scatter = level_and_scale(windows[..., 0], seen)
+        weight = np.where(seen, windows[..., -2], 0.0).sum(axis=2) / np.maximum(seen.sum(axis=2), 1)
+        unstable = (np.nan_to_num(windows[..., -1]) != 0).mean(axis=2)
+        off = (not has_offset) & (np.abs(level) > _OFFSET * scatter)
+        with np.errstate(invalid="ignore"):
+            wanders = ~((R / first > 1.0 / _WANDERING) & (R / first < _WANDERING))
+        faults = (off, weight < _LEAST_WEIGHT, unstable > _MOST_GUARDED, np.broadcast_to(wanders[:, None], off.shape))
+        wrong = due & np.stack(faults)
+        news: News = []
+        for j in np.flatnonzero(wrong.any(axis=(0, 2))).tolist():
+            k = int(wrong[:, j].any(axis=0).argmax())
+            numbers = (one[j, k] for one in (level, scatter, weight, 100 * unstable))
+            text = _WRONG[wrong[:, j, k].argmax()].format(*numbers, R=R[j], first=first[j])
+            news.append(Trouble(int(which[j]), text))
+            self.spoken[which[j], LOST] = True
+        return news
 
 
+_ANEW: Final = "it starts anew, and theta may jump when a model of the next samples is found"
 _ANOTHER: Final = (
     "the plant is no longer the model's: over the last {} samples {:.0f} % of the residuals' variance follow the "
     "inputs (a gain, sign or pole has changed, or the sensor is stuck)"
@@ -223,16 +212,16 @@ def _trouble(residuals: Array, signals: Array, usual: Array, has_offset: bool) -
     covariances = covariances if covariances[0] > 0.0 else now
     regression = dependence(residuals, signals, whitening=whitening_of(covariances))
     share = max(float(regression.share), 0.0)
-    if regression.significant and share > SHARE + anyway:
+    if regression.significant and share > gain.SHARE + anyway:
         return _ANOTHER.format(SPAN, 100 * share), usual
     moved = _moved(residuals[~np.isnan(residuals)], covariances) if has_offset else ""
-    if moved or (share > 0.5 * SHARE + anyway and usual[0]):
+    if moved or (share > 0.5 * gain.SHARE + anyway and usual[0]):
         return moved, usual
     # What is usual follows slowly, and not what is half suspicious already, nor by itself to where it would hide that.
     now = np.array([*now, share])
     before = np.array([*covariances, anyway])
     after = before + _PACE * (now - before)
-    after[3] = after[3] if anyway > SHARE else min(after[3], max(anyway, 0.5 * SHARE))
+    after[3] = after[3] if anyway > gain.SHARE else min(after[3], max(anyway, 0.5 * gain.SHARE))
     return "", after
 
 
@@ -242,10 +231,10 @@ def is_right(residuals: Array, signals: Array) -> bool:
     return float(dependence(residuals, signals, whitening=whitening).chance) > _BY_CHANCE
 
 
-def _tells_nothing(residuals: Array, rounding: float) -> bool:
-    """Tell whether residuals are missing or, but for outliers, no more than rounding."""
-    sizes = np.abs(residuals[~np.isnan(residuals)])
-    return not sizes.size or bool(np.quantile(sizes, _NEARLY_ALL) <= rounding)
+def _tells_nothing(residuals: Array, rounding: Any) -> Any:
+    """Tell where residuals, along the last axis, are missing or, but for outliers, no more than rounding."""
+    quiet = (np.abs(residuals) <= np.asarray(rounding)[..., None]).sum(axis=-1)
+    return quiet >= _NEARLY_ALL * (~np.isnan(residuals)).sum(axis=-1)
 
 
 @lru_cache(maxsize=8)
@@ -257,10 +246,10 @@ def _stretches(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _moved(residuals: Array, covariances: Array) -> str:
     """Say which residuals in a row are off zero by more than chance, nothing if none are."""
-    scale = mad_scale(residuals - np.median(residuals)) if residuals.size >= SPAN // 2 else 0.0
+    scale = float(level_and_scale(residuals, np.full(residuals.size, residuals.size >= SPAN // 2))[1])
     if not scale > 0.0:
         return ""
-    sums = np.append(0.0, np.cumsum(np.clip(residuals / scale, -CLIP, CLIP)))
+    sums = np.append(0.0, np.cumsum(np.clip(residuals / scale, -gain.CLIP, gain.CLIP)))
     first, last, n = _stretches(sums.size)
     # Of noise that is still alike two samples later nobody knows how long it stays so.
     r0, r1, r2 = np.maximum(covariances, 0.0)
@@ -286,33 +275,11 @@ def long_held(left_out: np.ndarray, before: Array) -> np.ndarray:
 
 # What is wrong with a window, in the order in which it is looked for.
 _WRONG: Final = (
-    "the residuals lie {level:.3g} off zero with a scatter of {scatter:.2g}: use offset=True",
-    f"of {_WINDOW} samples in a row the mean weight was {{weight:.2f}}: the filter takes ordinary samples for "
+    "the residuals lie {0:.3g} off zero with a scatter of {1:.2g}: use offset=True",
+    f"of {WINDOW} samples in a row the mean weight was {{2:.2f}}: the filter takes ordinary samples for "
     "outliers, since R={R:.3g} is too small or theta has not followed the plant; leave R out, let theta move (Q, "
     "forgetting), or start anew",
-    f"{{guarded:.0f}} % of {_WINDOW} steps would have made the model unstable: the structure does not fit, or P and Q "
+    f"{{3:.0f}} % of {WINDOW} steps would have made the model unstable: the structure does not fit, or P and Q "
     "allow steps that are too large",
     "R went from {first:.3g} to {R:.3g}: theta does not follow the plant, or the sensor has changed",
 )
-
-
-def _judged(windows: Array, seen: np.ndarray, judged: np.ndarray, R: Array, first: Array, has_offset: bool) -> News:
-    """Say what is wrong with the first window (n, k, ..) of each actuator that has something, of those to be judged."""
-    residuals, weights, guard = np.moveaxis(windows, -1, 0)
-    level, scatter = level_and_scale(residuals, seen)
-    weight = np.where(seen, weights, 0.0).sum(axis=2) / np.maximum(seen.sum(axis=2), 1)
-    unstable = (np.nan_to_num(guard) != 0).mean(axis=2)
-    off = (not has_offset) & (np.abs(level) > _OFFSET * scatter)
-    with np.errstate(invalid="ignore"):
-        wanders = ~((R / first > 1.0 / _WANDERING) & (R / first < _WANDERING))
-    faults = (off, weight < _LEAST_WEIGHT, unstable > _MOST_GUARDED, np.broadcast_to(wanders[:, None], off.shape))
-    wrong = judged & np.stack(faults)
-    news: News = []
-    for i in np.flatnonzero(wrong.any(axis=(0, 2))).tolist():
-        k = int(wrong[:, i].any(axis=0).argmax())
-        text = _WRONG[wrong[:, i, k].argmax()].format(
-            level=level[i, k], scatter=scatter[i, k], weight=weight[i, k], guarded=100 * unstable[i, k], R=R[i],
-            first=first[i],
-        )  # fmt: skip
-        news.append(Trouble(i, text))
-    return news
