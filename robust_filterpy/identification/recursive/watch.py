@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
@@ -27,6 +26,7 @@ _OFFSET: Final = 2.0
 # in all of them after twice as many.
 WINDOW: Final = 200
 SPAN: Final = 120
+_MOST_TOGETHER: Final = 50 * SPAN
 # A level has moved if so many residuals in a row, or more, are so many standard deviations of their mean off zero: with
 # 30 % outliers, all on one side, quiet runs reach 5.6.
 _IN_A_ROW: Final = 20
@@ -106,8 +106,8 @@ class Watch(NamedTuple):
         return after._replace(seen=seen, usual=usual, scores=scores, spoken=self.spoken)
 
     def waits(self, which: np.ndarray) -> int:
-        """Return after how many samples one of some actuators is to be looked at."""
-        return int((SPAN - self.seen[which] % SPAN).min()) if which.size else sys.maxsize
+        """Return after how many samples one of some actuators is to be looked at; without any, memory is a limit."""
+        return int((SPAN - self.seen[which] % SPAN).min()) if which.size else _MOST_TOGETHER
 
     def forgotten(self, i: int, whole: bool = True) -> Watch:
         """Return it with nothing seen of an actuator, for another model; or but for how R was."""
@@ -136,10 +136,12 @@ class Watch(NamedTuple):
         """Return it with samples of some actuators, at most `waits` of those that restart, and what is wrong."""
         watch, length = Watch(*(a.copy() for a in self)), new.shape[1]
         whole, seen = np.concatenate((self.rows[which], new), axis=1), self.seen[which, None]
-        ends = SPAN - seen % SPAN + SPAN * np.arange(-(-length // SPAN))
-        windows = whole[np.arange(which.size)[:, None, None], np.minimum(ends, length)[:, :, None] + np.arange(WINDOW)]
-        due = (ends <= length) & ~_tells_nothing(windows[..., -SPAN:, 0], scale[which, None, 4])
         watch.rows[which], watch.seen[which] = whole[:, length:], seen[:, 0] + length
+        full = np.flatnonzero(seen[:, 0] % SPAN + length >= SPAN)
+        which, seen = which[full], seen[full]
+        ends = SPAN - seen % SPAN + SPAN * np.arange(-(-length // SPAN))
+        windows = whole[full[:, None, None], np.minimum(ends, length)[:, :, None] + np.arange(WINDOW)]
+        due = (ends <= length) & ~_tells_nothing(windows[..., -SPAN:, 0], scale[which, None, 4])
         news = watch._lost(which, windows, due & (seen + ends >= WINDOW), scale[which], has_offset)
         for i in which[due[:, 0] & restarts[which]].tolist():
             e, shown = watch.rows[i, -SPAN:, 0], watch.rows[i, -SPAN:, 1:-2]
