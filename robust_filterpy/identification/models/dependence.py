@@ -156,9 +156,9 @@ def level_and_scale(values: Array, seen: Any) -> tuple[Array, Array]:
 
 def _median(values: Array, seen: Any) -> Array:
     """Return the median of the values seen along the last axis, 0 where there are none."""
-    ordered = np.sort(np.where(seen, values, np.inf), axis=-1)
-    middle = np.maximum(seen.sum(axis=-1)[..., None] - np.array([1, 0]), 0) // 2
-    return np.nan_to_num(np.take_along_axis(ordered, middle, -1).mean(axis=-1), posinf=0.0)
+    ordered, count = np.sort(np.where(seen, values, np.inf), axis=-1), seen.sum(axis=-1)[..., None]
+    middle = np.take_along_axis(ordered, np.maximum(count - np.array([1, 0]), 0) // 2, -1)
+    return np.where(count[..., 0] > 0, 0.5 * (middle[..., 0] + middle[..., 1]), 0.0)
 
 
 def whitening_of(covariances: Array) -> tuple[float, ...]:
