@@ -121,26 +121,24 @@ def read(
     keys = keys - (np.round(shift * 1e9).astype(np.int64) if keys.dtype == np.int64 else shift)
     at, us = _inputs(setup.motion.dim_u, clock, controls, keys.dtype)
     every, where = np.unique(np.concatenate([keys, at]), return_inverse=True)
-    zs, duplicates = np.full((len(every), layout.size), np.nan), 0
-    for i, (name, place) in enumerate(layout.places.items()):
-        rows, m = np.flatnonzero(index == i), place.stop - place.start
-        if len(rows) and m > len(chosen):
-            raise ValueError(f"value: expected {m} columns, as sensor {name!r} has components, got {chosen}")
-        to = where[rows]
-        unique, first = np.unique(to, return_index=True)
-        if len(unique) < len(rows):
-            other = np.searchsorted(unique, to)
-            said = values[rows, :m]
-            apart = ~((said == said[first[other]]) | (np.isnan(said) & np.isnan(said[first[other]]))).all(axis=1)
-            if apart.any():
-                row = int(rows[np.argmax(apart)])
-                raise ValueError(
-                    f"sensor {name!r}: expected one reading for each stamp, got two that differ at "
-                    f"{clock.stamp(every[where[row]].item())} (row {taken[row]}); leave one out"
-                )
-            duplicates += len(rows) - len(unique)
-        zs[to, place] = values[rows, :m]
-    return Readings(every, zs, _held(us, where[len(keys) :], len(every), setup.motion.dim_u), duplicates)
+    held, where = _held(us, where[len(keys) :], len(every), setup.motion.dim_u), where[: len(keys)]
+    first, sizes = np.array([(place.start, place.stop - place.start) for place in layout.places.values()]).T
+    wide = index[sizes[index] > len(chosen)]
+    if len(wide):
+        name, m = layout.names[wide[0]], sizes[wide[0]]
+        raise ValueError(f"value: expected {m} columns, as sensor {name!r} has components, got {chosen}")
+    row, component = np.nonzero(np.arange(len(chosen)) < sizes[index][:, None])
+    zs, said = np.full((len(every), layout.size), np.nan), values[row, component]
+    cells = where[row], first[index[row]] + component
+    zs[cells] = said
+    apart = row[(zs[cells] != said) & ~(np.isnan(zs[cells]) & np.isnan(said))]
+    if len(apart):
+        raise ValueError(
+            f"sensor {layout.names[index[apart[0]]]!r}: expected one reading for each stamp, got two that differ at "
+            f"{clock.stamp(every[where[apart[0]]].item())} (row {taken[apart[0]]}); leave one out"
+        )
+    duplicates = len(keys) - len(np.unique(np.column_stack([where, index]), axis=0))
+    return Readings(every, zs, held, duplicates)
 
 
 def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]) -> list[np.ndarray]:

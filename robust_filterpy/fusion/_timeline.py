@@ -7,10 +7,8 @@ to the last bit. Entries older than the window take nothing more; some of them a
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable
-from itertools import compress, pairwise
+from itertools import compress, islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -19,9 +17,7 @@ from robust_filterpy import _state
 from robust_filterpy._checks import Array
 from robust_filterpy.fusion._stepping import Moment, Setup, arrays, begun, of_arrays
 from robust_filterpy.fusion._table import Clock
-from robust_filterpy.fusion._watch import Watch
 from robust_filterpy.fusion.reacquisition import Doubt, doubted
-from robust_filterpy.fusion.sensors import Layout
 from robust_filterpy.fusion.verdicts import Look, watched
 
 #: Entries that are kept, however long the window is: one late reading makes all after it be judged anew, and to look
@@ -201,11 +197,9 @@ class Timeline:
 _KINDS = ("", "numbers", "instants")
 _NANO = 1_000_000_000
 # Arrays with a row for each stamp, or of a length of their own.
-_LISTS = ("base", "keys", "z", "controls", "controlled", "spoke", "moments", "doubt")
+_LISTS = ("base", "keys", "z", "controls", "controlled", "spoke", "moments")
 # As `arrays` gives them.
 _ARRAYS = ("means", "covariances", "belief", "memory", "x", "P", "sizes", "u", "trial")
-# Fields of a `Watch` that are stamps.
-_STAMPS = ("since", "model_since", "mended", "asked")
 
 
 def state_of(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str, ...]) -> dict[str, Array]:
@@ -214,12 +208,12 @@ def state_of(timeline: Timeline, clock: Clock, counts: Any, outcomes: tuple[str,
     p = timeline.setup.motion.dim_u
     controls = [np.full(p, np.nan) if e.control is None else e.control for e in timeline.entries]
     further: dict[str, Any] = {}
-    if timeline.setup.watches:
-        # All moments, since a verdict looks back further than is kept.
-        moments = [timeline.base, *(entry.moment for entry in timeline.entries[: timeline.clean])]
-        further["moments"] = np.array([_row(_parts(timeline.setup, moment)) for moment in moments if moment])
-    if timeline.setup.reacquire is not None:
-        further["doubt"] = _of_doubt(timeline.base.doubt)
+    if timeline.setup.watches or timeline.setup.reacquire is not None:
+        # All of those that are watched, since a verdict looks back further than is kept.
+        entries = timeline.entries[: timeline.clean] if timeline.setup.watches else []
+        moments = [timeline.base, *(entry.moment for entry in entries)]
+        pattern = _tree(timeline.setup)
+        further["moments"] = np.array([_row(_tree(timeline.setup, moment), pattern) for moment in moments if moment])
     return _state.labelled("Fusion", {
         **dict(zip(_ARRAYS, arrays(timeline.setup.policy, base), strict=True)),
         "kind": _KINDS.index(clock.kind), "base": _split([] if timeline.base_key is None else [timeline.base_key]),
@@ -245,14 +239,12 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         name: (None, *part.shape[1:]) if name in _LISTS else part.shape
         for name, part in pattern.items() if name != _state.LABEL
     }  # fmt: skip
-    for name, otherwise in (("moments", "that does not watch, got one of watch=True"),
-                            ("doubt", "without reacquire, got one with it")):  # fmt: skip
-        if name in given and name not in needed:
-            raise _state.StateError(f"state: expected one of a fusion {otherwise}")
+    if "moments" in given and "moments" not in needed:
+        raise _state.StateError("state: expected one of a fusion without watch=True and reacquire, got one with them")
     got = _state.checked(given, "Fusion", needed, {}, ("z", "controls", "sizes", "moments"))
     entries, stamps = len(got["keys"]), np.vstack([got["keys"], got["base"], got["earlier"]])
     for good, expected in (
-        (not like.setup.watches or 1 <= len(got["moments"]) <= entries + 1, f"at most {entries + 1} moments and one"),
+        (1 <= len(got.get("moments", [0])) <= entries + 1, f"at most {entries + 1} moments and one"),
         (all(len(got[name]) == entries for name in ("z", "controls", "controlled", "spoke")) and len(got["base"]) < 2,
          "as many z, controls and spoke as keys, and at most one base"),
         (got["kind"] in range(3), f"kind 0, 1 or 2, got {got['kind']}"),
@@ -272,8 +264,7 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         stood = of_arrays(policy, [got[name] for name in _ARRAYS])
     except ValueError as error:
         raise _state.StateError(str(error)) from None
-    doubt = _doubt_of(got.get("doubt", np.zeros(0)), like, clock.kind)
-    line = Timeline(like.setup, Moment(stood, doubt=doubt), like.window, like.history)
+    line = Timeline(like.setup, Moment(stood), like.window, like.history)
     line.base_key = start[0] if start else None
     for i, key in enumerate(keys):
         entry = line.at(key)
@@ -281,9 +272,10 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
         for name in compress(names, got["spoke"][i]):
             line.hear(entry, name)
         entry.control = got["controls"][i] if got["controlled"][i] else None
-    if like.setup.watches:
-        first, *moments = [_moment_of(row, like, clock.kind) for row in got["moments"]]
-        line.base, line.clean = first, len(moments)
+    if "moments" in got:
+        tree = _tree(like.setup)
+        line.base, *moments = (_moment_of(row, tree, like.setup, clock.kind) for row in got["moments"])
+        line.clean = len(moments)
         for entry, moment in zip(line.entries, moments, strict=False):
             entry.moment = moment
     earlier = zip(names, got["earlier_known"], _joined(got["earlier"], clock.kind), strict=True)
@@ -296,73 +288,56 @@ def restored(like: Timeline, given: Any, outcomes: tuple[str, ...]) -> tuple[Tim
     return line, clock, counts
 
 
-def _parts(setup: Setup, moment: Moment) -> list[Any]:
-    """Return the parts of a moment that is watched; what a function of a sensor said when it failed is not in it."""
-    watch, failed = moment.watch, {name for name, _ in moment.failed}
-    numbers = [value for name, value in zip(Watch._fields, watch, strict=True) if name not in _STAMPS]
-    keys = (*watch.since, *(getattr(watch, name) for name in _STAMPS[1:]))
-    stamps = [[at is not None, *_split([at or 0])[0]] for at in keys]
-    flags = [*(name in failed for name in setup.layout.names), moment.far, moment.anew]
-    doubt = _of_doubt(moment.doubt)
-    room = doubt if len(doubt) else np.zeros(sum(map(math.prod, _shapes_of_doubt(setup.layout))))
-    in_doubt = [] if setup.reacquire is None else [len(doubt) > 0, room]
-    return [*arrays(setup.policy, moment.state), *numbers, stamps, flags, *in_doubt]
+def _tree(setup: Setup, moment: Moment | None = None) -> tuple[Any, ...]:
+    """Return what a moment is made of as a tree of tuples, a moment like those of a setup if none is given."""
+    if moment is None:
+        moment = begun(setup, np.zeros(setup.layout.n), np.eye(setup.layout.n))
+    S, D = len(setup.layout.names), setup.layout.n + setup.layout.size
+    no_doubt = Doubt(0, None, 0, -1, False, np.zeros((S + 3, D)), np.zeros((S + 3, D, D)), np.zeros(S + 3), np.zeros(S))
+    doubt, failed = moment.doubt, {name for name, _ in moment.failed}
+    flags = *(name in failed for name in setup.layout.names), moment.far, moment.anew, doubt is not None
+    return arrays(setup.policy, moment.state), moment.watch or (), flags, (doubt or no_doubt) if setup.reacquire else ()
 
 
-def _row(parts: Iterable[Any]) -> Array:
-    """Return parts as one vector; what is at infinity, which no state holds, is the largest number."""
-    return np.nan_to_num(np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]), nan=np.nan)
+def _row(tree: Any, pattern: Any) -> Array:
+    """Return a tree like a pattern as one vector; what is at infinity, which no state holds, is the largest number."""
+    parts: list[Any] = []
+    for leaf, like in zip(_leaves(tree), _leaves(pattern), strict=True):
+        # None where there may be a key.
+        parts.append([leaf is not None, *_split([leaf or 0])[0]] if like is None else np.ravel(leaf))
+    return np.nan_to_num(np.concatenate(parts), nan=np.nan)
 
 
-def _split_into(row: Array, shapes: Iterable[tuple[int, ...]]) -> list[Any]:
-    """Return the parts of a vector, numbers and arrays of these shapes."""
-    shapes = list(shapes)
-    parts = np.split(row, np.cumsum([math.prod(shape) for shape in shapes])[:-1])
-    return [part.reshape(shape).copy() if shape else float(part[0]) for part, shape in zip(parts, shapes, strict=True)]
+def _leaves(tree: Any) -> list[Any]:
+    """Return the parts of a tree of tuples that are none."""
+    return [leaf for part in tree for leaf in _leaves(part)] if isinstance(tree, tuple) else [tree]
 
 
-def _moment_of(row: Array, like: Timeline, kind: str) -> Moment:
-    """Return the moment of a vector, shaped as those of the fusion that takes it over."""
-    setup, names = like.setup, like.setup.layout.names
-    pattern = _parts(setup, begun(setup, like.base.state.x, like.base.state.P))
-    parts, fields = _split_into(row, map(np.shape, pattern)), [name for name in Watch._fields if name not in _STAMPS]
-    state, (stamps, flags, *doubt) = parts[: len(_ARRAYS)], parts[len(_ARRAYS) + len(fields) :]
-    numbers = dict(zip(fields, parts[len(_ARRAYS) :], strict=False))
-    finite = [*(part for name, part in numbers.items() if name != "statistics"), *state[:6], stamps, *doubt]
-    if not all(np.isfinite(part).all() for part in finite):
+def _moment_of(row: Array, pattern: tuple[Any, ...], setup: Setup, kind: str) -> Moment:
+    """Return the moment of a vector, or raise."""
+    unbounded = np.abs(row) == np.finfo(float).max
+    if (np.isnan(row) & ~np.isnan(_row(pattern, pattern))).any():
         raise _state.StateError("state: expected finite numbers in moments, got NaN")
-    numbers["due"][numbers["due"] == np.finfo(float).max] = np.inf
-    *since, model_since, mended, asked = [_joined(pair[1:][None], kind)[0] if pair[0] else None for pair in stamps]
-    *failed, far, anew = flags.tolist()
+    numbers, names = iter(np.where(unbounded, np.copysign(np.inf, row), row).tolist()), setup.layout.names
+
+    def filled(like: Any) -> Any:
+        """Return a part of the tree with the next numbers."""
+        if isinstance(like, tuple):
+            parts = [filled(one) for one in like]
+            return like._make(parts) if hasattr(like, "_make") else tuple(parts)
+        if isinstance(like, np.ndarray):
+            return np.array(list(islice(numbers, like.size))).reshape(like.shape)
+        if like is not None:
+            return type(like)(next(numbers))
+        there, *pair = islice(numbers, 3)
+        return _joined(np.array([pair]), kind)[0] if there else None
+
+    state, watch, (*failed, far, anew, doubtful), doubt = filled(pattern)
+    if doubtful and not (0 <= doubt.sensor < len(names) and -1 <= doubt.served < len(names) + 3):
+        raise _state.StateError(f"state: expected a doubt of one of {len(names)} sensors, got moments with another")
     why = tuple((name, "as it was when the state was kept") for name, bad in zip(names, failed, strict=True) if bad)
-    watch = Watch(**numbers, since=tuple(since), model_since=model_since, mended=mended, asked=asked)
-    in_doubt = _doubt_of(doubt[1], like, kind) if doubt and doubt[0] else None
-    return Moment(of_arrays(setup.policy, state), watch, why, in_doubt, int(far), bool(anew))
-
-
-def _of_doubt(doubt: Doubt | None) -> Array:
-    """Return what is in doubt as one vector, of length 0 if nothing is; no probability is the least number."""
-    return np.zeros(0) if doubt is None else _row(doubt._replace(since=_split([doubt.since])))
-
-
-def _shapes_of_doubt(layout: Layout) -> list[tuple[int, ...]]:
-    """Return the shapes of what is in doubt."""
-    S, D = len(layout.names), layout.n + layout.size
-    return [(), (2,), (), (), (), (S + 3, D), (S + 3, D, D), (S + 3,), (S,)]
-
-
-def _doubt_of(row: Array, like: Timeline, kind: str) -> Doubt | None:
-    """Return what is in doubt, or raise."""
-    if not len(row):
-        return None
-    shapes, S = _shapes_of_doubt(like.setup.layout), len(like.setup.layout.names)
-    if len(row) != sum(map(math.prod, shapes)):
-        raise _state.StateError("state: expected one of a fusion with as many sensors and states, and reacquire alike")
-    sensor, since, agreed, served, sure, x, P, logs, quiet = _split_into(row, shapes)
-    if not (0 <= sensor < S and -1 <= served < S + 3):
-        raise _state.StateError(f"state: expected a doubt of one of {S} sensors, got {sensor} and {served}")
-    logs = np.where(logs < -1e300, -np.inf, logs)
-    return Doubt(int(sensor), _joined(since[None], kind)[0], int(agreed), int(served), bool(sure), x, P, logs, quiet)
+    state = of_arrays(setup.policy, state)
+    return Moment(state, watch or None, why, doubt if doubtful else None, far, anew)
 
 
 def _split(keys: Any) -> Array:

@@ -30,8 +30,8 @@ def test_a_fusion_goes_on_from_a_stored_state():
     assert all(np.array_equal(now[name], part, equal_nan=True) for name, part in stored.items())
     other.restore(now)
     assert all(np.array_equal(now[name], part, equal_nan=True) for name, part in other.state().items())
-    # 113 numbers say what is in doubt, after one that says whether something is.
-    assert len(stored["moments"]) == 13 and stored["moments"][-1, -114] == 1.0
+    # 114 numbers say what is in doubt, after one that says whether something is.
+    assert len(stored["moments"]) == 13 and stored["moments"][-1, -115] == 1.0
     fusion.observe("gps", 12.0, 24.0)
     fusion.observe("speed", 12.0, 2.0)
     estimate = fusion.estimate(13.0)

@@ -113,7 +113,6 @@ def test_a_doubt_that_began_before_what_is_kept_is_in_a_state():
     fusion, other = made(), made()
     fed(fusion, readings[:-60])
     state = fusion.state()
-    assert state["doubt"].size
     other.restore(json.loads(json.dumps({name: np.asarray(value).tolist() for name, value in state.items()})))
     for one in readings[-60:]:
         fusion.observe(*one)
@@ -121,11 +120,12 @@ def test_a_doubt_that_began_before_what_is_kept_is_in_a_state():
     assert fusion.estimate().x.tobytes() == other.estimate().x.tobytes()
     with pytest.raises(ValueError, match="reacquire"):
         made(reacquire=False).restore(state)
-    with pytest.raises(ValueError, match="doubt"):
+    with pytest.raises(ValueError, match="moments"):
         made().restore(made(reacquire=False).state())
-    for damaged in (state["doubt"][:-1], np.full_like(state["doubt"], np.nan), -5.0 - state["doubt"]):
+    moments = state["moments"]
+    for damaged in (moments[:, :-1], np.full_like(moments, np.nan), -5.0 - moments):
         with pytest.raises(ValueError, match=r"state: "):
-            made().restore({**state, "doubt": damaged})
+            made().restore({**state, "moments": damaged})
 
 
 def test_a_recording_says_what_was_in_doubt():

@@ -310,4 +310,4 @@ def test_any_order_of_arrival_and_a_state_on_the_way_give_the_same_bits(both):
     assert mixed.estimate().x.tobytes() == found[-1][1].x.tobytes()
     assert {n: v.fault for n, v in mixed.verdicts().items() if v.fault != "healthy"} == found[-1][2]
     with pytest.raises(ValueError, match="moments"):
-        made().restore({n: a for n, a in mixed.state().items() if n != "doubt"})
+        made().restore(mixed.state())
