@@ -137,8 +137,7 @@ def read(
             f"sensor {layout.names[index[apart[0]]]!r}: expected one reading for each stamp, got two that differ at "
             f"{clock.stamp(every[where[apart[0]]].item())} (row {taken[apart[0]]}); leave one out"
         )
-    duplicates = len(keys) - len(np.unique(np.column_stack([where, index]), axis=0))
-    return Readings(every, zs, held, duplicates)
+    return Readings(every, zs, held, len(keys) - len(np.unique(where * len(sizes) + index)))
 
 
 def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]) -> list[np.ndarray]:
