@@ -137,7 +137,9 @@ def read(
             f"sensor {layout.names[index[apart[0]]]!r}: expected one reading for each stamp, got two that differ at "
             f"{clock.stamp(every[where[apart[0]]].item())} (row {taken[apart[0]]}); leave one out"
         )
-    return Readings(every, zs, held, len(keys) - len(np.unique(where * len(sizes) + index)))
+    spoke = np.zeros((len(every), len(sizes)), dtype=bool)
+    spoke[where, index] = True
+    return Readings(every, zs, held, len(keys) - np.count_nonzero(spoke))
 
 
 def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]) -> list[np.ndarray]:
