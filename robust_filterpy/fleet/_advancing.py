@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from robust_filterpy import _checks, _state
+from robust_filterpy import _checks
 from robust_filterpy._arrays import noise_covariance, process_noise, state_of
 from robust_filterpy._checks import Array
 from robust_filterpy._warning import mute
@@ -21,7 +21,6 @@ from robust_filterpy.correction import spread
 from robust_filterpy.correction.options import Choices
 from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
 from robust_filterpy.filters.notices import StuckSensorWarning, say_stuck_among
-from robust_filterpy.filters.states import moved_shapes
 from robust_filterpy.fleet.states import FLEET
 from robust_filterpy.identification.models.signals import measured_output, recorded_input
 from robust_filterpy.identification.recursive.tracker import ParameterTracker
@@ -92,13 +91,6 @@ def require_consistent(kf: Any, update: Mapping[str, Any]) -> None:
         trial.update(np.zeros(kf.dim_z), **update)
     except TypeError as error:
         raise TypeError(f"update: expected the further arguments of {type(kf).__name__}.update, {error}") from None
-
-
-def start_of_filter(kf: Any) -> dict[str, Array]:
-    """Return what a filter's steps move, as it is; of sensors of which nothing was learned yet, zeros."""
-    empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in moved_shapes(kf).items()}
-    state = kf.state()
-    return {name: state.get(name, value) for name, value in empty.items()}
 
 
 def advance_filters(kf: Any, update: Mapping[str, Any], series: Plain | None, work: Work) -> None:
@@ -240,21 +232,8 @@ def _together(series: Plain, kf: Any, through: Through, work: Work, rows: np.nda
             k = int(by_kernel(slice(s, s + 1), k + 1)[0])
 
 
-# What the model says, not the state.
-_SETTINGS = ("Q", "F", "alpha_sq", _state.LABEL)
 # As many keys at once as stay in a processor's cache.
 _TRACKERS = 500
-
-
-def start_of_tracker(tracker: ParameterTracker) -> dict[str, Array]:
-    """Return what a tracker's steps move, as it is."""
-    return {name: value for name, value in tracker.state().items() if name not in _SETTINGS}
-
-
-def shapes_of_tracker(tracker: ParameterTracker) -> dict[str, _state.Shape]:
-    """Return the shapes of that; how long a recording is kept for a start or watched, no one knows beforehand."""
-    sizes: dict[str, _state.Shape] = {name: value.shape for name, value in start_of_tracker(tracker).items()}
-    return {**sizes, **{name: (None, *sizes[name][1:]) for name in ("start", "followed")}}
 
 
 def advance_trackers(tracker: ParameterTracker, work: Work) -> None:

@@ -243,7 +243,9 @@ class FilterModel(Model):
         -------
         dict of str to ndarray
         """
-        return _advancing.start_of_filter(self.filter)
+        # Of sensors of which nothing was learned yet, zeros.
+        empty = {name: np.zeros([size or 0 for size in shape]) for name, shape in self._shapes().items()}
+        return {**empty, **{name: part for name, part in self.filter.state().items() if name in empty}}
 
     def _shapes(self) -> dict[str, Shape]:
         """Return the shapes of these."""
@@ -274,8 +276,8 @@ class FilterModel(Model):
         return _advancing.plain(self.filter, self.update)
 
 
-# What a correction shows, among what a filter calls its settings.
-_MOVED = ("K", "S", "SI", "sigmas_f")
+# What a correction shows, among what a filter calls its settings; what of a tracker's state the model says.
+_MOVED, _SETTINGS = ("K", "S", "SI", "sigmas_f"), ("Q", "F", "alpha_sq", LABEL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,11 +355,12 @@ class TrackerModel(Model):
         -------
         dict of str to ndarray
         """
-        return _advancing.start_of_tracker(self._tracker)
+        return {name: value for name, value in self._tracker.state().items() if name not in _SETTINGS}
 
     def _shapes(self) -> dict[str, Shape]:
-        """Return the shapes of these."""
-        return _advancing.shapes_of_tracker(self._tracker)
+        """Return the shapes of these; how long a recording is kept for a start or watched, no one knows beforehand."""
+        shapes: dict[str, Shape] = {name: value.shape for name, value in self.start().items()}
+        return {**shapes, **{name: (None, *shapes[name][1:]) for name in ("start", "followed")}}
 
     @cached_property
     def _tracker(self) -> ParameterTracker:

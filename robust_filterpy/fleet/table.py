@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -231,22 +232,16 @@ def _output(model: Model, rows: Rows, outcome: Outcome) -> Any:
 def _usable(keys: _Keys, before: States, model: Model, rows: Rows) -> _Keys:
     """Return the keys without nobody, and without those whose states are damaged or of another model, named."""
     prints = before.columns["model"][:, 0]
-    others = np.flatnonzero((prints != model.fingerprint) & ~np.isnan(prints))
-    refused = set(before.odd) | {before.keys_of_rows[i] for i in others.tolist()}
-    gone = [i for i, name in enumerate(keys.names) if name is NOBODY or name in refused] if (
-        refused or any(name is NOBODY for name in keys.names)) else []  # fmt: skip
-    if not gone:
-        return keys
-    lost = np.zeros(len(keys.order), dtype=bool)
-    for i in gone:
-        mine = slice(keys.starts[i], keys.starts[i + 1])
-        lost[mine] = True
+    others = np.flatnonzero((prints != model.fingerprint) & ~np.isnan(prints)).tolist()
+    refused = {NOBODY, *before.odd, *(before.keys_of_rows[i] for i in others)}
+    gone = np.array([name in refused for name in keys.names], dtype=bool)
+    for i in np.flatnonzero(gone).tolist():
         if keys.names[i] is not NOBODY:
             try:
                 owned(model, before[keys.names[i]])
             except (TypeError, ValueError) as error:
-                rows.said.update(dict.fromkeys(keys.order[mine].tolist(), str(error)))
-    counts = np.delete(np.diff(keys.starts), gone)
-    left = set(gone)
-    names = [name for i, name in enumerate(keys.names) if i not in left]
-    return _Keys(names, keys.order[~lost], np.concatenate(([0], np.cumsum(counts))))
+                mine = keys.order[keys.starts[i] : keys.starts[i + 1]]
+                rows.said.update(dict.fromkeys(mine.tolist(), str(error)))
+    counts = np.diff(keys.starts)
+    names = list(compress(keys.names, ~gone))
+    return _Keys(names, keys.order[~np.repeat(gone, counts)], np.concatenate(([0], np.cumsum(counts[~gone]))))

@@ -196,10 +196,9 @@ def advanced(setup: Setup, before: Moment, seconds: float, z: Array, control: Ar
         state = aged(state, seconds, values)
         used, R = np.where(np.isnan(state.sizes), np.nan, used), covariance(layout, state.sizes)
     readings = used
-    if watch is not None:
-        if watch.ill:
-            # Nothing is taken from a sensor that lies.
-            used = np.where(watch.out[layout.party], np.nan, used)
+    if watch is not None and watch.ill:
+        # Nothing is taken from a sensor that lies.
+        used = np.where(watch.out[layout.party], np.nan, used)
     xs, Ps, weights = np.empty((2, 1, n)), np.empty((2, 1, n * n)), np.empty((1, layout.size))
     F, Q, drift, H, R = [part[None] for part in (*step, seen.H, R)]
     after = series(policy, state, used[None], F, Q, drift, H, R, Rows(xs[0], Ps[0], xs[1], Ps[1], weights))

@@ -13,6 +13,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage, stages
@@ -106,9 +107,10 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Readings, smoothed: boo
     if smoothed and setup.reacquire is not None:
         raise ValueError("smoothed: expected a fusion without reacquire, since the smoother decides nothing; leave one")
     said: list[tuple[int, str, Verdict]] = []
+    believed = rows.zs.copy()
     if setup.watches or setup.reacquire is not None:
         with stages("Fusion.run", None):
-            moment, failed, said = _watched(setup, (begin, start), rows, (x, P))
+            moment, failed, said = _watched(setup, (begin, start), rows, (x, P, believed))
     else:
         moment, failed = through(setup, begin, dts, rows.zs, rows.inputs, (x, P, weights))
     if failed:
@@ -119,17 +121,19 @@ def fused(setup: Setup, begin: Moment, start: Any, rows: Readings, smoothed: boo
             RuntimeWarning,
         )
     if smoothed:
-        believed = rows._replace(zs=_without_lies(layout, rows, said))
-        x, P, weights = _smoothed(setup, begin, moment, dts, believed, (x, P))
+        x, P, weights = _smoothed(setup, begin, moment, dts, rows._replace(zs=believed), (x, P))
     times = rows.keys.astype("M8[ns]") if rows.keys.dtype == np.int64 else rows.keys
     verdicts = tuple((Clock.stamp(rows.keys[k].item()), name, verdict) for k, name, verdict in said)
     return Recording(times, x, P, weights, rows.duplicates, motion.names, verdicts)
 
 
 def _watched(
-    setup: Setup, began: tuple[Moment, Any], rows: Readings, into: tuple[Array, Array]
+    setup: Setup, began: tuple[Moment, Any], rows: Readings, into: tuple[Array, Array, Array]
 ) -> tuple[Moment, list[tuple[str, int, str]], list[tuple[int, str, Verdict]]]:
-    """Write the states of stamps that are taken one by one; return the last moment, who failed, and what was said."""
+    """Write the states of stamps that are taken one by one; return the last moment, who failed, and what was said.
+
+    What sensors read that were left out, each from its onset on, becomes NaN in the last array of into.
+    """
     layout, line = setup.layout, Timeline(setup, began[0], 0.0, LONGEST + 100)
     line.base_key, moment = began[1], began[0]
     failed: list[tuple[str, int, str]] = []
@@ -141,6 +145,8 @@ def _watched(
         entry.z[:], entry.control = rows.zs[k], rows.inputs[k]
         moment = line.until()[0]
         into[0][k], into[1][k] = moment.state.x, moment.state.P
+        for s in np.flatnonzero(moment.watch.out).tolist() if moment.watch is not None else ():
+            into[2][np.searchsorted(rows.keys, moment.watch.since[s]) : k + 1, layout.party == s] = np.nan
         failed.extend((who, k, why) for who, why in moment.failed)
         now = of_all(layout, moment)
         said.extend((k, name, one) for name, one in now.items() if one[:2] != before[name][:2])
@@ -166,21 +172,6 @@ def _silences(layout: Layout, rows: Readings) -> list[tuple[int, str, Verdict]]:
     return verdicts
 
 
-def _without_lies(layout: Layout, rows: Readings, said: list[tuple[int, str, Verdict]]) -> Array:
-    """Return the readings without those of sensors that were left out, each from the onset on."""
-    if not said:
-        return rows.zs
-    zs = rows.zs.copy()
-    for name, place in layout.places.items():
-        mine = [(k, one) for k, who, one in said if who == name and one.fault != "silent"]
-        for i, (_, one) in enumerate(mine):
-            if one.fault in ("biased", "drifting", "stuck"):
-                since = one.since.astype("M8[ns]").astype(np.int64) if rows.keys.dtype == np.int64 else one.since
-                until = mine[i + 1][0] if i + 1 < len(mine) else len(zs)
-                zs[int(np.searchsorted(rows.keys, since)) : until, place] = np.nan
-    return zs
-
-
 def _smoothed(
     setup: Setup, begin: Moment, last: Moment, dts: Array, rows: Readings, filtered: tuple[Array, Array]
 ) -> tuple[Array, Array, Array]:
@@ -203,8 +194,8 @@ def _smoothed(
     return smoothed.x, smoothed.P, smoothed.weights
 
 
-# Points of the grids, each around the best of the one before; rounds; readings that are compared.
-_GRID, _FINER, _ROUNDS, _MOST = 41, 3, 6, 4000
+# Points of the grid; how near the best of it a delay is looked for, in parts of the longest; rounds; readings compared.
+_GRID, _NEAR, _ROUNDS, _MOST = 41, 1e-4, 6, 4000
 # A delay is found if all that are less worse than this, in log-density, are in a tenth of what was searched.
 _WORSE, _NARROW = 8.0, 0.1
 _FEWEST = 20
@@ -272,16 +263,12 @@ def _shift(
         apart = np.abs(apart - np.nanmedian(apart, axis=0))
         return float((np.isfinite(apart).sum(axis=0) * np.log(np.nanmean(apart, axis=0) + 1e-300)).sum())
 
-    low, high, certain, best = -longest, longest, False, 0.0
-    for finer in range(_FINER):
-        grid = np.linspace(low, high, _GRID)
-        costs = np.array([cost(d) for d in grid])
-        best, step = float(grid[np.argmin(costs)]), grid[1] - grid[0]
-        if not finer:
-            near = grid[costs < costs.min() + _WORSE]
-            certain = bool(near[-1] - near[0] <= 2.0 * longest * _NARROW and abs(best) < longest - 0.5 * step)
-        low, high = best - step, best + step
-    return best, certain
+    grid = np.linspace(-longest, longest, _GRID)
+    costs = np.array([cost(d) for d in grid])
+    best, step, near = float(grid[np.argmin(costs)]), grid[1] - grid[0], grid[costs < costs.min() + _WORSE]
+    certain = bool(near[-1] - near[0] <= 2.0 * longest * _NARROW and abs(best) < longest - 0.5 * step)
+    found = minimize_scalar(cost, bounds=(best - step, best + step), options={"xatol": _NEAR * longest})
+    return float(found.x), certain
 
 
 def _apart(setup: Setup, states: Array, zs: Array, name: str) -> Array:
