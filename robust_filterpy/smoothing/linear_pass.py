@@ -21,14 +21,12 @@ Every array has the axes (series, step) in front, of length 1 where one matrix s
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from robust_filterpy import _checks, kernel
 from robust_filterpy._checks import Array
-from robust_filterpy.correction.result import correlation_whitening
 from robust_filterpy.filters.problem import finite, read
 from robust_filterpy.kernel.series import plain
 
@@ -263,29 +261,19 @@ def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Arr
     """Return H and z in units of the noise, T R T' = I, with zeros where nothing was observed."""
     m = R.shape[-1]
     _checks.covariance("R", R)
-    least = np.linalg.eigvalsh(R)[..., 0] if m > 1 else R[..., 0, 0]
-    if (least <= 0.0).any():
-        raise ValueError(f"R: expected noise of every sensor, got least eigenvalue {least.min():.3g}; give it a little")
-    # Nothing is distinguished that is so many standard deviations away, and what is squared there stays finite.
+    unit = np.sqrt(np.maximum(np.diagonal(R, axis1=-2, axis2=-1), np.finfo(float).tiny))
+    Z = R / unit[..., None] / unit[..., None, :]
+    least = np.linalg.eigvalsh(Z)[..., 0]
+    if (least <= m * np.finfo(float).eps).any():
+        raise ValueError(
+            f"R: expected noise of every sensor, got correlations with the least eigenvalue {least.min():.3g}; "
+            "give it a little"
+        )
     filled = np.where(observed, z, 0.0)
-    if not (R * (1.0 - np.eye(m))).any():
-        root = 1.0 / np.sqrt(np.diagonal(R, axis1=-2, axis2=-1))
-        return root[..., None] * H, np.clip(root * filled, -_FURTHEST, _FURTHEST)
-    T = _scalings(R, observed)
+    if not (Z * (1.0 - np.eye(m))).any():
+        return H / unit[..., None], np.clip(filled / unit, -_FURTHEST, _FURTHEST)
+    # What is missing has a noise of its own, and no part in the others (`correction.result.correlation_whitening`).
+    there = np.True_ if observed.all() else observed[..., None] & observed[..., None, :]
+    values, vectors = np.linalg.eigh(np.where(there, Z, np.eye(m)))
+    T = there * ((vectors / np.sqrt(values)[..., None, :]) @ vectors.swapaxes(-1, -2)) / unit[..., None, :]
     return T @ H, np.clip((T @ filled[..., None])[..., 0], -_FURTHEST, _FURTHEST)
-
-
-def _scalings(R: Array, observed: Array) -> Array:
-    """Return T of the observed block of R at each step, zero elsewhere; computed once for each block that occurs."""
-    (series, steps), m = R.shape[:2] if observed.all() else observed.shape[:2], R.shape[-1]
-
-    @cache
-    def scaling(R_k: bytes, part: bytes) -> Array:
-        there, T = np.frombuffer(part, dtype=bool), np.zeros((m, m))
-        if there.any():
-            pick = np.ix_(there, there)
-            T[pick] = correlation_whitening(np.frombuffer(R_k).reshape(m, m)[pick])
-        return T
-
-    pairs = [(R[s % len(R), k % R.shape[1]], observed[s, k]) for s in range(series) for k in range(steps)]
-    return np.array([scaling(R_k.tobytes(), part.tobytes()) for R_k, part in pairs]).reshape(series, steps, m, m)
