@@ -234,8 +234,10 @@ def from_continuous(A: Any, L: ArrayLike | None = None, Qc: ArrayLike = 1.0, B: 
     for name, value in (("A", A), ("L", L), ("B", B)):
         if not np.isfinite(value).all():
             raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    A, driven, B = A.copy(), L @ Qc @ L.T, B.copy()
-    return Motion(n, partial(_each, partial(_van_loan, A, driven, B)), B.shape[1])
+    dim_u = B.shape[1]
+    A, driven = (np.pad(part, (0, dim_u)) for part in (A, L @ Qc @ L.T))
+    A[:n, n:] = B
+    return Motion(n, partial(_each, partial(_van_loan, A, driven, n)), dim_u)
 
 
 def from_function(f: Callable[..., Any], jacobian: Callable[..., Any], Q: Any, dim_x: int, dim_u: int = 0) -> Motion:
@@ -323,24 +325,16 @@ def _grown(Q: Any, n: int, dim_u: int, dt: float) -> tuple[Array, Array, Array]:
     return np.eye(n), grown, np.zeros((n, dim_u))
 
 
-def _van_loan(A: Array, driven: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Return F, Q and B(dt): by the exponential for a short stretch, which is then doubled."""
-    n, p = len(A), B.shape[1]
+def _van_loan(A: Array, driven: Array, n: int, dt: float) -> tuple[Array, Array, Array]:
+    """Return F, Q and B(dt), inputs being states that stay: by the exponential for a short stretch, then doubled."""
     # As many as it takes for |A| h < 1: exp(-A dt) of a stable A overflows.
-    doublings = max(0, math.frexp(np.abs(A).sum(axis=1).max() * dt)[1])
-    h = dt / 2.0**doublings
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:], block[n:, n:] = -A * h, driven * h, A.T * h
-    exponential = expm(block)
-    F = exponential[n:, n:].T
-    Q = F @ exponential[:n, n:]
-    inputs = np.zeros((n + p, n + p))
-    inputs[:n, :n], inputs[:n, n:] = A * h, B * h
-    G = expm(inputs)[:n, n:]
+    doublings, k = max(0, math.frexp(np.abs(A[:n, :n]).sum(axis=1).max() * dt)[1]), len(A)
+    exponential = expm(np.block([[-A, driven], [np.zeros_like(A), A.T]]) * (dt / 2.0**doublings))
+    F = exponential[k:, k:].T
+    Q = F @ exponential[:k, k:]
     for _ in range(doublings):
-        Q, G = Q + F @ Q @ F.T, G + F @ G
-        F = F @ F
-    return F, 0.5 * (Q + Q.T), G
+        Q, F = Q + F @ Q @ F.T, F @ F
+    return F[:n, :n], 0.5 * (Q + Q.T)[:n, :n], F[:n, n:]
 
 
 def _columns(name: str, value: ArrayLike, n: int) -> Array:
