@@ -229,14 +229,9 @@ class Contaminated:
     def ppf(self, q: ArrayLike) -> Array:
         """Return the x of which `cdf` is q, the shape of q."""
         q = np.asarray(q, dtype=float)
-        # The tails are alike, and the quantile lies between those of the two parts.
-        tail = np.minimum(q, 1.0 - q)
-        far, near = self.outlier_scale * ndtri(tail), self.scale * ndtri(tail)
-        for _ in range(100):
-            with np.errstate(invalid="ignore"):
-                middle = 0.5 * (far + near)
-                below = self.cdf(middle) < tail
-            far, near = np.where(below, middle, far), np.where(below, near, middle)
+        # The tails are alike.
+        deviations, shares = (self.scale, self.outlier_scale), (1.0 - self.contamination, self.contamination)
+        far = low_quantile(np.minimum(q, 1.0 - q), np.array(deviations), np.array(shares))
         return np.where(q < 0.5, far, -far)
 
     def support(self) -> tuple[float, float]:
@@ -337,3 +332,15 @@ def maximised(
 def _bounded(e: ArrayLike) -> Array:
     """Return e as an array of numbers that can be squared."""
     return np.clip(np.asarray(e, dtype=float), -_LARGEST, _LARGEST)
+
+
+def low_quantile(p: Array, deviations: Array, shares: Array) -> Array:
+    """Return where a mixture of centered normal distributions, its parts the last axis, has the probability p <= .5."""
+    # It lies between those of the parts.
+    far, near = deviations.max(axis=-1) * ndtri(p), deviations.min(axis=-1) * ndtri(p)
+    for _ in range(100):
+        with np.errstate(invalid="ignore"):
+            middle = 0.5 * (far + near)
+            below = (shares * ndtr(middle[..., None] / deviations)).sum(axis=-1) < p
+        far, near = np.where(below, middle, far), np.where(below, near, middle)
+    return np.asarray(far)

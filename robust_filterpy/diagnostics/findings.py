@@ -98,9 +98,6 @@ class Diagnosis:
         expectation is that of a truncated distribution.
     findings : tuple of Finding
         The causes, the weightiest first; empty if there is nothing unusual.
-    unseen : tuple of str
-        What so short a recording would not have shown: "Q ten times too large", ...; looked for where there are no
-        findings and at most 500 samples.
     """
 
     samples: int
@@ -116,7 +113,6 @@ class Diagnosis:
     whiteness: Array
     nis: Band
     findings: tuple[Finding, ...]
-    unseen: tuple[str, ...] = ()
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -128,9 +124,9 @@ class Diagnosis:
         lines = [wrapped(finding.text, "  ") for finding in self.findings] or ["Nothing unusual."]
         if not np.any(self.observed):
             lines = ["Nothing was measured, so that nothing can be said."]
-        elif self.unseen:
-            unseen = ", ".join(self.unseen)
-            lines.append(wrapped(f"In {self.samples} samples these would not have shown: {unseen}.", "  "))
+        elif not self.findings and self.samples <= _SHORT:
+            fit = "may not show; estimate_noise(kf, zs).intervals() says which fit"
+            lines.append(wrapped(f"In {self.samples} samples an R or Q that is wrong {fit}.", "  "))
         for i in range(len(self.observed)):
             low, high = self.clipped_expected[i]
             # Learnt noise has no threshold, so that no share is expected.
@@ -245,11 +241,7 @@ def _diagnosis(recording: FilterRecord) -> Diagnosis:
     names = ("clipped", "longest_run", "longest_run_expected", "beyond_3_sigma", "scale", "outliers")
     each = [statistics.of_sensor(e[here, i], recording.clipped[here, i]) for i, here in enumerate(seen.T)]
     figures |= dict(zip((*names, "autocorrelation", "whiteness"), map(np.array, zip(*each, strict=True)), strict=True))
-    findings = tuple(_findings(recording, e, figures))
-    unseen: tuple[str, ...] = ()
-    if not findings and recording.model is not None and seen.any() and len(e) <= _SHORT:
-        unseen = search.unseen(recording.model, recording.z)
-    return Diagnosis(**figures, findings=findings, unseen=unseen)
+    return Diagnosis(**figures, findings=tuple(_findings(recording, e, figures)))
 
 
 def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> list[Finding]:

@@ -254,35 +254,6 @@ def _jumps(model: LinearModel, z: Array, e: Array, others: list[Array]) -> list[
     return [*result, Repair("wrong start", None, 0.0, 4.0, jump_at=0, jump=jump)]
 
 
-def unseen(model: LinearModel, z: Array) -> tuple[str, ...]:
-    """Return which noises, ten times too large or too small, a recording of this kind would not show."""
-    # By trial: recordings are drawn from the repaired model, with the same gaps, and the repair is looked for in them.
-    rng, unnoticed = np.random.default_rng(0), []
-    for name in ("R", "Q") if model.Q.any() else ("R",):
-        for word, factor in (("too large", 0.1), ("too small", 10.0)):
-            repair = _noise(name, None, factor, model.H.shape[1])
-            gains = []
-            for _ in range(3):
-                drawn = np.where(np.isnan(z), np.nan, _drawn(model, repair, rng))
-                wrong, right = scores(model, drawn, [Repair(), repair])[0]
-                gains.append(right - wrong - repair.cost)
-            if np.median(gains) < _GAIN:
-                unnoticed.append(f"{name} ten times {word}")
-    return tuple(unnoticed)
-
-
-def _drawn(model: LinearModel, repair: Repair, rng: np.random.Generator) -> Array:
-    """Return a recording of the repaired model, shape of z."""
-    N, m, n = model.H.shape
-    x, zs = rng.multivariate_normal(model.x, model.P, method="eigh"), np.empty((N, m))
-    for k in range(N):
-        if k:
-            w = rng.multivariate_normal(np.zeros(n), repair.Q * model.Q[k], method="eigh")
-            x = model.F[k] @ x + model.offset[k] + w
-        zs[k] = model.H[k] @ x + repair.R * rng.multivariate_normal(np.zeros(m), model.R[k], method="eigh")
-    return zs
-
-
 def _heaviest_run(e: Array) -> int:
     """Return where one sensor's heaviest run of large innovations of one sign starts."""
     size = np.minimum(np.abs(np.nan_to_num(e)), 30.0)

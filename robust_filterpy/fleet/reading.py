@@ -178,17 +178,16 @@ def _are_instants(stamps: np.ndarray) -> bool:
 
 def _column(name: str, values: np.ndarray, said: Reasons, what: str, gaps: bool) -> Array:
     """Return a column as finite numbers, NaN for every other one; those that are not missing are named."""
+    numbers, bad = np.full(len(values), np.nan), np.zeros(len(values), dtype=bool)
     if values.dtype.kind in "fiub":
-        numbers = values.astype(float)
-        bad = np.isinf(numbers) if gaps else ~np.isfinite(numbers)
+        numbers[:] = values
     else:
-        numbers, bad = np.full(len(values), np.nan), np.zeros(len(values), dtype=bool)
         for row, value in enumerate(values.tolist() if values.dtype.kind != "O" else values):
             try:
                 numbers[row] = _number(value)
-                bad[row] = np.isinf(numbers[row]) if gaps else not np.isfinite(numbers[row])
             except (TypeError, ValueError, OverflowError):
                 bad[row] = True
+    bad |= np.isinf(numbers) if gaps else ~np.isfinite(numbers)
     for row in np.flatnonzero(bad).tolist():
         say(said, row, f"{name}: expected {what}, got {_checks.shown(values[row])}")
     numbers[bad] = np.nan

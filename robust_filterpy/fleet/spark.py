@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from robust_filterpy import _checks
-from robust_filterpy._state import pack, unpack
+from robust_filterpy._state import pack
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.table import filter_table, step
 
@@ -100,7 +100,7 @@ def step_stream(frame: Any, model: Model, *, key: str = "device", forget_after: 
         table = pd.concat(list(parts), ignore_index=True)
         # The name as the table has it: Spark hands over another type.
         own = table[key].tolist()[0]
-        before = {own: _unpacked(stored.get[0])} if stored.exists else None
+        before = {own: stored.get[0]} if stored.exists else None
         states, output = step(model, before, table, key=key, sort=True)
         if own in states and own not in states.odd:
             stored.update((pack(states[own]),))
@@ -111,14 +111,6 @@ def step_stream(frame: Any, model: Model, *, key: str = "device", forget_after: 
 
     schema, timeout = _schema(frame, model, key), "NoTimeout" if forget_after is None else "ProcessingTimeTimeout"
     return frame.groupBy(key).applyInPandasWithState(advance, schema, "state binary", "append", timeout)
-
-
-def _unpacked(data: Any) -> Any:
-    """Return a state, or what is none as it is, which the table then names."""
-    try:
-        return unpack(data)
-    except (TypeError, ValueError):
-        return data
 
 
 def _timed(model: Model) -> Model:

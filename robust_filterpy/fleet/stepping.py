@@ -109,11 +109,8 @@ def _steps(model: Model, entries: dict[str, np.ndarray], batch: Batch) -> tuple[
     bounds = np.concatenate(([0], np.cumsum(line.steps)))
     taken, z = line.step >= 0, rows.z[order]
     at = np.where(taken, bounds[batch.of] + line.step, -1)
-    if taken.all() and bounds[-1] == len(z):
-        whole = np.ascontiguousarray(z)
-    else:
-        whole = np.full((bounds[-1], z.shape[1]), np.nan)
-        whole[at[taken]] = z[taken]
+    whole = np.full((bounds[-1], z.shape[1]), np.nan)
+    whole[at[taken]] = z[taken]
     held = None if rows.u is None else _held(rows.u[order], at, bounds, entries["input"])
 
     def name(i: int) -> Any:
@@ -126,8 +123,6 @@ def _steps(model: Model, entries: dict[str, np.ndarray], batch: Batch) -> tuple[
 def _held(u: Array, at: np.ndarray, bounds: np.ndarray, before: Array) -> Array:
     """Return the input of every step: its own, or the one before it."""
     given = np.isfinite(u).all(axis=1) & (at >= 0)
-    if given.all() and bounds[-1] == len(u):
-        return np.ascontiguousarray(u)
     of = np.repeat(np.arange(len(before)), np.diff(bounds))
     whole, last = np.empty((len(of), u.shape[1])), np.full(len(of), -1)
     whole[at[given]], last[at[given]] = u[given], at[given]

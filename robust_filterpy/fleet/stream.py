@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from robust_filterpy._checks import shown
-from robust_filterpy._state import pack, unpack
+from robust_filterpy._state import pack
 from robust_filterpy.fleet._advancing import REFUSED
 from robust_filterpy.fleet.models import Model
 from robust_filterpy.fleet.table import step
@@ -72,9 +72,7 @@ class StreamStep:
         model = self.model
         row, time, wrong = self._row(message)
         try:
-            stored = state.get_bytes(self.name)
-            before = None if stored is None else unpack(stored)
-            after, output = step(model, before, row)
+            after, output = step(model, state.get_bytes(self.name), row)
         except (*REFUSED, KeyError) as error:
             return {**time, **dict.fromkeys(model.columns), "error": str(error), "dropped": 0}
         dropped = 0 if after is None or "dropped" not in after else int(after["dropped"][0])

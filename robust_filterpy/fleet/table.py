@@ -110,7 +110,7 @@ def step(
         What all keys have in common. Of a `robust_filterpy.fusion.Fusion` it is `Fusion.step`, whose batch has a row
         for each reading.
     state : mapping of str to ndarray, or None; with key, States, or mapping of key to state, or Arrow table of states
-        What the step before returned, or `unpack` made of it, or JSON of its lists; None at the start. A filter's or
+        What the step before returned, or `pack` made of it, or JSON of its lists; None at the start. A filter's or
         tracker's own ``state()`` serves too, its matrices being the model's.
     batch : array_like, shape (N, columns), or DataFrame, or Arrow table
         The samples in order, N >= 0. An array has the time first, if ``model.time`` is set, then the measurements, then

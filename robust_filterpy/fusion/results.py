@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from robust_filterpy._brief import brief
 from robust_filterpy._checks import Array
+from robust_filterpy.correction.contaminated import low_quantile
 from robust_filterpy.fusion._stepping import Setup, State, covariance, moved
 from robust_filterpy.fusion._table import Clock
 
@@ -100,9 +101,5 @@ def _half_width(setup: Setup, state: State, spread: Array, level: float) -> Arra
     scales, shares = policy.shares(memory)
     shares = np.where(np.isnan(policy.contamination(memory))[:, None], np.eye(len(scales))[0], shares)
     sd = np.sqrt(spread[..., None] + scales * R[:, None])
-    low, high = np.zeros(spread.shape), ndtri(0.5 + 0.5 * level) * sd.max(axis=-1)
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        held = (shares * (2.0 * ndtr(middle[..., None] / sd) - 1.0)).sum(axis=-1)
-        low, high = np.where(held < level, middle, low), np.where(held < level, high, middle)
-    return np.asarray(np.where(np.isnan(state.sizes), np.nan, high))
+    half = -low_quantile(np.full(spread.shape, 0.5 - 0.5 * level), sd, shares)
+    return np.asarray(np.where(np.isnan(state.sizes), np.nan, half))

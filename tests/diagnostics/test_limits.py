@@ -36,18 +36,10 @@ def test_outliers_of_any_size_in_several_sensors_are_diagnosed(seed):
     assert str(diagnose(kf, z))
 
 
-@pytest.mark.parametrize("n", by_night([20, 40, 60], 20, 60))
-def test_a_short_recording_names_what_it_cannot_show(n):
-    found = diagnose(level(Q=0.1), recording(n))
-    assert found.causes == () and "Q ten times too large" in found.unseen
-    assert f"In {n} samples these would not have shown: " in str(found)
-
-
-def test_a_recording_that_shows_them_all_names_none():
-    kf = level(Q=1.0)
-    rng = np.random.default_rng(10001)
-    found = diagnose(kf, np.cumsum(rng.normal(size=400)) + rng.normal(size=400))
-    assert found.causes == () and found.unseen == ()
+@pytest.mark.parametrize(("n", "short"), [(20, True), (501, False)])
+def test_a_short_recording_says_that_it_shows_little(n, short):
+    found = diagnose(level(), recording(n))
+    assert found.causes == () and (f"In {n} samples an R or Q that is wrong may not show" in str(found)) == short
 
 
 @pytest.mark.pairwise(1)
