@@ -1,4 +1,4 @@
-"""What a recording cannot show is said; extremes are no errors; a wrong start is called one."""
+"""What a short recording cannot show is said; extremes are no errors; a wrong start is called one."""
 
 import numpy as np
 import pytest
