@@ -245,7 +245,7 @@ def _stacked(states: Mapping[Any, Any], model: Model) -> States:
 
 def checked(state: Any, model: Model) -> dict[str, Array]:
     """Return the entries of one state, packed or not, in their shapes, or raise."""
-    state = _state.unpack(state) if isinstance(state, (bytes, bytearray, memoryview)) else state
+    state = _state.unpack(bytes(state)) if isinstance(state, (bytes, bytearray, memoryview)) else state
     shapes = model.shapes
     unknown = {name: np.zeros([size or 0 for size in shapes[name]]) for name in _UNKNOWN if name in shapes}
     needed = {name: shape for name, shape in shapes.items() if name not in FLEET and name not in unknown}

@@ -127,11 +127,11 @@ def read(
     if len(wide):
         name, m = layout.names[wide[0]], sizes[wide[0]]
         raise ValueError(f"value: expected {m} columns, as sensor {name!r} has components, got {chosen}")
-    row, component = np.nonzero(np.arange(len(chosen)) < sizes[index][:, None])
-    zs, said = np.full((len(every), layout.size), np.nan), values[row, component]
-    cells = where[row], first[index[row]] + component
+    rows, component = np.nonzero(np.arange(len(chosen)) < sizes[index][:, None])
+    zs, said = np.full((len(every), layout.size), np.nan), values[rows, component]
+    cells = where[rows], first[index[rows]] + component
     zs[cells] = said
-    apart = row[(zs[cells] != said) & ~(np.isnan(zs[cells]) & np.isnan(said))]
+    apart = rows[(zs[cells] != said) & ~(np.isnan(zs[cells]) & np.isnan(said))]
     if len(apart):
         raise ValueError(
             f"sensor {layout.names[index[apart[0]]]!r}: expected one reading for each stamp, got two that differ at "

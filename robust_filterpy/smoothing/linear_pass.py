@@ -273,7 +273,7 @@ def _whitened(H: Array, R: Array, z: Array, observed: Array) -> tuple[Array, Arr
     if not (Z * (1.0 - np.eye(m))).any():
         return H / unit[..., None], np.clip(filled / unit, -_FURTHEST, _FURTHEST)
     # What is missing has a noise of its own, and no part in the others (`correction.result.correlation_whitening`).
-    there = np.True_ if observed.all() else observed[..., None] & observed[..., None, :]
+    there: Any = np.True_ if observed.all() else observed[..., None] * observed[..., None, :]
     values, vectors = np.linalg.eigh(np.where(there, Z, np.eye(m)))
     T = there * ((vectors / np.sqrt(values)[..., None, :]) @ vectors.swapaxes(-1, -2)) / unit[..., None, :]
     return T @ H, np.clip((T @ filled[..., None])[..., 0], -_FURTHEST, _FURTHEST)
