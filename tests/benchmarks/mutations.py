@@ -127,8 +127,9 @@ def definitions(path: Path) -> Iterator[tuple[str, set[str]]]:
 
 def rooms_of(path: Path) -> tuple[str, ...]:
     """Return the folders of the tests of a file's room; those of the kernel hold the correction too."""
-    room = path.parts[1] if len(path.parts) > 2 else "package"
-    return (f"tests/{room}/", "tests/kernel/") if room == "correction" else (f"tests/{room}/",)
+    # Of files that all rooms use some test of filters or of a fleet is the nearest.
+    own = (path.parts[1],) if len(path.parts) > 2 else ("package", "fleet", "filters")
+    return tuple(f"tests/{room}/" for room in (*own, "kernel") if room != "kernel" or "correction" in own)
 
 
 class Chooser:

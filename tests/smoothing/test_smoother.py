@@ -218,6 +218,7 @@ BAD = [
 BAD_SERIES = [
     ({"zs": np.zeros((2, 3))}, r"zs: expected shape .*zs\[:, :, None\].*zs\[None\]"),
     ({"zs": np.zeros((2, 3, 0))}, "zs: expected shape"),
+    ({"zs": np.zeros((2, 3, 2)), "H": np.eye(2), "R": np.diag([1.0, 0.0])}, "R: expected noise of every sensor"),
     # As filter_series, which reads them for it.
     ({"x0": np.zeros((2, 1))}, "x0: expected shape .*x0.ravel"),
 ]
