@@ -131,9 +131,9 @@ def correct(
     memory = memory.copy()
     if given.looks[parts[seen[~np.isnan(logs)]].astype(int)].any():
         before = given.factor
+        raised = factor.scaled(R, _raised(given.P[None], H, R.diagonal()))
         given, memory[:, learning.GIVEN] = factor.judged(
-            given._replace(P=_limited(given.P[None], H, R.diagonal())[0]), memory[:, learning.GIVEN], z,
-            z if readings is None else readings, H, R, M, logs, parts,
+            given, memory[:, learning.GIVEN], z, z if readings is None else readings, H, raised, M, logs, parts
         )
         models, new = models._replace(given=given), given.factor != before
         if new.any():
@@ -178,11 +178,6 @@ def _corrected(
         r, memory[part] = learning.ordinary_size(
             memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.memory
         )
-    # A sensor that is more exact first counts as that exact, which sets a state that was unknown; as what it is from
-    # the next reading on.
-    least = ((models.P[: len(process.scales)] @ H.T) * H.T).sum(axis=1).max(axis=0) / _WIDEST
-    learned, too_exact = r, (R.diagonal() > 0.0) & (least > r * R.diagonal())
-    r = np.where(too_exact, np.minimum(least / np.where(too_exact, R.diagonal(), 1.0), 1e300), r)
     seen, noisy = np.argmax(H != 0.0, axis=1), r * R.diagonal()
     # An outlier is far from what is expected of a reading, by all models together.
     chances, variances, wide = np.zeros(len(part)), ((H @ spread) * H).sum(axis=1), np.ones(len(part))
@@ -197,7 +192,11 @@ def _corrected(
     models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new)
     if alike:
         memory[part], chances = learning.began(memory[part], models.parts[seen], *begun, R.diagonal())
-    now, N = _begin(models, z, H, R, r, M)
+    # A sensor that is more exact than that first counts as that exact, which sets a state that was unknown; as what it
+    # is from the next reading on.
+    raised = _raised(models.P, H, noisy)
+    wide = np.maximum(wide / np.sqrt(raised), 1.0)
+    now, N = _begin(models, z, H, R, r * raised, M)
     first, log_density, shared, belief = now.S, 0.0, None, models.belief.copy()
     if alike and len(part) > 1:
         q = len(process.scales)
@@ -228,7 +227,7 @@ def _corrected(
             for k, row in enumerate(own):
                 share = float(parts[k])
                 excess = (float(energies[k]) - 1.0) / share if share > 0.0 else 0.0
-                memory[row] = learning.learn(memory[row], posterior, float(learned[group[k]]), excess, share, noise)
+                memory[row] = learning.learn(memory[row], posterior, float(r[group[k]]), excess, share, noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, scores, shares)
@@ -294,27 +293,20 @@ def _begin(models: Models, z: Array, H: Array, R: Array, r: Array, M: Array | No
     N = R * np.multiply.outer(root, root)
     with np.errstate(over="ignore", invalid="ignore"):
         y = np.clip(z - models.x @ H.T, -1e300, 1e300)
-    P = _limited(models.P, H, N.diagonal())
-    C = P @ H.T
+    C = models.P @ H.T
     S = H @ C + N
     if M is not None:
         C, cross = C + M * root, H @ (M * root)
         S = S + cross + cross.T
     seen = np.argmax(H != 0.0, axis=1)
-    return _Part(models.x, P, y, C, S, models.probabilities[:, seen], models.parts[seen]), N
+    return _Part(models.x, models.P, y, C, S, models.probabilities[:, seen], models.parts[seen]), N
 
 
-def _limited(P: Array, H: Array, noise: Array) -> Array:
-    """Return P, what a sensor sees of it no more than 1e12 of its noise: beyond, P - b C C' would leave rounding."""
-    for h, variance in zip(H, noise.tolist(), strict=True):
-        C = P @ h
-        seen = C @ h
-        wide = seen > _WIDEST * variance
-        if variance > 0.0 and wide.any():
-            seen = np.where(wide, seen, 1.0)
-            excess = np.where(wide, (1.0 - _WIDEST * variance / seen) / seen, 0.0)
-            P = P - excess[:, None, None] * C[:, :, None] * C[:, None, :]
-    return P
+def _raised(P: Array, H: Array, noise: Array) -> Array:
+    """Return what makes noise of each sensor at least 1e-12 of the variance that a model lets it see, shape (m,)."""
+    least = ((P @ H.T) * H.T).sum(axis=1).max(axis=0) / _WIDEST
+    low = (noise > 0.0) & (noise < least)
+    return np.asarray(np.where(low, np.minimum(least / np.where(low, noise, 1.0), 1e300), 1.0))
 
 
 def _most_plausible(now: _Part, groups: list[np.ndarray]) -> int:
