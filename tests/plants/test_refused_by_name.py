@@ -52,8 +52,8 @@ REFUSED = [
     (PneumaticParameters, {}, {
         "bore": [0.0],
         "mass": [NAN, "1"],
-        "rod": [-1e-3, 0.02],
-        "supply_pressure": [0.9e5],
+        "rod": [-1e-3, 0.01905],
+        "supply_pressure": [1e5],
         "kappa": [1.0],
         "static_friction": [0.1],
         "laminar_ratio": [0.5, 1.1],
