@@ -229,9 +229,6 @@ Factors = tuple[Array, Array]
 class Psi:
     """Weights psi(e)/e of the residuals: iteratively reweighted least squares."""
 
-    #: Largest root-mean-square change of the estimate in a sweep, in its standard deviations: a stationary point.
-    tolerance = 1e-7
-
     def __init__(self, influence: Any, joint: bool, counted: Array) -> None:
         """Keep psi, whether it looks at lengths, and which components there are."""
         self.influence, self.joint, self.counted = influence, joint, counted
@@ -256,8 +253,6 @@ class Psi:
 
 class Learnt:
     """Weights from noise whose contamination and scale ratio are learned along the way."""
-
-    tolerance = 2e-2
 
     def __init__(self, joint: bool, counted: np.ndarray) -> None:
         """Start from what is usual."""

@@ -41,11 +41,11 @@ from robust_filterpy.filters.policies import policy_of
 from robust_filterpy.influence.functions import Linear
 from robust_filterpy.kernel.series import Rows
 from robust_filterpy.smoothing.linear_pass import Model, Recording, Smooth, Weighting, smoothing_pass
-from robust_filterpy.smoothing.rules import Rule
+from robust_filterpy.smoothing.rules import Psi, Rule
 
-# By how much linearizations may still move the estimate, in its standard deviations; where several optima may be, no
-# end is asked for that is nearer than the second.
-_LINEAR, _NEAR = 2e-2, 1e-3
+# By how much a sweep may still move the estimate, root mean square in its standard deviations; under psi, where the end
+# is a stationary point; and there where several optima may be.
+_ENDED, _STATIONARY, _NEAR = 2e-2, 1e-7, 1e-3
 # Times the typical distance from the middle.
 _ABSURD = 1e7
 # In so many sweeps at most are residuals divided by their size, and only while their squares are this much too large;
@@ -76,7 +76,7 @@ def reweighted(
     # problem after each sweep; the states in the result are then deviations from where it was before the last one.
     series = len(observed)
     doubted, rules = process is not None, [rule for rule in (measurement, process) if rule is not None]
-    tolerance = min([_LINEAR, *(rule.tolerance for rule in rules)])
+    tolerance = _STATIONARY if any(isinstance(rule, Psi) for rule in rules) else _ENDED
     tolerance = max(tolerance, _NEAR) if doubted or trajectory is not None else tolerance
     plain = not rules
     frozen = np.full(series, plain and trajectory is None)
