@@ -59,6 +59,7 @@ def test_samples_follow_the_distribution_are_reproducible_and_leave_the_global_s
     sample = noise.rvs(size=20_000, random_state=np.random.default_rng(7))
     assert scipy.stats.kstest(sample, noise.cdf).pvalue > 1e-6
     twin = pickle.loads(pickle.dumps(noise))
+    assert twin == noise == eval(repr(noise))
     first, second, other = (n.rvs(size=(3, 2), random_state=np.random.default_rng(k)) for n, k in (
         (noise, 1), (twin, 1), (noise, 2)
     ))  # fmt: skip
