@@ -90,7 +90,8 @@ def one_experiment(given: Conditions, out: Path, say: Progress) -> dict[str, Ide
         recordings[loop] = drive(given, loop)
     recording = recordings[ROBUST]
     draw_recording(given, recordings, out / "servo_recording.png")
-    recording.to_csv(out / "servo_recording.csv")
+    table, names = np.column_stack(recording), ",".join(recording._fields)
+    np.savetxt(out / "servo_recording.csv", table, fmt="%.17g", delimiter=",", header=names, comments="")
     data = signals_of(recording, given)
     models = models_of_a_stretch(data, say)
     draw_model(models, out / "servo_model.png")

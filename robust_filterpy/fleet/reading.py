@@ -115,7 +115,8 @@ def read_table(table: Any, model: Any, key: str | None) -> Rows:
     m, p = model.widths
     for what, selected, allowed in (("measurements", chosen, (m,)), ("inputs", given, (0, p))):
         if len(selected) not in allowed:
-            raise ValueError(f"{what}: expected {allowed[-1]} column(s) for the model, got {list(selected)}")
+            mend = f"name them, as in FilterModel(kf, time='t', {what}=['z'])"
+            raise ValueError(f"{what}: expected {allowed[-1]} column(s) for the model, got {list(selected)}; {mend}")
     said: Reasons = {}
     keys = None if key is None else _keys(key, frame[key], said)
     stamps = None if model.time is None else _stamps.as_numpy(frame[model.time])

@@ -163,7 +163,8 @@ def table_columns(table: Any, time: str, sensor: str, value: str | Sequence[str]
         )
     columns = [column(name) for name in names]
     if len({one.shape for one in columns}) > 1 or columns[0].ndim != 1:
-        raise ValueError(f"table: expected columns of one length, got shapes {[one.shape for one in columns]}")
+        shapes = [one.shape for one in columns]
+        raise ValueError(f"table: expected columns of one length, got {shapes}; value=[..] names one a component")
     return columns
 
 

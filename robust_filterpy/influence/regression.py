@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.linalg import solve
+from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import median_filter
 
 from robust_filterpy._checks import Array
@@ -71,7 +71,8 @@ def robust_regression(X: Array, y: Array, steps: int = 10) -> Array:
     for _ in range(steps):
         gram = X.T @ (X * weights[:, None])
         ridge = 1e-9 * gram.diagonal() + 1e-12 * np.trace(gram) / len(gram) + np.finfo(float).tiny
-        new = solve(gram + np.diag(ridge), X.T @ (weights * target), assume_a="pos")
+        # A column of zeros, or one twice, is for the ridge and no reason to warn.
+        new = cho_solve(cho_factor(gram + np.diag(ridge)), X.T @ (weights * target))
         moved, theta, target = X @ (new - theta), new, y
         residual = y - X @ theta
         # Where most samples are at rest and rounded, what moves is no outlier.

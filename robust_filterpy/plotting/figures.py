@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robust_filterpy._checks import Array, count, numbers, positive
-from robust_filterpy.diagnostics.recording import is_saver
+from robust_filterpy.diagnostics.recording import is_saver, of_saver
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,13 +124,6 @@ def rows(name: str, values: Any) -> Array:
     return array.reshape(len(array), -1)
 
 
-def column(source: Any, name: str, of_run: str) -> Array:
-    """Return what a source has for each sample, shape (N, n): a run, a Saver or the numbers themselves."""
-    if is_run(source):
-        return rows(of_run, getattr(source, of_run))
-    return recorded(source, name) if is_saver(source) else rows("source", source)
-
-
 def deviations(name: str, covariances: Any, of: Array) -> Array | None:
     """Return sqrt of the diagonals of covariances of something, shape (N, n), if there are any."""
     if covariances is None:
@@ -223,10 +216,13 @@ def plot_states(
     The axis shows what the states and the truth do; an outlier among zs beyond it is left outside, and so is the band
     of a tracker's first samples, where P is large.
     """
-    mean, tracked = column(source, "x", "theta"), is_run(source)
-    N, n = mean.shape
+    tracked = is_run(source)
     if is_saver(source):
-        covariances = recorded(source, "P").reshape(N, n, n)
+        mean = recorded(source, "x")
+        covariances = recorded(source, "P").reshape(*mean.shape, -1)
+    else:
+        mean = rows("theta", source.theta) if tracked else rows("source", source)
+    N, n = mean.shape
     deviation = deviations("covariances", covariances, mean)
     if tracked:
         # No band where nothing is estimated yet.
@@ -299,14 +295,15 @@ def plot_innovations(
     -----
     Of a tracker's run the samples with a weight below 1 are marked; it has not kept S, so there is no band.
     """
-    width, y, label = positive("sigmas", sigmas), column(source, "y", "residual"), "clipped"
+    width, label = positive("sigmas", sigmas), "clipped"
     if is_run(source):
-        covariances, clipped, label = None, np.asarray(source.weights) < 1.0, "weight below 1"
+        y, covariances, clipped = rows("residual", source.residual), None, np.asarray(source.weights) < 1.0
+        label = "weight below 1"
     elif is_saver(source):
-        clipped = recorded(source, "clipped") if "clipped" in vars(source) else None
-        covariances = recorded(source, "S").reshape(*y.shape, -1)
-        if "weights" in vars(source):
-            y = np.where(np.isnan(recorded(source, "weights")), np.nan, y)
+        record = of_saver(source)
+        y, covariances, clipped = record.y, record.S, record.clipped
+    else:
+        y = rows("source", source)
     marked = np.zeros(y.shape, bool) if clipped is None else rows("clipped", clipped) > 0
     if marked.shape != y.shape:
         raise ValueError(f"clipped: expected shape {y.shape}, that of the innovations, got {marked.shape}")

@@ -189,8 +189,6 @@ FILTER_TAGS = {
     "pickle": "it can be pickled",
 }
 
-# How far a filter that is no Kalman filter may be off in its own judgment of its errors on clean normal data.
-_FACTOR = 1.5
 RUNS, _STEPS = 30, 40
 
 
@@ -224,11 +222,6 @@ class FilterSubject:
     def is_exact(self) -> bool:
         """Whether the estimator claims to be the Kalman filter."""
         return "exact" in self.claims
-
-    @property
-    def factor(self) -> float:
-        """Factor by which S and P may be wrong."""
-        return 1.0 if self.is_exact else _FACTOR
 
     def new(self, model: StateModel) -> Any:
         """Make a filter and load a model into it, or say what is wrong with it."""

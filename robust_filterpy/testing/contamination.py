@@ -128,17 +128,11 @@ def missing(
     return before._replace(z=np.where(gone, np.nan, before.z), is_outlier=before.is_outlier & ~gone)
 
 
-#: What a scenario knows by name.
+#: What a scenario knows by name; the first four only make the noise larger.
 CONTAMINATIONS: dict[str, Callable[..., Spoilt]] = {
     "mixture": mixture, "one-sided": one_sided, "bursts": partial(mixture, length=5), "student": student,
     "sentinels": sentinels, "stuck": stuck, "missing": missing,
 }  # fmt: skip
-_OF_NOISE = ("mixture", "one-sided", "bursts", "student")
-
-
-def of_noise(kind: Contamination) -> bool:
-    """Tell whether a kind only makes the noise larger."""
-    return bool(getattr(kind, "of_noise", False))
 
 
 def objects(kinds: Kinds) -> list[Contamination]:
@@ -158,7 +152,7 @@ def _named(name: str, options: Mapping[str, float]) -> Contamination:
     parameters = inspect.signature(CONTAMINATIONS[name]).parameters.values()
     for option in options:
         _checks.option(f"contamination {name!r}", option, [p.name for p in parameters if p.kind is p.KEYWORD_ONLY])
-    function.of_noise = name in _OF_NOISE
+    function.of_noise = name in list(CONTAMINATIONS)[:4]
     return function  # type: ignore[no-any-return]
 
 

@@ -29,6 +29,9 @@ from robust_filterpy.testing.runs import apart, deviations, state
 #: What is looked at after the equations.
 LATER: list[Check] = []
 
+# How far a filter that is no Kalman filter may be off in its own judgment of its errors on clean normal data.
+_FACTOR = 1.5
+
 # Innovations in standard deviations; the largest is beyond any sensor and far from overflow.
 _SIZES = (1e2, -1e2, 1e4, -1e4, 1e6, -1e6, 1e9, -1e9, 1e12, -1e12)
 # Standard deviations that one measurement may move a state; of a jump of the state in those of its sensor, and from the
@@ -293,13 +296,13 @@ def recording_is_filtered_as_by_the_kalman_filter(subject: FilterSubject) -> Non
 @promise(LATER, stochastic=True)
 def errors_are_as_large_as_P_says(subject: FilterSubject) -> None:
     """NIS and NEES are chi-square: innovations have covariance S, errors have covariance P."""
-    assert_consistent(subject.many(), factor=subject.factor, false_alarm=subject.false_alarm)
+    assert_consistent(subject.many(), factor=1.0 if subject.is_exact else _FACTOR, false_alarm=subject.false_alarm)
 
 
 @promise(LATER, stochastic=True)
 def errors_have_mean_zero(subject: FilterSubject) -> None:
     """Over independent runs the error of each state has mean 0."""
-    assert_unbiased(subject.many(), factor=subject.factor, false_alarm=subject.false_alarm)
+    assert_unbiased(subject.many(), factor=1.0 if subject.is_exact else _FACTOR, false_alarm=subject.false_alarm)
 
 
 @promise(LATER, stochastic=True)

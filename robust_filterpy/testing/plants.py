@@ -30,7 +30,7 @@ from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.influence import Linear
 from robust_filterpy.plants import simulate_arx, simulate_output_error
 from robust_filterpy.plants.linear import linear_parameters, random_walk, stable
-from robust_filterpy.testing.contamination import Kinds, Spoilt, objects, of_noise, spoilt
+from robust_filterpy.testing.contamination import Kinds, Spoilt, objects, spoilt
 from robust_filterpy.testing.runs import Run, run_tracker
 
 if TYPE_CHECKING:
@@ -183,9 +183,10 @@ def draw_plant(
     theta, is_jump = theta + np.cumsum(shifts, axis=0), np.asarray(shifts.any(axis=1))
     u = rng.choice([-1.0, 1.0], steps)
     clean = _output(structure, theta, u, None)
-    noise = spoilt(v, np.zeros_like(v), sigma, [kind for kind in kinds if of_noise(kind)], rng)
+    inside = [kind for kind in kinds if getattr(kind, "of_noise", False)]
+    noise = spoilt(v, np.zeros_like(v), sigma, inside, rng)
     y = _output(structure, theta, u, noise.z[:, 0])
-    seen = spoilt(y[:, None], clean[:, None], sigma, [kind for kind in kinds if not of_noise(kind)], rng)
+    seen = spoilt(y[:, None], clean[:, None], sigma, [kind for kind in kinds if kind not in inside], rng)
     both = Spoilt(seen.z, seen.noise_ratio * noise.noise_ratio, seen.is_outlier | noise.is_outlier)
     missing = np.isnan(both.z[:, 0])
     outlying, ratio = both.is_outlier[:, 0] & ~missing, both.noise_ratio[:, 0]

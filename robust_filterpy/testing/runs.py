@@ -252,8 +252,7 @@ def run_filter(kf: Any, scenario: Scenario) -> Run:
             continue
         prior, covariance = state(kf)
         H, R = model.jacobian(prior), own(kf, "R", model.R)
-        if not extended:
-            H = own(kf, "H", H)
+        H = H if extended else own(kf, "H", H)
         y[k] = scenario.z[k] - (H @ prior if model.sensor is None else model.sensor(prior))
         S[k] = H @ covariance @ H.T + R
     return Run(y, S, x, P, scenario.x, scenario)

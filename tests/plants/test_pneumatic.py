@@ -8,7 +8,6 @@ from itertools import product
 
 import control
 import numpy as np
-import pandas
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -303,7 +302,7 @@ def test_a_failing_solver_is_not_passed_over(monkeypatch):
         simulate_servo(np.full(5, 0.01), 0.01)
 
 
-# The servo's loop on sensors that err, and the files of a recording.
+# The servo's loop on sensors that err.
 
 
 def sensor_noise(n, contamination, seed, factor=40.0):
@@ -342,16 +341,3 @@ def test_the_loop_runs_on_what_the_observer_says():
     assert np.all(recording.acceleration_estimate == 3.0)
     opening = 1.2 * (0.01 - 0.5 * recording.position_measured) - 5e-4 * 3.0
     assert recording.valve == pytest.approx(np.sign(opening) * (0.009 + 0.991 * np.abs(opening)))
-
-
-def test_files_hold_every_signal_with_its_unit(tmp_path):
-    recording = drive(sensor_noise(30, 0.1, 5), load=2.0)
-    recording.to_csv(tmp_path / "x.csv")
-    table = pandas.read_csv(tmp_path / "x.csv")
-    names, units = zip(*(column[:-1].split(" [") for column in table.columns), strict=True)
-    assert names == recording._fields
-    assert dict(zip(names, units, strict=True))["P_a"] == "Pa" and units[0] == "s" and units[2] == "1"
-    for signal, column in zip(recording, table.columns, strict=True):
-        # To the last digit, so that another tool identifies the same data.
-        assert np.array_equal(table[column], signal, equal_nan=True)
-    assert table.notna().all(axis=None)

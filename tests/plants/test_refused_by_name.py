@@ -69,7 +69,6 @@ REFUSED = [
     (simulate_servo, {"reference": np.zeros(5), "dt": 0.01}, {
         "reference": [[], [[0.0]], [0.0, NAN], [0.0, 0.2]],
         "dt": [0.0],
-        "rtol": [-1.0],
         "gain": [-1.0],
         "damping": [INF],
         "alpha": [1.5, [1.1, 1.2]],

@@ -300,8 +300,8 @@ def uneven(residual: Array, inputs: Array) -> tuple[Finding, ...]:
         test = dependence(size, np.column_stack(products), 2, whitening)
         if test.chance < _CHANCE and test.share > _LEAST:
             text = (
-                f"{100 * float(test.share):.0f} % of how large it is what the model leaves follow input {j}, whichever "
-                "way that moves: the gain changes its sign or size, y goes as |u|, or noise grows with u"
+                f"the size of the residuals follows input {j} ({100 * float(test.share):.0f} % of it): the gain "
+                "changes its sign or size, y goes as |u|, or the noise grows with u"
             )
             return (Finding("nonlinear", text, _evidence(test.chance), (0, residual.size)),)
     return ()

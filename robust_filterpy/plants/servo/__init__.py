@@ -3,7 +3,7 @@
 * `equations`: equations (1)-(7) as functions of floats, and as a python-control system; its constants, its uncertain
   alpha and beta.
 * `linearization`: its steady motions, linear models about them, gains by which its loop is stable.
-* `position_loop`: the loop simulated: what drives it, its recording, with files of it for other tools.
+* `position_loop`: the loop simulated: what drives it, its recording.
 """
 
 from __future__ import annotations

@@ -187,22 +187,14 @@ BETA_RANGE = (0.075, 1.3297)
 def coefficient_function(value: Coefficient, name: str, limits: tuple[float, float]) -> Callable[[float], float]:
     """Return a coefficient as a function of time that refuses to leave its range."""
     if callable(value):
-
-        def function(t: float) -> float:
-            now = float(value(t))
-            if not limits[0] <= now <= limits[1]:
-                checked(now, f"{name}({t:g})", limits)
-            return now
-
-        return function
+        return lambda t: float(checked(value(t), f"{name}({t:g})", limits))
     constant = checked(value, name, limits)
     if constant.ndim:
         raise TypeError(
             f"{name}: expected a number or a function of time, got an array of shape {constant.shape}; use "
             f"lambda t: np.interp(t, times, {name})"
         )
-    number = float(constant)
-    return lambda t: number
+    return lambda t: float(constant)
 
 
 def checked(value: Any, name: str, limits: tuple[float, float]) -> Array:
@@ -307,11 +299,10 @@ def end_stop(p: PneumaticParameters) -> Callable[[float, float], float]:
     end, stiffness, damping = p.stroke / 2, p.stop_stiffness, p.stop_damping
 
     def stop(y: float, v: float) -> float:
-        if y > end:
-            return stiffness * (y - end) * max(0.0, 1 + damping * v)
-        if y < -end:
-            return stiffness * (y + end) * max(0.0, 1 - damping * v)
-        return 0.0
+        if abs(y) <= end:
+            return 0.0
+        side = math.copysign(1.0, y)
+        return stiffness * (y - side * end) * max(0.0, 1 + damping * side * v)
 
     return stop
 

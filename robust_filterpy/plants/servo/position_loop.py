@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -81,30 +80,11 @@ class ServoRecording(NamedTuple):
     position_estimate: Array
     acceleration_estimate: Array
 
-    def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write a table of all signals, one row a sample, with the units in its first line: "t [s],reference [m],..".
-
-        Parameters
-        ----------
-        path : str or path-like
-            File to write; one that is there is overwritten.
-
-        Notes
-        -----
-        Numbers keep all their digits; a signal that does not exist is written as nan.
-        """
-        header = ",".join(f"{name} [{unit}]" for name, unit in UNITS.items())
-        np.savetxt(path, np.column_stack(self), fmt="%.17g", delimiter=",", header=header, comments="")
-
-
-#: Unit of each signal.
-UNITS = dict(zip(ServoRecording._fields, "s m 1 m m/s Pa Pa 1 1 N Pa m Pa Pa m m/s^2".split(), strict=True))
-
 
 #: Readings (position, P_a, P_b) and the command of the period before; estimated position and acceleration.
 Observer: TypeAlias = Callable[[Array, float], "tuple[float, float]"]
-#: Absolute tolerance of each state where the relative one is 1: m, m/s, Pa, Pa.
-_TOLERANCES = np.array([1e-3, 1e-2, 1e4, 1e4])
+#: Relative tolerance of the solver (LSODA, restarted at each sample); of each state where it is 1: m, m/s, Pa, Pa.
+_RELATIVE, _TOLERANCES = 1e-6, np.array([1e-3, 1e-2, 1e4, 1e4])
 #: Share of the parameters' dead band that the controller knows of, and steps over: our choice.
 _COMPENSATION = 0.9
 
@@ -113,7 +93,6 @@ def simulate_servo(
     reference: ArrayLike, dt: float, parameters: PneumaticParameters | None = None, *, gain: float | None = None,
     damping: float | None = None, alpha: Signal = NOMINAL_ALPHA, beta: Signal | None = None, load: Signal = 0.0,
     supply: Signal | None = None, noise: ArrayLike | None = None, observer: Observer | None = None,
-    rtol: float = 1e-6,
 ) -> ServoRecording:  # fmt: skip
     """Simulate the pneumatic servo in a position loop, sampled to identification data.
 
@@ -145,8 +124,6 @@ def simulate_servo(
         ``observer(readings, valve) -> (position, acceleration)``: what the controller takes for the motion, of the
         readings of position, P_a and P_b, shape (3,), and of the command of the period before; examples/servo has one
         that filters. By default the controller sees the true motion.
-    rtol : float
-        Relative tolerance of the ODE solver (LSODA, restarted at each sample).
 
     Returns
     -------
@@ -157,8 +134,8 @@ def simulate_servo(
     UnstableLoopError
         If the linear model of the loop is unstable on the stroke, at the least or the largest beta.
     ValueError
-        If the reference is empty, not finite or beyond the stroke, dt, rtol or a gain is out of range, alpha
-        or beta leaves its range, the supply falls below the atmosphere, or a sequence has not N values.
+        If the reference is empty, not finite or beyond the stroke, dt or a gain is out of range, alpha or beta
+        leaves its range, the supply falls below the atmosphere, or a sequence has not N values.
     TypeError
         If a signal is of an unknown kind.
     RuntimeError
@@ -189,8 +166,7 @@ def simulate_servo(
             f"reference: expected positions within the stroke, +-{p.stroke / 2:g} m, got {r[np.argmax(np.abs(r))]:g}"
         )
     gains = chosen_gains(p, gain, damping)
-    for name, value in (("dt", dt), ("rtol", rtol)):
-        positive(name, value)
+    positive("dt", dt)
     t = dt * np.arange(r.size, dtype=np.float64)
     alpha = _samples(alpha, t, "alpha", ALPHA_RANGE)
     if beta is None:
@@ -204,7 +180,7 @@ def simulate_servo(
     x = np.array([0.0, 0.0, start.P_a, start.P_b])
     check_loop(p, dt, gains, {float(beta.min()), float(beta.max())})
     inputs = np.column_stack([load, alpha, beta, supply])
-    states, readings, commands, estimates = _driven(r, dt, p, gains, inputs, noise, x, observer, rtol)
+    states, readings, commands, estimates = _driven(r, dt, p, gains, inputs, noise, x, observer)
     truth, measured, taken = states.T.copy(), readings.T.copy(), estimates.T.copy()
     signals = t, r, commands, *truth, alpha, beta, load, supply, *measured, *taken
     return ServoRecording(*signals)
@@ -212,7 +188,7 @@ def simulate_servo(
 
 def _driven(
     reference: Array, dt: float, p: PneumaticParameters, gains: PositionGains, inputs: Array, noise: Array, x: Array,
-    observer: Observer | None, rtol: float,
+    observer: Observer | None,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     """Integrate the loop sample by sample, inputs held; return states, readings, commands and estimates."""
     derivatives, n, held = servo_derivatives(p), reference.size, inputs.tolist()
@@ -227,8 +203,8 @@ def _driven(
     for k in range(n):
         if k:
             path, info = odeint(
-                right_hand_side, x, (0.0, dt), args=(command, *held[k - 1]), rtol=rtol, atol=rtol * _TOLERANCES,
-                mxstep=5000, full_output=True,
+                right_hand_side, x, (0.0, dt), args=(command, *held[k - 1]), rtol=_RELATIVE,
+                atol=_RELATIVE * _TOLERANCES, mxstep=5000, full_output=True,
             )  # fmt: skip
             if info["message"] != "Integration successful." or not np.all(np.isfinite(path[1])):
                 raise RuntimeError(
