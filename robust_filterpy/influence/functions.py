@@ -53,8 +53,8 @@ class _Base:
 
     @property
     def corners(self) -> tuple[float, ...]:
-        """Where psi' jumps, e > 0: quadrature splits its interval there."""
-        return ()
+        """Where psi' jumps, e > 0, at a parameter: quadrature splits its interval there."""
+        return tuple(corner for name in self.kernel_fields if math.isfinite(corner := getattr(self, name)))
 
     def nominal_information(self) -> float | None:
         """Return E[psi'] under the density that psi is made for, None if that is the standard normal."""
@@ -157,11 +157,6 @@ class Huber(_Base):
         odds = outlier_odds(self.threshold)
         return odds / (1.0 + odds)
 
-    @property
-    def corners(self) -> tuple[float, ...]:
-        """Where psi' jumps."""
-        return (self.threshold,) if math.isfinite(self.threshold) else ()
-
     def nominal_information(self) -> float:
         """Return (1 - eps)(2 Phi(k) - 1), the least favorable density's (paper 40, 45)."""
         return (1.0 - self.contamination) * float(2.0 * special.ndtr(self.threshold) - 1.0)
@@ -229,11 +224,6 @@ class Hampel(_Base):
         for name, value in zip("abc", (a, b, c), strict=True):
             object.__setattr__(self, name, value)
 
-    @property
-    def corners(self) -> tuple[float, ...]:
-        """Where psi' jumps."""
-        return self.a, self.b, self.c
-
     def rho(self, e: ArrayLike) -> Array:
         """Return the integral of psi from 0; the shape of e."""
         r = np.minimum(np.abs(np.asarray(e, dtype=float)), self.c)
@@ -287,11 +277,6 @@ class TukeyBiweight(_Base):
         """Check the threshold."""
         object.__setattr__(self, "threshold", positive("threshold", self.threshold))
 
-    @property
-    def corners(self) -> tuple[float, ...]:
-        """Where psi' has a corner."""
-        return (self.threshold,)
-
     def rho(self, e: ArrayLike) -> Array:
         """Return c^2/6 (1 - (1 - (e/c)^2)^3) up to c, c^2/6 beyond; the shape of e."""
         return np.asarray(self.threshold**2 / 6.0 * (1.0 - (1.0 - self._square(e)) ** 3))
@@ -341,6 +326,8 @@ class StudentT(_Base):
 
     kernel_name = "student_t"
     kernel_fields = ("df",)
+    # Its psi' is smooth.
+    corners = ()
 
     def __post_init__(self) -> None:
         """Check the degrees of freedom."""

@@ -54,16 +54,15 @@ class Run:
     scenario: Scenario | PlantScenario | None = None
 
     def __post_init__(self) -> None:
-        """Check every shape against those of y and x."""
-        for first, name in ((self.y, "y"), (self.x, "x")):
-            if first is not None and np.ndim(first) != 2:
-                raise ValueError(f"{name}: expected shape (N, {'m' if name == 'y' else 'n'}), got {np.shape(first)}")
-        (N, m), (rows, n) = (np.shape(one) if one is not None else (None, None) for one in (self.y, self.x))
-        N = rows if N is None else N
-        for name, shape in {"S": (N, m, m), "x": (N, n), "truth": (N, n), "P": (N, n, n)}.items():
+        """Check that N, m and n are the same everywhere."""
+        sizes: dict[str, int] = {}
+        for name, letters in {"y": "Nm", "S": "Nmm", "x": "Nn", "truth": "Nn", "P": "Nnn"}.items():
             value = getattr(self, name)
-            if value is not None and None not in shape and np.shape(value) != shape:
-                raise ValueError(f"{name}: expected shape {shape} of a run of {N} steps, got {np.shape(value)}")
+            wanted = ", ".join(str(sizes.get(letter, letter)) for letter in letters)
+            found = list(zip(letters, np.shape(value), strict=False))
+            fits = np.ndim(value) == len(letters) and all(sizes.setdefault(*one) == one[1] for one in found)
+            if value is not None and not fits:
+                raise ValueError(f"{name}: expected shape ({wanted}) of a run, got {np.shape(value)}")
 
     def __len__(self) -> int:
         """Count the steps."""
