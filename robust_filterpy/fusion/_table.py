@@ -79,8 +79,8 @@ class Clock:
 
 
 def written(stamp: Any) -> str:
-    """Return a stamp as a sentence has it, without the zeros at the end of an instant's nanoseconds."""
-    text = str(stamp)
+    """Return a stamp as a sentence has it, without rounding and the zeros at the end of an instant's nanoseconds."""
+    text = str(stamp if isinstance(stamp, np.datetime64) else round(stamp, 9))
     return text.rstrip("0").rstrip(".") if isinstance(stamp, np.datetime64) and "." in text else text
 
 
