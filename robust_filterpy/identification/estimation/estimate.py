@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 from robust_filterpy._checks import Array
 from robust_filterpy.identification.estimation.outliers import End, drawn
 from robust_filterpy.identification.estimation.prediction_error import Limits, evidence, one_thread, sandwich
-from robust_filterpy.identification.estimation.search import Ranked, ends, searched
+from robust_filterpy.identification.estimation.search import ends, searched
 from robust_filterpy.identification.estimation.starts import require_informative
 from robust_filterpy.identification.models.model import Ending, Model, filled_memory, resting_level
 from robust_filterpy.identification.models.noise import Noise, least_variance, ordinary_fit, ordinary_samples
@@ -240,11 +240,11 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
         at = None if begin is None else units.forth(model, begin)
         ranked = ends(model, missing, problem.influence, R, limits, least, at)
         model, ranked = _with_levels(model, missing, ranked, columns, limits)
-        best = _exact(ranked[0].end, least_variance(y, unit, in_steps=False))
+        best = _exact(ranked[0], least_variance(y, unit, in_steps=False))
         if best.P is not None and problem.draws:
             best = drawn(model, best, missing, limits) or best
-    output = _output(model, ranked[0].end)
-    endings = tuple(Ending(end.starts, excess, _apart(output, _output(model, end))) for end, excess in ranked)
+    output = _output(model, ranked[0])
+    endings = tuple(Ending(end.starts, end.excess, _apart(output, _output(model, end))) for end in ranked)
     # What the noise makes of the output of any model with so many parameters.
     unsure = 100.0 * np.sqrt(structure.n_theta * best.noise.R / best.rows.sum()) / np.std(output)
     doubt = _without_noise(model, best) or _doubt(best, endings, max(_APART, 2.0 * unsure))
@@ -272,15 +272,14 @@ def estimated(problem: Problem, y: Array, columns: Array | None = None, begin: A
 
 
 def _with_levels(
-    model: PolynomialModel, missing: Any, ranked: list[Ranked], columns: Array | None, limits: Limits | None
-) -> tuple[PolynomialModel, list[Ranked]]:
+    model: PolynomialModel, missing: Any, ranked: list[End], columns: Array | None, limits: Limits | None
+) -> tuple[PolynomialModel, list[End]]:
     """Return the model and the ends of its search with the sizes of levels among the free parameters, from 0 on."""
     if columns is None:
         return model, ranked
     whole, sizes = model.with_output(model.y, columns), np.zeros(columns.shape[1])
-    best, *others = [one._replace(end=one.end._replace(p=np.concatenate((one.end.p, sizes)))) for one in ranked]
-    end = searched(whole, best.end, missing, limits)
-    return whole, [best._replace(end=end), *others]
+    best, *others = [end._replace(p=np.concatenate((end.p, sizes))) for end in ranked]
+    return whole, [searched(whole, best, missing, limits), *others]
 
 
 class Units(NamedTuple):

@@ -81,6 +81,8 @@ class End(NamedTuple):
         Whether the search ended by itself.
     P : ndarray, shape (n, n), or None
         Covariance of the parameters, where outliers were drawn.
+    excess : float
+        How much worse than the best end it is, in units of log-likelihood.
     """
 
     starts: tuple[str, ...]
@@ -92,6 +94,7 @@ class End(NamedTuple):
     residual: Array
     converged: bool
     P: Array | None = None
+    excess: float = 0.0
 
 
 def response(model: PolynomialModel, p: Array) -> Array:

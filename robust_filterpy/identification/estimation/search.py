@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -32,17 +32,10 @@ _HOPELESS: Final = 30.0
 _UNMOVED: Final = 0.2
 
 
-class Ranked(NamedTuple):
-    """An end, and how much worse than the best it is, in units of log-likelihood."""
-
-    end: End
-    excess: float
-
-
 def ends(
     model: PolynomialModel, missing: Any, influence: Influence | None, R: float | None, limits: Limits | None,
     least: float, begin: Array | None = None,
-) -> list[Ranked]:  # fmt: skip
+) -> list[End]:  # fmt: skip
     """Search from every start."""
     loss = START if influence is None else influence
     noise = Noise(Huber() if influence is None else influence, 1.0 if R is None else R, R is not None, least)
@@ -54,32 +47,32 @@ def ends(
     if inner is not None:
         # From every start in the middle of a long recording, and from what is found there in all of it.
         inside = [one for one in ends(inner, missing[part], influence, R, limits, least) if one.excess < _HOPELESS]
-        chosen = [end for end, _ in _apart(inside, _UNMOVED)]
+        chosen = _apart(inside, _UNMOVED)
         again = [end._replace(y=model.y, wrong=missing, residual=model.residuals(end.p)) for end in chosen]
         return _best_first(model, missing, [searched(model, end, missing, limits) for end in again], limits)
     starts = [begun(model, s.p, noise, missing, s.name) for s in starts_of(model, missing)]
     if model.remembers:
-        first = [Ranked(one._replace(noise=replace(one.noise, influence=loss)), 0.0) for one in starts]
-        followed = [searched(model, one, missing, limits, True) for one, _ in _apart(first, _UNMOVED)]
+        first = [one._replace(noise=replace(one.noise, influence=loss)) for one in starts]
+        followed = [searched(model, one, missing, limits, True) for one in _apart(first, _UNMOVED)]
         return _best_first(model, missing, followed, limits, _UNMOVED)
     # All that is left to find is within the precision of the search.
     rough = [_minimised(model, one, missing, limits, _NEAR) for one in starts]
     ranked = _best_first(model, missing, rough, limits, max(_SAME, _NEAR * (model.n / model.y.size) ** 0.5))
-    likely = [end for end, excess in ranked if not excess > _HOPELESS]
+    likely = [end for end in ranked if not end.excess > _HOPELESS]
     learnt = [end._replace(noise=replace(end.noise, influence=loss)) for end in likely]
     return _best_first(model, missing, [_minimised(model, end, missing, limits) for end in learnt], limits)
 
 
-def _apart(ranked: list[Ranked], same: float) -> list[Ranked]:
+def _apart(ends: list[End], same: float) -> list[End]:
     """Return ends whose residuals differ by more than a share of their size, with the starts of those that do not."""
-    chosen: list[Ranked] = []
-    for end, excess in ranked:
-        for i, (other, least) in enumerate(chosen):
+    chosen: list[End] = []
+    for end in ends:
+        for i, other in enumerate(chosen):
             if mad_scale(end.residual - other.residual) <= same * other.noise.R**0.5:
-                chosen[i] = Ranked(other._replace(starts=(*other.starts, *end.starts)), least)
+                chosen[i] = other._replace(starts=(*other.starts, *end.starts))
                 break
         else:
-            chosen.append(Ranked(end, excess))
+            chosen.append(end)
     return chosen
 
 
@@ -122,7 +115,7 @@ def _minimised(
 
 def _best_first(
     model: PolynomialModel, missing: Any, ends: list[End], limits: Limits | None = None, same: float = _SAME
-) -> list[Ranked]:
+) -> list[End]:
     """Sort ends by what the data say for them, and join those that are the same."""
     # Of two optima with the same loss the wider one is the likelier (Laplace's approximation of the evidence): a narrow
     # one fits this recording with a pole next to the unit circle that no other recording shows. Where two optima are
@@ -150,4 +143,5 @@ def _best_first(
         information = np.log(np.maximum(diagonal, np.finfo(float).tiny)).sum()
         price = 0.5 * THRESHOLD**2 * (end.wrong.sum() - missing.sum())
         losses.append(noise.cost(end.residual[end.rows]) + price + information)
-    return _apart([Ranked(ends[i], float(losses[i] - min(losses))) for i in np.argsort(losses, kind="stable")], same)
+    excess = [float(loss - min(losses)) for loss in losses]
+    return _apart([ends[i]._replace(excess=excess[i]) for i in np.argsort(losses, kind="stable")], same)

@@ -92,8 +92,7 @@ class Following:
         flags = np.array([gradient == "filtered", GUARDS.index(guard), cleans, True, judges], dtype=np.intp)
         choices = {"influence": influence, "scaling": scaling, "information": information}
         kf = setup.make_filter(layout.n, filter, choices)
-        rules = track.rules_of(kf.choices) if setup.is_plain(kf) else None
-        self.form = Form(structure, layout, own, has_offset, cleans, judges, flags, kf, rules)
+        self.form = Form(structure, layout, own, has_offset, cleans, judges, flags, kf, track.rules_of(kf))
         memory = 0.0 if R is not None or ready else float(_checks.count("R_memory", R_memory, 2))
         now = recursion.at_rest(self.form, samples or START, not samples, memory)
         if model is not None:

@@ -15,7 +15,7 @@ from robust_filterpy._checks import Array, described, numbers
 from robust_filterpy._filterpy import KalmanFilter
 from robust_filterpy._warning import warn
 from robust_filterpy.filters.conversion import robust
-from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
+from robust_filterpy.filters.kalman import RobustKalmanFilter
 from robust_filterpy.filters.shell import leave_unwatched
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import LARGEST, are_stable
@@ -88,11 +88,6 @@ def warn_of_default_noise(kf: Any) -> None:
             "sample; pass Q=0 for parameters that stand still, or Q=1 if that is meant",
             UserWarning,
         )
-
-
-def is_plain(kf: RobustKalmanFilter) -> bool:
-    """Tell whether a filter is our own as it comes: the kernel then gives the numbers of `update`."""
-    return not (type(kf) is not RobustKalmanFilter or replaced(kf) or kf.policy.noise or kf.choices.patience)
 
 
 # What may be set: of a tracker, or of all actuators or each.

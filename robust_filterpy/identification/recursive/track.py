@@ -17,7 +17,7 @@ import numpy as np
 from robust_filterpy import kernel
 from robust_filterpy._checks import Array
 from robust_filterpy._progress import stage
-from robust_filterpy.correction.options import Choices
+from robust_filterpy.filters.kalman import RobustKalmanFilter, replaced
 from robust_filterpy.filters.notices import StuckSensorWarning
 from robust_filterpy.identification.estimation.disturbances import Settled
 from robust_filterpy.identification.estimation.estimate import near
@@ -38,9 +38,11 @@ _INTEGRATES = 1e-9
 _Signals = tuple[Array, Array, Array | None]
 
 
-def rules_of(choices: Choices) -> Array | None:
-    """Return the options for the kernel, None where it does not serve: a tracker's spread is not learned, R is."""
-    one = rule(choices)
+def rules_of(kf: RobustKalmanFilter) -> Array | None:
+    """Return a filter's options for the kernel, None where that does not serve; a tracker's spread is not learned."""
+    # Of our own filter as it comes the kernel gives the numbers of `update`.
+    own = type(kf) is RobustKalmanFilter and not (replaced(kf) or kf.policy.noise or kf.choices.patience)
+    one = rule(kf.choices) if own else None
     return None if one is None or one[4] == _LEARNT else np.array([[one]])
 
 
