@@ -17,7 +17,7 @@ from robust_filterpy._warning import warn
 from robust_filterpy.correction.options import Information, Scaling
 from robust_filterpy.identification.models.model import Model
 from robust_filterpy.identification.models.regressor import GUARDS, Guard, Layout
-from robust_filterpy.identification.models.results import Sample
+from robust_filterpy.identification.models.results import Sample, TrackingResult
 from robust_filterpy.identification.models.signals import TimeAxis
 from robust_filterpy.identification.models.structures import Structure
 from robust_filterpy.identification.recursive import recursion, setup, track
@@ -289,14 +289,15 @@ class Following:
         outputs, inputs = setup.outputs(y, self.n)[:, None], setup.inputs(self.structure, u, self.n)[:, None]
         variances = None if R is None else setup.variances(R, self.n)[:, None]
         now, out = self._advanced(outputs, inputs, variances, self._place_alone)
+        sample = self._sample(out[:, 0, -4:])
         self._now, self._time = now, self._time and (self._time[0], self._time[1] + 1)
-        return self._sample(out[:, 0, -4:])
+        return sample
 
     def _recorded(
         self, axis: TimeAxis, fills: Sequence[FillValues], u: Array, R: Any, progress: bool | None,
-        names: Sequence[str] = (),
-    ) -> list[Any]:  # fmt: skip
-        """Take recordings; return theta, std, .. after every sample, axes (N, n, ..)."""
+        made: Callable[[list[Array]], TrackingResult], names: Sequence[str] = (),
+    ) -> TrackingResult:  # fmt: skip
+        """Take recordings; return what is made of theta, std, .. after every sample, axes (N, n, ..)."""
         axis.require_period(self.dt)
         y, own = np.stack([fill.signal for fill in fills]), self.form.own
         time = self._time_after(axis, y.shape[1])
@@ -307,11 +308,13 @@ class Following:
         if filled:
             which = "fill values, by actuator " if names else ""
             warn(f"{self._name}: y has {which}{'; '.join(filled)}", UserWarning)
-        self._now, self.dt, self._time = now, axis.dt if self.dt is None else self.dt, time
         out = out.swapaxes(0, 1)
         *others, guard = np.ascontiguousarray(np.moveaxis(out[..., -4:], -1, 0))
         std = np.sqrt(np.maximum(out[..., self.form.layout.n + own], 0.0))
-        return [out[..., own], std, *others, guard.astype(np.int64)]
+        result = made([out[..., own], std, *others, guard.astype(np.int64)])
+        # At last: who interrupts a call has the state before it.
+        self._now, self.dt, self._time = now, axis.dt if self.dt is None else self.dt, time
+        return result
 
     def _time_after(self, axis: TimeAxis, samples: int) -> tuple[Any, int] | None:
         """Return the time after a recording; warn if samples are missing before it, and raise if it goes back."""

@@ -333,8 +333,11 @@ class ParameterTracker(Following, PolynomialSystem):
         axis, y, u, R = signals.recording(self.structure, y=y, u=u, R=R)
         fills = fill_values(signals.measured_output(y))
         signal = signals.recorded_input(self.structure, u, fills.signal.size)[:, None]
-        columns = self._recorded(axis, [fills], signal, R, progress)
-        return TrackingResult(*(column[:, 0] for column in columns)).labelled(self.structure.names, axis.index)
+
+        def made(columns: list[Array]) -> TrackingResult:
+            return TrackingResult(*(column[:, 0] for column in columns)).labelled(self.structure.names, axis.index)
+
+        return self._recorded(axis, [fills], signal, R, progress, made)
 
     def corrections(self, y: ArrayLike, u: Any = None) -> Iterator[Any]:
         """Yield the filter as it shows the correction of each sample, by the definition; this tracker stays as it is.
@@ -577,8 +580,11 @@ class TrackerBank(Following):
         axis, y, u, R = signals.recording(self.structure, y=y, u=u, R=R)
         fills = [fill_values(column) for column in setup.outputs(y, self.n, True).T]
         signal = setup.inputs(self.structure, u, self.n, fills[0].signal.size)
-        columns = self._recorded(axis, fills, signal, R, progress, [f"{name}: " for name in names])
-        return TrackingResult(*columns).labelled(self.structure.names, axis.index, tuple(names))
+
+        def made(columns: list[Array]) -> TrackingResult:
+            return TrackingResult(*columns).labelled(self.structure.names, axis.index, tuple(names))
+
+        return self._recorded(axis, fills, signal, R, progress, made, [f"{name}: " for name in names])
 
     def _named(self, which: list[int]) -> str:
         """Return some actuators as a message begins with them."""
