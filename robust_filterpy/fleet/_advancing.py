@@ -138,7 +138,8 @@ def _through_filter(update: Mapping[str, Any], kf: Any, work: Work, first: int, 
     """Predict and correct by the samples from first to stop, or raise."""
     for k in range(first, stop):
         kf.predict(**({} if work.u is None else {"u": work.u[k]}))
-        kf.update(work.z[k], **update)
+        # A model's functions are not asked about what is missing: they may be what has failed.
+        kf.update(None if np.isnan(work.z[k]).all() else work.z[k], **update)
         std = np.sqrt(np.maximum(np.diagonal(kf.P), 0.0))
         work.columns[k] = np.concatenate((np.ravel(kf.x), std, np.ravel(kf.weights)))
 

@@ -520,3 +520,11 @@ def test_a_flat_batch_is_a_column_and_inputs_may_be_absent():
     for width in (2, 4):
         with pytest.raises(ValueError, match=r"expected shape \(samples, 1 or 3\), 1 measurement\(s\), 2 input\(s\)"):
             step(FilterModel(kf), None, np.zeros((3, width)))
+
+
+def test_samples_for_which_a_sensors_function_has_no_answer_are_as_if_missing():
+    kf = RobustExtendedKalmanFilter(1, 1)
+    functions = {"HJacobian": lambda x: np.eye(1), "Hx": lambda x: np.where(x[:1] > 5.0, np.nan, x[:1])}
+    output = step(FilterModel(kf, update=functions), None, np.arange(9.0)[:, None])[1]
+    assert np.isfinite(output["x0"]).all() and np.isnan(output["weight0"][-1])
+    assert "Hx: expected finite numbers" in output["error"][-1] and "as if it were missing" in output["error"][-1]
