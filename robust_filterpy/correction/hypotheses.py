@@ -39,9 +39,8 @@ def corrected(x: Array, P: Array, z: Any, h: Array, variances: Array, logs: Arra
     y = z - np.einsum("ni,ni->n", h, x)
     C = np.einsum("nij,nj->ni", P, h)
     S = np.einsum("ni,ni->n", h, C) + variances
-    if reach < math.inf:
-        far = reach * np.sqrt(np.where(logs > -math.inf, S, 0.0).max(axis=0))
-        y = np.clip(y, -far, far)
+    far = reach * np.sqrt(np.where(logs > -math.inf, S, 0.0).max(axis=0))
+    y = np.clip(y, -far, far)
     pulls = y / S
     logs = logs - 0.5 * (pulls * y + np.log(2.0 * math.pi * S))
     peak = logs.max(axis=0)
