@@ -6,11 +6,10 @@ before a correction and `after` behind it; B = H P H' as given, B+ what the last
 
     w_i   max(1, (1 + B/R) / (1 + e^g B+/R)), g the usual growth of log(B/R)  only the noise has outliers
           as far as such e_i have been, if they were many
-    v_i   (1 + (2/1.345)^2 log(max(1, B/R)))^(1/2), B/R as is usual           clean readings are clipped the less,
-          the more a clipped one costs
     s_i   the median of |e_i| over .6745, of new and not far readings         e_i = y_i / sqrt(S_ii), S as given
-    p_i   the share of those beyond 3 s_i
-    width v_i w_i s_i / (1 + 1.5 p_i) sqrt(S_ii)                              the unit of psi's threshold
+    k_i   Huber's minimax threshold (17) for the share of those beyond 3 s_i  the fewer outliers, the less is clipped
+    v_i   (k_i^2 + 4 log(max(1, B/R)))^(1/2), B/R as is usual                 and the more a clipped clean one costs
+    width v_i / 1.345 w_i s_i sqrt(S_ii)                                      the unit of psi's threshold
 
 docs/equations.md has the whole rule, and what each number does.
 """
@@ -31,7 +30,9 @@ QUARTILE = 0.6744897501960817  #: median of |e| for a normal e of deviation 1
 BEND = 1.345  #: beyond so many spreads an innovation counts as clipped, whatever psi is
 FAR = 3.0  #: beyond so many spreads or deviations it is an outlier, or a jump; others contradict it
 PACE, MEMORY = 2.0, 100.0  #: steps of log(spread): 2/n of n samples, at least 2/100
-YIELD = 1.5  #: threshold over 1 + 1.5 share of outliers
+#: Minimax threshold of a share e of outliers (17), e from .004 to .5, within half a percent: a polynomial in the root
+#: of -log(e).
+MINIMAX = (0.1903, 0.5837, -0.1838)
 FEW = 10.0  #: the share starts from so many without an outlier; so many far ones in a row, and another one is typical
 RUN_LENGTH = 4.0  #: a jump: so many clipped in a row, until some have lasted,
 AGREE = 2.5  #: each within 2.5 spreads of where the last left x
@@ -84,7 +85,7 @@ def prepared(
     ratio = _ratio(np.diag(S - R), R, S)
     coarse = np.where(memory[:, REPEATS] > 0, memory[:, STEP] / BEND, 0.0) / nominal
     excess = np.where(here, _excess(memory, ratio), 1.0)
-    wider, bend = _wider(memory, excess, coarse), BEND * _tolerance(memory, ratio)
+    wider, bend = _wider(memory, excess, coarse), _tolerance(memory, ratio, BEND)
     # Below a number whose square is a number.
     size[here] = np.minimum(np.abs(y[here]) / nominal[here], 1e100) / wider[here]
     held = np.array([bool(here[i]) and _holds(memory[i], z[i], size[i], coarse[i]) for i in range(len(y))], dtype=bool)
@@ -102,8 +103,8 @@ def prepared(
     s = np.where(memory[:, WEIGHT] > 0, np.maximum(memory[:, SPREAD], coarse), 1.0)
     B = S - R
     added = _added_noise(y, s, nominal, B, here) if here.sum() > 1 else np.zeros(len(y))
-    narrowed = np.maximum(s / (1 + YIELD * memory[:, SHARE]), coarse)
-    unit, out, back = s * nominal * wider, here & (size > bend * narrowed), np.zeros(len(y), dtype=bool)
+    width = np.maximum(_tolerance(memory, ratio, minimax(memory)) * s, bend * coarse) / BEND * nominal * wider
+    unit, out, back = s * nominal * wider, here & (size > bend * s), np.zeros(len(y), dtype=bool)
     # No chance is to end a longer run: the difference of two innovations has twice the variance of one.
     near = (AGREE if patience is None else math.sqrt(2.0) * FAR) * unit
     for i in np.flatnonzero(here):
@@ -119,15 +120,15 @@ def prepared(
         landing = max(near[i], RETURN * abs(own[JUMP]))
         back[i] = out[i] and own[JUMP] != 0 and abs(y[i] + own[JUMP]) < landing
     # What others that see the same are not off by is a sensor's own noise, no jump.
-    growth, opened, width = np.ones(len(C)), np.zeros(len(y)), bend / BEND * narrowed * nominal * wider
+    growth, opened = np.ones(len(C)), np.zeros(len(y))
     for i in np.flatnonzero(out & (added == 0) & (np.diag(B) > 0)):
         # What its last reading says of the whole run, against no jump of a state that stands on R / H P H' readings.
         tells = memory[i, RUN] * size[i] ** 2 / 2 >= -math.log(RARE * ratio[i]) * s[i] ** 2
         if not _believed(memory[i], y[i], unit[i], back[i], tells, patience):
             continue
-        wanted = min((size[i] / (bend[i] * narrowed[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
+        wanted = min((size[i] / (bend[i] * s[i])) ** 2 - 1, LARGEST_GROWTH) * S[i, i]
         # What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees.
-        if size[i] < SUDDEN * narrowed[i]:
+        if size[i] < SUDDEN * s[i]:
             growth = np.maximum(growth, np.sqrt(1 + wanted / B[i, i] * moved(C[:, i], np.diag(P))))
         else:
             opened[i] = wanted
@@ -159,10 +160,16 @@ def _excess(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     return np.where(memory[:, USED] > 0, np.maximum((1 + ratio) / (1 + usual), 1.0), 1.0)
 
 
-def _tolerance(memory: np.ndarray, ratio: np.ndarray) -> np.ndarray:
-    """Return by what a threshold grows where a reading usually says more than the state before it (m,)."""
+def _tolerance(memory: np.ndarray, ratio: np.ndarray, threshold: np.ndarray | float) -> np.ndarray:
+    """Return a threshold in spreads, larger where a reading usually says more than the state before it (m,)."""
     now = np.log(np.maximum(ratio, 1.0))
-    return np.sqrt(1 + (2 / BEND) ** 2 * np.where(memory[:, USED] > 0, np.minimum(now, memory[:, OPEN]), now))
+    return np.asarray(np.sqrt(threshold**2 + 4 * np.where(memory[:, USED] > 0, np.minimum(now, memory[:, OPEN]), now)))
+
+
+def minimax(memory: np.ndarray) -> np.ndarray:
+    """Return Huber's minimax threshold for a sensor's share of outliers, that is known to half a reading (m,)."""
+    least = np.maximum(1 / (memory[:, WEIGHT] + FEW), 1 / MEMORY) / 2
+    return np.asarray(np.polyval(MINIMAX, np.sqrt(-np.log(np.clip(memory[:, SHARE], least, 0.5)))))
 
 
 def _wider(memory: np.ndarray, excess: np.ndarray, coarse: np.ndarray) -> np.ndarray:
@@ -303,7 +310,7 @@ def _step(own: np.ndarray) -> float:
 def settled(memory: np.ndarray) -> np.ndarray:
     """Return the spread of each sensor as a threshold's unit, 1 where there is none yet."""
     learned = memory[:, WEIGHT] > 0
-    return np.where(learned, memory[:, SPREAD] / (1 + YIELD * memory[:, SHARE]), 1.0)
+    return np.where(learned, memory[:, SPREAD] * minimax(memory) / BEND, 1.0)
 
 
 def _seen_by(B: np.ndarray, here: np.ndarray) -> np.ndarray:

@@ -44,7 +44,9 @@ typedef struct {
 #define SPREAD_FAR REAL(3.0)                     /* beyond so many it is an outlier, and does not move the spread */
 #define SPREAD_PACE REAL(2.0)                    /* steps of log(spread): 2/n of n samples, */
 #define SPREAD_FADING REAL(0.01)                 /* at least 2/100 */
-#define SPREAD_YIELD REAL(1.5)                   /* the threshold over 1 + 1.5 share */
+#define SPREAD_CURVE REAL(0.1903)                /* the minimax threshold of a share e of outliers, from .004 to .5 */
+#define SPREAD_SLOPE REAL(0.5837)                /* within half a percent: (CURVE u + SLOPE) u - BASE, */
+#define SPREAD_BASE REAL(0.1838)                 /* u the root of -log(e) */
 #define SPREAD_FEW REAL(10.0)                    /* the share starts from so many without an outlier; */
                                                  /* so many far ones in a row, and another one is typical */
 #define SPREAD_RUN 4                             /* a jump: so many clipped in a row, until some have lasted, */
@@ -257,10 +259,17 @@ INLINE real spread_excess(const spread_memory *const own, const real ratio) {
     return real_max((1 + ratio) / (1 + own->left * real_exp(real_min(own->growth, SPREAD_STEEPEST))), 1);
 }
 
-/* By what a threshold grows where a reading usually says more than the state before it. */
-INLINE real spread_tolerance(const spread_memory *const own, const real ratio) {
+/* The root of the sum of the squares of a threshold and of what it grows by where a reading usually says more than the
+   state before it. */
+INLINE real spread_tolerance(const spread_memory *const own, const real ratio, const real threshold) {
     const real now = real_log(real_max(ratio, 1));
-    return real_sqrt(1 + 4 / (SPREAD_BEND * SPREAD_BEND) * (own->used > 0 ? real_min(now, own->open) : now));
+    return real_sqrt(threshold * threshold + 4 * (own->used > 0 ? real_min(now, own->open) : now));
+}
+
+/* Huber's minimax threshold for a sensor's share of outliers, that is at least half a reading of those it is known by. */
+INLINE real spread_minimax(const spread_memory *const own) {
+    const real share = real_min(real_max(own->share, spread_step(own) / 2), REAL(0.5)), u = real_sqrt(-real_log(share));
+    return (SPREAD_CURVE * u + SPREAD_SLOPE) * u - SPREAD_BASE;
 }
 
 /* By what a width grows with it: no further than readings that were wider than usual have been, if they were many. */
@@ -320,7 +329,7 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
         ratio[i] = spread_ratio(variance - R[i * m + i], R[i * m + i], variance);
         coarse = spread_coarse(own, nominal[i]);
         excess[i] = spread_excess(own, ratio[i]);
-        bend[i] = spread_tolerance(own, ratio[i]);
+        bend[i] = spread_tolerance(own, ratio[i], SPREAD_BEND);
         out[i] = spread_wider(own, excess[i], coarse); /* until it is known who is clipped */
         /* Below a number whose square is a number. */
         e = real_min(real_abs(c->y[i]) / nominal[i], REAL_PRODUCT);
@@ -350,11 +359,12 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
         /* No chance is to end a longer run: the difference of two innovations has twice the variance of one. */
         const real near = (patience ? SPREAD_FAR * real_sqrt(2) : SPREAD_AGREE) * unit;
         units[i] = unit;
-        s[i] = real_max(s[i] / (1 + SPREAD_YIELD * own->share), spread_coarse(own, nominal[i]));
         out[i] = 0;
         if (c->left[i] == 0) continue;
-        change->width[i] = bend[i] * s[i] * wider;
-        out[i] = size[i] > SPREAD_BEND * bend[i] * s[i];
+        coarse = spread_coarse(own, nominal[i]);
+        change->width[i] = real_max(spread_tolerance(own, ratio[i], spread_minimax(own)) * s[i], bend[i] * coarse) /
+                           SPREAD_BEND * wider;
+        out[i] = size[i] > bend[i] * s[i];
         spread_repeat(own, z[i], out[i] == 0 && own->run == 0);
         spread_grow_old(own, unit, out[i] == 0);
         if (out[i] == 0) {
@@ -381,7 +391,7 @@ CALLED void spread_before(const int n, const int m, const int patience, const re
         tells = own->run * e * e / 2 >= -real_log(SPREAD_RARE * ratio[i]);
         if (!spread_believed(own, c->y[i], units[i], out[i] == 2, tells, patience)) continue;
         if (change->added[i] > 0 || !(b > 0)) continue;
-        bent = size[i] / (SPREAD_BEND * bend[i] * s[i]);
+        bent = size[i] / (bend[i] * s[i]);
         wanted = real_min(bent * bent - 1, SPREAD_GROWTH) * variance;
         /* What creeps away is moved by all that correlates; what is suddenly far, by what the sensor sees. */
         if (size[i] < SPREAD_SUDDEN * s[i])

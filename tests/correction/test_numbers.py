@@ -80,6 +80,7 @@ def test_the_page_has_every_number_with_its_value(room):
 #: Numbers of C by their header, with the modules that have them, and what has another name there or is its square.
 HEADERS = {"SPREAD": [spread], "LEARNT": [learnt, learning, factor, side_by_side], "REPEATS": [repeats]}
 OTHERWISE = {
+    **dict(zip(("SPREAD_CURVE", "SPREAD_SLOPE", "SPREAD_BASE"), np.abs(spread.MINIMAX), strict=True)),
     "SPREAD_RUN": spread.RUN_LENGTH, "SPREAD_FADING": 1.0 / spread.MEMORY, "SPREAD_GROWTH": spread.LARGEST_GROWTH,
     "LEARNT_LESS": learning._LESS_SCALE, "LEARNT_COLOUR": learning._MOST_COLOUR, "LEARNT_ASKS": spread.FAR**2,
     "LEARNT_FARTHEST": side_by_side._FARTHEST**2, "LEARNT_FAR": side_by_side._FAR**2,
