@@ -21,12 +21,6 @@ int set_attribute(PyObject *owner, enum attribute which, PyObject *value) {
     return PyObject_SetAttr(owner, attribute_names[which], value);
 }
 
-int take_objects(PyObject *tuple, int count, PyObject **found) {
-    if (!PyTuple_Check(tuple) || PyTuple_Size(tuple) != count) return 0;
-    for (int i = 0; i < count; i++) found[i] = PyTuple_GetItem(tuple, i);
-    return 1;
-}
-
 int is_array(PyObject *object, int ndim) {
     return PyArray_CheckExact(object) && PyArray_NDIM((PyArrayObject *)object) == ndim;
 }
@@ -41,14 +35,30 @@ PyObject *as_plain(held *h, PyObject *object) {
     return hold(h, PyArray_FromAny(object, PyArray_DescrFromType(NPY_DOUBLE), 0, 0, NPY_ARRAY_CARRAY_RO, NULL));
 }
 
+/* The numbers of an exact ndarray of float64 in C order, with these axes. */
+static const double *plain_of(PyObject *object, int ndim, npy_intp first, npy_intp second) {
+    PyArrayObject *const array = (PyArrayObject *)object;
+    if (!is_array(object, ndim) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISCARRAY_RO(array)) return NULL;
+    if ((ndim > 0 && PyArray_DIM(array, 0) != first) || (ndim > 1 && PyArray_DIM(array, 1) != second)) return NULL;
+    return numbers_of(object);
+}
+
+const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns) {
+    return plain_of(object, 2, rows, columns);
+}
+
+const double *vector_of(PyObject *object, npy_intp length) {
+    return plain_of(object, is_array(object, 1) ? 1 : 2, length, 1);
+}
+
 int number_of(PyObject *object, double *found) {
     if (PyFloat_Check(object)) {
         *found = PyFloat_AsDouble(object);
         return 1;
     }
-    if (is_array(object, 0) && PyArray_TYPE((PyArrayObject *)object) == NPY_DOUBLE &&
-        PyArray_ISCARRAY_RO((PyArrayObject *)object)) {
-        *found = *(double *)PyArray_DATA((PyArrayObject *)object);
+    const double *const single = plain_of(object, 0, 0, 0);
+    if (single) {
+        *found = *single;
         return 1;
     }
     /* numpy counts durations among the integers. */
@@ -81,19 +91,6 @@ const double *covariance_of(held *h, PyObject *object, npy_intp n) {
 }
 
 double *numbers_of(PyObject *array) { return (double *)PyArray_DATA((PyArrayObject *)array); }
-
-const double *matrix_of(PyObject *object, npy_intp rows, npy_intp columns) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    const int plain = is_array(object, 2) && PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array);
-    return plain && PyArray_DIM(array, 0) == rows && PyArray_DIM(array, 1) == columns ? numbers_of(object) : NULL;
-}
-
-const double *vector_of(PyObject *object, npy_intp length) {
-    PyArrayObject *const array = (PyArrayObject *)object;
-    if (!is_array(object, 1)) return matrix_of(object, length, 1);
-    const int plain = PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array);
-    return plain && PyArray_DIM(array, 0) == length ? numbers_of(object) : NULL;
-}
 
 int take_arrays(PyObject *tuple, const char *words, npy_intp lengths[AXES], void *const *places) {
     const npy_intp one = (npy_intp)sizeof(double);

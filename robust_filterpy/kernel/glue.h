@@ -43,9 +43,6 @@ PyObject *hold_attribute(held *h, PyObject *owner, enum attribute which);
 PyObject *answer(held *h, int outcome);                              /* 1 True, 0 False, -1 NULL; lets go of all */
 int set_attribute(PyObject *owner, enum attribute which, PyObject *value);
 
-/* The objects of a tuple of so many, borrowed from it; whether it is that. Other sequences make their entries on request,
-   and nobody would hold those. */
-int take_objects(PyObject *tuple, int count, PyObject **found);
 /* An exact ndarray of integers, of smaller floats or in another order as one of float64 in C order, which is held; anything
    else as it is. NULL with an exception. */
 PyObject *as_plain(held *h, PyObject *object);

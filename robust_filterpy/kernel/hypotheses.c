@@ -146,12 +146,7 @@ static PyObject *weigh_lasting(PyObject *self, PyObject *arguments) {
     double *const L = PyMem_Malloc((size_t)(m * m + n + 2 * m) * sizeof(double));
     if (!L) return PyErr_NoMemory();
     double *const ahead = L + m * m, *const d = ahead + n, *const said = d + m;
-    for (npy_intp i = 0; fine && i < m; i++)
-        for (npy_intp j = 0; fine && j <= i; j++) {
-            const double rest = S[i * m + j] - real_dot((int)j, L + i * m, L + j * m);
-            fine = j < i || rest > 0;
-            L[i * m + j] = j < i ? rest / L[j * m + j] : sqrt(rest);
-        }
+    fine = update_is_positive((int)m, S, 0, L);
     for (npy_intp at = 0; fine && at < c; at++) {
         const npy_intp owner = at / (2 * o), onset = at % o;
         double *const score = evidence + at, *const information = score + c, *const age = ages + at;

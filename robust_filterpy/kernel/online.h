@@ -64,7 +64,7 @@ static int hold_all(held *h, PyObject *filter, const enum attribute *which, int 
 
 /* 1, 0 if the kernel does not know it, or -1 with an exception. */
 static int take_judge(held *h, PyObject *filter, judge *by) {
-    PyObject *const policy = hold_attribute(h, filter, AT__policy), *rule, *of[2];
+    PyObject *const policy = hold_attribute(h, filter, AT__policy), *rule, *psi;
     rule = policy ? hold_attribute(h, policy, AT_rule) : NULL;
     if (!rule) return -1;
     by->mixes = !PyTuple_Check(rule);
@@ -73,8 +73,9 @@ static int take_judge(held *h, PyObject *filter, judge *by) {
         by->learns = by->mixture.learns, by->width = learnt_width(by->mixture.K), by->begin = by->mixture.begin;
         return 1;
     }
-    if (!take_objects(rule, 2, of) || !rule_of(of[0], &by->bounded)) return 0;
-    if (of[1] != Py_None) by->bounded.psi = (psi_function){PSI_CALLED, 0, 0, 0, call_choices, of[1]};
+    if (PyTuple_Size(rule) != 2 || !rule_of(PyTuple_GetItem(rule, 0), &by->bounded)) return 0;
+    psi = PyTuple_GetItem(rule, 1);
+    if (psi != Py_None) by->bounded.psi = (psi_function){PSI_CALLED, 0, 0, 0, call_choices, psi};
     by->learns = by->bounded.scaling == SCALING_LEARNT, by->width = SPREAD_NUMBERS, by->begin = NULL;
     return 1;
 }
@@ -137,12 +138,13 @@ static int take_control(PyObject *B, PyObject *u, npy_intp n, double **control) 
 /* Plain, own where given is None; NULL with an exception. */
 static PyObject *given_or(held *h, PyObject *given, PyObject *own) { return as_plain(h, given == Py_None ? own : given); }
 
-/* Say which sensors the rows of an H are, the ones with such rows, and read their memory: of a row that is met for the first
-   time that of its place. 1, 0, or -1 with an exception. */
+/* Say which sensors the rows of an H are, the ones with such rows, and read their memory: of a row that is met for the
+   first time that of its place. 1, 0, or -1 with an exception. */
 static int take_rows(held *h, const judge *by, sensors *s, PyObject *own, npy_intp n) {
     const npy_intp m = s->m, rows = is_array(own, 2) ? PyArray_DIM((PyArrayObject *)own, 0) : 0, width = by->width;
     const npy_intp places = is_array(s->places, 2) ? PyArray_DIM((PyArrayObject *)s->places, 0) : 0;
-    const double *const ours = rows > 0 ? matrix_of(own, rows, n) : NULL, *const learned = matrix_of(s->places, places, width);
+    const double *const ours = rows > 0 ? matrix_of(own, rows, n) : NULL;
+    const double *const learned = matrix_of(s->places, places, width);
     const size_t size = (size_t)n * sizeof(double);
     int same = 0;
     if (m > ROWS_NOW || !ours || !PyDict_CheckExact(s->rows) || !learned) return 0;
@@ -153,7 +155,8 @@ static int take_rows(held *h, const judge *by, sensors *s, PyObject *own, npy_in
     }
     s->by_rows = 1, s->memory = array_of(h, NULL, 2, m, width, 0);
     for (npy_intp i = 0; i < m; i++) {
-        if (!same && s->place[i] == rows) s->key[i] = hold(h, PyBytes_FromStringAndSize((const char *)(s->H + i * n), (Py_ssize_t)size));
+        if (!same && s->place[i] == rows)
+            s->key[i] = hold(h, PyBytes_FromStringAndSize((const char *)(s->H + i * n), (Py_ssize_t)size));
         if (h->failed) return -1;
         /* Sensors that see exactly the same are distinguished by their places. */
         if (same || s->key[i]) s->place[i] = i;

@@ -15,19 +15,19 @@ static void (*const spans[])(const smoother_job *, ptrdiff_t, double *) = {span_
                                                                            span_4,   span_any, span_6};
 
 static PyObject *smooth(PyObject *self, PyObject *arguments) {
-    PyObject *groups[3];
+    PyObject *model, *weighting, *results;
     double sharpest = 0;
     npy_intp lengths[AXES] = UNKNOWN_AXES;
     smoother_job job = {.sharpest = &sharpest};
     (void)self;
     AXIS('o') = 1;
-    if (!take_objects(arguments, 3, groups) ||
-        !take_arrays(groups[2], "!skm !skmm ?!skr ?!skrr ?!skn ?!sknn !sn !snn", lengths,
+    if (!PyArg_ParseTuple(arguments, "OOO", &model, &weighting, &results)) return NULL;
+    if (!take_arrays(results, "!skm !skmm ?!skr ?!skrr ?!skn ?!sknn !sn !snn", lengths,
                      (void *[]){&job.fitted, &job.spread, &job.score, &job.information, &job.x, &job.P, &job.x_first,
                                 &job.P_first}) ||
-        !take_arrays(groups[0], ".sknn .sknr .skn .skmn .skm .son .sonn", lengths,
+        !take_arrays(model, ".sknn .sknr .skn .skmn .skm .son .sonn", lengths,
                      (void *[]){&job.F, &job.G, &job.c, &job.H, &job.z, &job.x0, &job.P0}) ||
-        !take_arrays(groups[1], ".skm .skm .sko", lengths, (void *[]){&job.d, &job.o, &job.q}))
+        !take_arrays(weighting, ".skm .skm .sko", lengths, (void *[]){&job.d, &job.o, &job.q}))
         return refuse_arrays("smooth", "smoothing.linear_pass");
     const npy_intp n = AXIS('n'), m = AXIS('m'), r = AXIS('r');
     if (n < 1 || m < 1 || n > 10000 || m > 10000 || r > 10000 || !job.x != !job.P || !job.score != !job.information)

@@ -210,29 +210,21 @@ CALLED void tracker_mend(const int n, const real *h, const real *C, const real v
    ordinary. g: NULL, or the row that is measured where it tells so much that P is to be mended; work: mend_work. */
 INLINE int tracker_correct(const int n, const tracker_rule *const rule, const real nu, const real S, const real r,
                            real *RESTRICT x, real *RESTRICT P, real *RESTRICT C, const real *g,
-                            tracker_sample *const sample, real *work) {
-    const correction_rule *const choices = &rule->correction;
-    const real t = correction_scale(choices->scaling, S), e = t * nu;
-    real slope;
-    const real moved = psi_of(&choices->psi, e, &slope);
+                           tracker_sample *const sample, real *work) {
+    real y = nu, variance = S, left = 1, e = 0, weight = 1, slope, d = 0, t = 1, first;
+    correction c = {.y = &y, .C = C, .S = &variance, .e = &e, .weights = &weight, .slopes = &slope, .d = &d, .t = &t,
+                    .first = &first, .left = &left, .product = 1, .observed = 1};
+    const int fine = correct(n, 1, &rule->correction, NULL, x, P, &c);
     if (!(real_abs(e) < REAL_ORDINARY)) return 0;
-    sample->weight = moved == e ? 1 : moved / e;
-    const real d = correction_information(choices, slope, sample->weight);
+    sample->weight = weight;
     /* Under "unit" P becomes indefinite where its variance along the gradient, times d, is 1 or more. */
-    if (choices->scaling == SCALING_UNIT && !(d * (S - r) < REAL(0.999))) {
+    if (rule->correction.scaling == SCALING_UNIT && !(d * (S - r) < REAL(0.999))) {
         sample->refused = TRACKER_INDEFINITE;
         return 0;
     }
-    for (int i = 0; i < n; i++) {
-        C[i] *= t;
-        x[i] += C[i] * moved;
-    }
-    if (d != 0) real_shrink(n, d, C, P);
-    if (g) {
-        const real own = S - r, left = t == 1 ? 1 - d * own : (r + (1 - d) * own) / S;
-        for (int i = 0; i < n; i++) C[i] /= t;
-        tracker_mend(n, g, C, own, left, P, work);
-    }
+    if (!fine || !g) return fine;
+    for (int i = 0; i < n; i++) C[i] /= t;
+    tracker_mend(n, g, C, S - r, t == 1 ? 1 - d * (S - r) : (r + (1 - d) * (S - r)) / S, P, work);
     return correction_is_settled(n, x, P);
 }
 
