@@ -23,7 +23,7 @@ import numpy as np
 from robust_filterpy._checks import Array
 from robust_filterpy.correction import factor, learning, side_by_side
 from robust_filterpy.correction.learning import NoiseClasses
-from robust_filterpy.correction.options import Grouping
+from robust_filterpy.correction.options import Grouping, leads
 from robust_filterpy.correction.result import SingularInnovationError, correlation_whitening, singular
 from robust_filterpy.correction.side_by_side import Models, Scales
 
@@ -152,107 +152,102 @@ def _corrected(
     # order of the sensors in z does not matter. What H does not see says nothing, and nothing is learned from it. An
     # innovation beyond 8 standard deviations of the widest class is shortened to 8, it has no place in the model; not
     # that of a sensor without noise.
-    m, joint = len(z), noise.grouping == "joint"
-    alike = noise.learns and noise.grouping == "component"
+    m, joint, K = len(z), noise.grouping == "joint", len(noise.scales)
+    alike, follows = noise.learns and noise.grouping == "component", noise.learns and not joint
     weights, outlying, logs = np.full(m, np.nan), np.zeros(m), np.full(m, np.nan)
-    part = np.flatnonzero(~np.isnan(z) & H.any(axis=1))
-    follows, readings = noise.learns and not joint, z if readings is None else readings
+    part, readings = np.flatnonzero(~np.isnan(z) & H.any(axis=1)), z if readings is None else readings
     if follows:
-        # A sensor that is stuck tells nothing of the state, nor of its noise.
-        again = part[learning.repeated(memory[part], readings[part], R[np.ix_(part, part)])]
-        if again.size:
-            r = memory[again, learning.R_FACTOR] * R[again, again]
-            outlier = memory[again, learning.last_class(len(noise.scales)).start] < 0.5
-            again = again[outlier | side_by_side.far_off(models, z[again], H[again], r, process)]
-            part, weights[again], outlying[again] = np.setdiff1d(part, again), 0.0, 1.0
+        stuck = _stuck(part, models, memory, z, readings, H, R, K, process)
+        part, weights[stuck], outlying[stuck] = np.setdiff1d(part, stuck), 0.0, 1.0
     if part.size == 0:
         return Corrected(models, memory, 0.0, weights, outlying), logs
     z, H, R, M = z[part], H[part], R[np.ix_(part, part)], None if M is None else M[:, part]
     memory, rows = memory.copy(), np.zeros(len(part), dtype=int) if joint else part
-    r = memory[rows, learning.R_FACTOR]
-    groups = _groups(part, noise.grouping)
+    groups, seen = _groups(part, noise.grouping), np.argmax(H != 0.0, axis=1)
     models = side_by_side.coupled(models, _links(H, R, M, groups), process)
-    at, spread = _slow(models, process)
-    if follows:
-        goes_on = learning.goes_on(memory[part], z - H @ at, R, len(noise.scales))
-        r, memory[part] = learning.ordinary_size(
-            memory[part], readings[part], z, z - H @ at, H @ spread @ H.T, H, R, noise.memory
-        )
-    seen, noisy = np.argmax(H != 0.0, axis=1), r * R.diagonal()
-    # An outlier is far from what is expected of a reading, by all models together.
-    chances, variances, wide = np.zeros(len(part)), ((H @ spread) * H).sum(axis=1), np.ones(len(part))
-    grown = noise.learns & learning.is_seasoned(memory[rows], noise) & (noisy > 0.0)
-    wide[grown] = np.sqrt(np.maximum(variances[grown] / noisy[grown], 1.0))
-    if alike:
-        chances = learning.jump_chances(memory[part], z - H @ at, variances, noisy, R.diagonal(), noise.scales, wide)
-        chances = np.maximum(chances, process.jump)
-    models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
-    if alike:
-        memory[part] = learning.jumped(memory[part], believed[seen], noise)
-    models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new)
-    if alike:
-        memory[part], chances = learning.began(memory[part], models.parts[seen], *begun, R.diagonal())
+    own, readings = memory[rows], readings[part]
+    models, own, r, wide, chances, new, goes_on = _foreseen(models, own, z, readings, H, R, noise, process)
+    memory[rows] = own
     # A sensor that is more exact than that first counts as that exact, which sets a state that was unknown; as what it
     # is from the next reading on.
-    raised = _raised(models.P, H, noisy)
+    raised = _raised(models.P, H, r * R.diagonal())
     wide = np.maximum(wide / np.sqrt(raised), 1.0)
-    now, N = _begin(models, z, H, R, r * raised, M)
-    first, log_density, shared, belief = now.S, 0.0, None, models.belief.copy()
-    if alike and len(part) > 1:
-        q = len(process.scales)
-        shares = now.probabilities[:q] / now.probabilities[:q].sum(axis=0)
-        # Between models that far innovations all but equal there would be rounding.
-        reach = _TOGETHER * np.sqrt(np.diagonal(now.S, axis1=1, axis2=2).max(axis=0))
-        innovation = side_by_side.collapse(shares, np.clip(now.y[:q], -reach, reach), now.S[:q], now.parts)
-        shared = _shared(*innovation, N, memory[part], noise, wide)
+    begin, N = _begin(models, z, H, R, r * raised, M)
+    now, log_density, belief = begin, 0.0, models.belief.copy()
+    shared = _shared(now, N, own, noise, wide, len(process.scales)) if alike and len(part) > 1 else None
     while groups:
         group = groups.pop(_most_plausible(now, groups))
-        own = rows[group[:1]] if joint else rows[group]
-        S = now.S[:, group[:, None], group]
-        if (S[:, 0, 0] <= _CANCELLED * first[:, group[0], group[0]]).any():
-            raise singular(now.S[0])
-        # What the last sample was only models know that were there then.
-        before = np.tile(_chance(learning.predicted, memory[own], noise), (len(now.x), 1))
-        before[len(process.scales) :] = _chance(learning.usual, memory[own], noise)
-        scores = _scores(now.y[:, group], S, N[np.ix_(group, group)], before, noise.scales, wide[group], joint, shared)
-        own_part, fresh = now.parts[group[0]], bool(new[int(now.parts[group[0]])])
+        of = rows[group[:1]] if joint else rows[group]
+        scores = _group_scores(group, begin, now, N, memory[of], noise, wide, len(process.scales), joint, shared)
+        head = int(now.parts[group[0]])
         shares, log_total, logs[part[group]] = _weighed(
-            now.probabilities[:, group[0]], scores.log_densities, len(process.scales), fresh, float(chances[group[0]]),
-            alike and learning.is_established(memory[own[0]]),
+            now.probabilities[:, group[0]], scores.log_densities, len(process.scales), bool(new[head]),
+            float(chances[group[0]]), alike and learning.is_established(memory[of[0]]),
         )  # fmt: skip
         posterior = shares @ scores.given
         if noise.learns:
-            ordinary = shares * scores.given[:, 0]
-            energies, parts = (ordinary @ a / max(float(ordinary.sum()), 1e-300) for a in scores[4:])
-            for k, row in enumerate(own):
-                share = float(parts[k])
-                excess = (float(energies[k]) - 1.0) / share if share > 0.0 else 0.0
-                memory[row] = learning.learn(memory[row], posterior, float(r[group[k]]), excess, share, noise)
+            memory[of] = _learned(memory[of], posterior, r[group], shares, scores, noise)
         log_density += log_total
         weights[part[group]], outlying[part[group]] = posterior @ (1.0 / np.array(noise.scales)), 1.0 - posterior[0]
         now = _taken(now, group, scores, shares)
-        belief[:-2, models.parts == own_part] = shares[:, None]
+        belief[:-2, models.parts == head] = shares[:, None]
     corrected = Models(now.x, 0.5 * (now.P + np.swapaxes(now.P, 1, 2)), belief, models.given)
     corrected, believed = side_by_side.settled(corrected, np.isin(models.parts, now.parts), process)
+    own = memory[rows]
     if alike:
-        goes_on &= memory[part, learning.last_class(len(noise.scales)).start] > 0.5
-        memory[part] = learning.jumped(memory[part], believed[seen], noise, goes_on)
+        followed = goes_on & (own[:, learning.last_class(K).start] > 0.5)
+        own = learning.jumped(own, believed[seen], noise, followed)
     if shared is not None:
-        memory[part] = learning.weigh_together(memory[part], shared.log_density, log_density, noise)
-    if follows:
-        at = _slow(corrected, process)[0]
-        memory[part] = learning.left_over(memory[part], z - H @ at, R)
+        own = learning.weigh_together(own, shared.log_density, log_density, noise)
+    memory[rows] = learning.left_over(own, z - H @ _slow(corrected, process)[0], R) if follows else own
     return Corrected(corrected, memory, log_density, weights, outlying), logs
+
+
+def _stuck(
+    part: np.ndarray, models: Models, memory: Array, z: Array, readings: Array, H: Array, R: Array, K: int,
+    process: Scales,
+) -> np.ndarray:  # fmt: skip
+    """Return which sensors of a part are stuck: one that is tells nothing of the state, nor of its noise."""
+    again = part[learning.repeated(memory[part], readings[part], R[np.ix_(part, part)])]
+    if not again.size:
+        return again
+    outlier = memory[again, learning.last_class(K).start] < 0.5
+    r = memory[again, learning.R_FACTOR] * R[again, again]
+    return again[outlier | side_by_side.far_off(models, z[again], H[again], r, process)]
+
+
+def _foreseen(
+    models: Models, own: Array, z: Array, readings: Array, H: Array, R: Array, noise: NoiseClasses, process: Scales
+) -> tuple[Models, Array, Array, Array, Array, np.ndarray, np.ndarray]:
+    """Return the models, with candidates where readings ask for them, and the sensors' rows before one is taken; and of
+    each reading r, what the deviation of its widest class grows by, odds times density of a jump like the last one; of
+    each state whether its candidate is new; whether each reading goes on from where an outlier was.
+    """
+    at, spread = _slow(models, process)
+    r, goes_on, chances, y = own[:, learning.R_FACTOR], np.zeros(len(z), bool), np.zeros(len(z)), z - H @ at
+    if noise.learns and noise.grouping != "joint":
+        goes_on = learning.goes_on(own, y, R, len(noise.scales))
+        r, own = learning.ordinary_size(own, readings, z, y, H @ spread @ H.T, H, R, noise.memory)
+    noisy, variances, wide = r * R.diagonal(), ((H @ spread) * H).sum(axis=1), np.ones(len(z))
+    # An outlier is far from what is expected of a reading, by all models together.
+    grown = noise.learns & learning.is_seasoned(own, noise) & (noisy > 0.0)
+    wide[grown] = np.sqrt(np.maximum(variances[grown] / noisy[grown], 1.0))
+    alike, seen = noise.learns and noise.grouping == "component", np.argmax(H != 0.0, axis=1)
+    if alike:
+        chances = learning.jump_chances(own, y, variances, noisy, R.diagonal(), noise.scales, wide)
+        chances = np.maximum(chances, process.jump)
+    models, new, believed = side_by_side.decided(models, z, H, noisy, process, chances)
+    models, begun = side_by_side.with_candidates(models, z, H, noisy, process, new)
+    if alike:
+        own = learning.jumped(own, believed[seen], noise)
+        own, chances = learning.began(own, models.parts[seen], *begun, R.diagonal())
+    return models, own, r, wide, chances, new, goes_on
 
 
 def _groups(part: np.ndarray, grouping: Grouping) -> list[np.ndarray]:
     """Return the places, among the sensors that are there, of those that fail together."""
-    if grouping == "joint":
-        return [np.arange(len(part))]
-    named = () if grouping == "component" else grouping
-    together = [np.flatnonzero(np.isin(part, group)) for group in named]
-    alone = np.flatnonzero(~np.isin(part, [i for group in named for i in group]))
-    return [group for group in together if len(group)] + [np.array([i]) for i in alone]
+    first = leads(grouping, 1 + int(part.max()))[part]
+    return [np.flatnonzero(first == lead) for lead in dict.fromkeys(first.tolist())]
 
 
 def _chance(of: Any, memory: Array, noise: NoiseClasses) -> Array:
@@ -276,8 +271,12 @@ def _slow(models: Models, process: Scales) -> tuple[Array, Array]:
     return side_by_side.collapse(side_by_side.slow(models, process), models.x[:q], models.P[:q], models.parts)
 
 
-def _shared(y: Array, S: Array, N: Array, memory: Array, noise: NoiseClasses, wide: Array) -> _Shared | None:
-    """Return what an innovation says if all sensors are in the same class: y (m,), S and ordinary noise N (m, m)."""
+def _shared(now: _Part, N: Array, memory: Array, noise: NoiseClasses, wide: Array, q: int) -> _Shared | None:
+    """Return what an innovation says if all sensors are in the same class, by the q models that have not jumped."""
+    shares = now.probabilities[:q] / now.probabilities[:q].sum(axis=0)
+    # Between models that far innovations all but equal there would be rounding.
+    reach = _TOGETHER * np.sqrt(np.diagonal(now.S, axis1=1, axis2=2).max(axis=0))
+    y, S = side_by_side.collapse(shares, np.clip(now.y[:q], -reach, reach), now.S[:q], now.parts)
     before = _chance(learning.predicted, memory, noise)[None]
     try:
         scores = _scores(y[None], S[None], N, before, noise.scales, wide)
@@ -357,6 +356,30 @@ def _scores(
     parts = np.minimum(expected / size, 1.0)
     energies = np.maximum(1.0 + parts * excess, 0.0)
     return _Scores(a, b + a[:, :, None] * a[:, None, :], given, peaks + np.log(totals), energies, parts)
+
+
+def _group_scores(
+    group: np.ndarray, begin: _Part, now: _Part, N: Array, memory: Array, noise: NoiseClasses, wide: Array, q: int,
+    joint: bool, shared: _Shared | None,
+) -> _Scores:  # fmt: skip
+    """Return what the classes make of an innovation, memory the rows of its sensors; q models have not jumped."""
+    S = now.S[:, group[:, None], group]
+    if (S[:, 0, 0] <= _CANCELLED * begin.S[:, group[0], group[0]]).any():
+        raise singular(now.S[0])
+    # What the last sample was only models know that were there then.
+    before = np.tile(_chance(learning.predicted, memory, noise), (len(now.x), 1))
+    before[q:] = _chance(learning.usual, memory, noise)
+    return _scores(now.y[:, group], S, N[np.ix_(group, group)], before, noise.scales, wide[group], joint, shared)
+
+
+def _learned(memory: Array, posterior: Array, r: Array, shares: Array, scores: _Scores, noise: NoiseClasses) -> Array:
+    """Return the rows of a group's sensors after what all models, with these shares, make of its sample."""
+    ordinary, after = shares * scores.given[:, 0], memory.copy()
+    energies, parts = (ordinary @ a / max(float(ordinary.sum()), 1e-300) for a in scores[4:])
+    for k, (row, part) in enumerate(zip(memory, parts.tolist(), strict=True)):
+        excess = (float(energies[k]) - 1.0) / part if part > 0.0 else 0.0
+        after[k] = learning.learn(row, posterior, float(r[k]), excess, part, noise)
+    return after
 
 
 def _weighed(

@@ -372,9 +372,7 @@ def _together(choices: Choices, given: SeriesArguments, stands: dict[str, Array]
     )[low:high]  # fmt: skip
 
 
-def _alone(
-    policy: Any, given: SeriesArguments, rows: Any, stands: dict[str, Array], s: int, first: int
-) -> None:
+def _alone(policy: Any, given: SeriesArguments, rows: Any, stands: dict[str, Array], s: int, first: int) -> None:
     """Take the steps of one series from one on."""
     every, at = given.every, {name: array[s] for name, array in stands.items()}
     one = (None if column is None else column[s] for column in rows[:-1])

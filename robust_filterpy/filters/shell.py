@@ -328,6 +328,11 @@ class Shell(StateMixin):
             self._last = read(self._last, self.x_post, self.P_post)
         return self._last
 
+    @property
+    def outlier_probability(self) -> float:
+        """Under ``noise=``, the probability that a component of the last measurement was an outlier."""
+        return getattr(self._record(), "outlier_probability", 0.0)
+
     def _shown(self, name: str, absent: Any) -> Array:
         """Return a field of the last correction in the shape that y has for this kind of state."""
         column, last = np.ndim(self.x) != 1, self._arrays()

@@ -154,27 +154,16 @@ class StateMixin:
             self._named_sensors = {**self._named_sensors, name: spoken}
 
     @property
-    def _learns_spread(self) -> bool:
-        """Whether thresholds are in units of the spread; the Kalman filter has none."""
-        return type(self._policy) is Bounded and self._policy.learns
-
-    @property
     def spread(self) -> Array:
         """How large each sensor's standardized innovations usually are, shape (dim_z,); NaN before the first.
 
         Under scaling "learnt" thresholds are in units of this: 1 where P, Q and R are right, 10 where they are 100
         times too small.
         """
-        if not self._learns_spread:
+        if not (type(self._policy) is Bounded and self._policy.learns):
             return np.full(self.dim_z, np.nan)
         memory = self._prior(self.dim_z).memory
         return np.where(memory[:, WEIGHT] > 0.0, memory[:, SPREAD], np.nan)
-
-    @property
-    def outlier_probability(self) -> float:
-        """Under ``noise=``, the probability that a component of the last measurement was an outlier."""
-        kf: Any = self
-        return getattr(kf._record(), "outlier_probability", 0.0)
 
     @property
     def learnt(self) -> Array | None:

@@ -25,7 +25,7 @@ typedef struct {
 #define ROWS_MOST 32 /* rows that are remembered */
 #define ROWS_NOW 16  /* sensors at once */
 typedef struct {
-    npy_intp m, known;       /* known: rows of what is learned */
+    npy_intp m, memories;    /* memories: rows of what is learned */
     const double *H, *R, *M; /* M may be NULL */
     PyObject *memory;        /* of these sensors, as the filter has it or read by rows */
     const double *learned;   /* its numbers; NULL where nothing is */
@@ -260,14 +260,14 @@ static int take_cross(sensors *s, npy_intp n, PyObject *M) {
 
 /* What has been learned of the sensors, s->memory, or what is of each at first; whether it is that, -1 with an exception. */
 static int take_memory(held *h, const judge *by, sensors *s) {
-    s->known = by->mixes ? memory_rows(&by->mixture, s->m) : s->m, s->learned = NULL;
+    s->memories = by->mixes ? memory_rows(&by->mixture, s->m) : s->m, s->learned = NULL;
     if (!by->learns && !by->mixes) return 1;
     if (!by->learns) {
-        if (!(s->memory = array_of(h, NULL, 2, s->known, by->width, 0))) return -1;
-        for (npy_intp k = 0; k < s->known * by->width; k++) numbers_of(s->memory)[k] = by->begin[k % by->width];
+        if (!(s->memory = array_of(h, NULL, 2, s->memories, by->width, 0))) return -1;
+        for (npy_intp k = 0; k < s->memories * by->width; k++) numbers_of(s->memory)[k] = by->begin[k % by->width];
     }
-    s->learned = matrix_of(s->memory, s->known, by->width);
-    return s->learned && all_finite(s->learned, s->known * by->width);
+    s->learned = matrix_of(s->memory, s->memories, by->width);
+    return s->learned && all_finite(s->learned, s->memories * by->width);
 }
 
 /* given: R, H and M, or None for the filter's and for none; own: dim_z, inv, R, H, memory, other sensors. 1, 0, or -1 with

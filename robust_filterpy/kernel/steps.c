@@ -190,7 +190,7 @@ static int begin_corrected(held *h, const judge *by, const filter_state *now, co
     made->x = array_of(h, NULL, now->ndim, n, 1, 0), made->P = array_of(h, now->P, 2, n, n, 0);
     made->record = array_of(h, NULL, 1, RECORD_HEAD + length, 0, 0);
     made->z = z ? z : array_of(h, NULL, now->ndim, m, 1, 0);
-    made->memory = s->learned ? array_of(h, s->learned, 2, s->known, by->width, 0) : NULL, made->kept = NULL;
+    made->memory = s->learned ? array_of(h, s->learned, 2, s->memories, by->width, 0) : NULL, made->kept = NULL;
     if (h->failed) return -1;
     const double head[RECORD_HEAD] = {(double)n, (double)m, by->mixes ? RECORD_MIXED : by->bounded.scaling, 0};
     real_copy(RECORD_HEAD, head, numbers_of(made->record));
