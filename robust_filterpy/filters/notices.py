@@ -49,12 +49,12 @@ class CorrelatedInnovationsWarning(RobustFilterWarning):
 def look(kf: Any, last: Any, place: int, count: int) -> None:
     """Note a correction at its place among those that are looked at, and judge them with the last."""
     mixed = isinstance(last, Mixed)
-    row = noted(kf, *(judged_of(last) if type(last) is np.ndarray else (last.weights, last.lags if mixed else last.y)))
-    if place == 0 or kf._window.shape != (count, len(row)):
-        kf._window = np.zeros((count, len(row)), np.int8)
-    kf._window[place] = row
+    seen = judged_of(last) if type(last) is np.ndarray else (last.lags if mixed else last.y, last.weights)
+    if place == 0 or kf._window.shape != (count, 2, len(seen[0])):
+        kf._window = np.zeros((count, 2, len(seen[0])))
+    kf._window[place] = seen
     if place == count - 1:
-        _judge(kf, kf._window, "")
+        _judge(kf, noted(kf, kf._window[:, 1], kf._window[:, 0]), "")
 
 
 def look_at_recording(kf: Any, weights: Array, y: Array, first: int, lagging: Callable[[list[int]], Array]) -> None:

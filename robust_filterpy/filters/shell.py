@@ -113,7 +113,7 @@ class Shell(StateMixin):
         self._policy = policy_of(**options)
         self._require_possible(self._policy)
         self._choices, self._last = self._policy.choices, None
-        self._window, self._updates, self._process_scales = np.zeros((0, 0), np.int8), 0, None
+        self._window, self._updates, self._process_scales = np.zeros((0, 2, 0)), 0, None
         self._kept = self._y = self._S = self._SI = self._K = None
         # The kernel takes arrays of the right shape, from the first measurement on.
         self._keep_sensors(Memories(self._policy.begin(dims["dim_z"]), {}))

@@ -22,11 +22,6 @@ _Y, _E, _WEIGHTS, _PSI_DERIV, _D, _SCORE, _ORDER, _JUDGED, _ROWS = range(9)
 _MIXED_ROWS = 6
 
 
-def _row(which: int, m: int) -> slice:
-    """Return where a record has one of its rows."""
-    return slice(_HEAD + which * m, _HEAD + (which + 1) * m)
-
-
 def read(values: Array, x: Array, P: Array) -> Correction | Mixed:
     """Return what a record of numbers says."""
     n, m, kind = (int(values[i]) for i in (_N, _M, _KIND))
@@ -59,13 +54,13 @@ def log_density_of(values: Array) -> float:
 
 def weights_of(values: Array) -> Array:
     """Return the weights alone."""
-    return values[_row(_WEIGHTS, int(values[_M]))].copy()
+    return judged_of(values)[1].copy()
 
 
-def judged_of(values: Array) -> tuple[Array, Array]:
-    """Return weights and innovations of a record."""
+def judged_of(values: Array) -> Array:
+    """Return innovations and weights of a record, shape (2, m)."""
     m = int(values[_M])
-    return values[_row(_WEIGHTS, m)], values[_row(_Y, m)]
+    return values[_HEAD : _HEAD + (_WEIGHTS + 1) * m].reshape(_WEIGHTS + 1, m)[_Y::_WEIGHTS]
 
 
 def _groups(order: Array) -> list[list[int]]:
