@@ -48,8 +48,7 @@ class CorrelatedInnovationsWarning(RobustFilterWarning):
 
 def look(kf: Any, last: Any, place: int, count: int) -> None:
     """Note a correction at its place among those that are looked at, and judge them with the last."""
-    mixed = isinstance(last, Mixed)
-    seen = judged_of(last) if type(last) is np.ndarray else (last.lags if mixed else last.y, last.weights)
+    seen = judged_of(last) if type(last) is np.ndarray else (last.lags if type(last) is Mixed else last.y, last.weights)
     if place == 0 or kf._window.shape != (count, 2, len(seen[0])):
         kf._window = np.zeros((count, 2, len(seen[0])))
     kf._window[place] = seen
