@@ -43,8 +43,8 @@ class Finding:
     cause : str
         "R too small", "R too large", "Q too small", "Q too large", "R and Q too small", "R and Q too large",
         "wrong H", "lost units", "level shift", "state jump", "bias", "correlated noise", "coupled noise",
-        "saturation", "frozen sensor", "wrapping", "wrong start", "more outliers", "S too small", "S too large" or
-        "not white".
+        "saturation", "frozen sensor", "wrapping", "H is 0", "wrong start", "more outliers", "S too small",
+        "S too large" or "not white".
     sensor : int or None
         Component of z that it is about, None for all.
     value : float
@@ -250,7 +250,10 @@ def _findings(recording: FilterRecord, e: Array, figures: dict[str, Any]) -> lis
     for i in range(z.shape[1]):
         read = z[~np.isnan(z[:, i]), i]
         limit, run = statistics.saturated(read), statistics.frozen(read)
-        if limit is not None and not (run and statistics.breaks_loose(read, limit)):
+        if recording.model is not None and read.size and not recording.model.H[:, i].any():
+            text = f"z[{i}] moves no state: its row of H is 0 (what H is before it is set)."
+            findings.append(Finding("H is 0", i, 0.0, math.nan, text))
+        elif limit is not None and not (run and statistics.breaks_loose(read, limit)):
             share = float(np.mean(z[:, i] == limit))
             text = f"z[{i}] saturates: {share:.0%} of its samples are exactly {limit:.6g}, the end of its range."
             findings.append(Finding("saturation", i, limit, math.nan, text + " Pass them as NaN (missing)."))

@@ -93,6 +93,7 @@ SETUPS = {
     "Q too large": (wrong(Q_factor=1e3), "Q too large", None),
     "R and Q too small": (wrong(R_factor=1 / 25, Q_factor=1 / 25), "R and Q too small", None),
     "wrong row of H": (wrong(H=np.array([[1.0, 0.0], [1.0, 0.0]])), "wrong H", 1),
+    "a row of H that is 0": (wrong(H=np.diag([1.0, 0.0])), "H is 0", 1),
     # Which row has the wrong sign is a matter of the sign of the state.
     "wrong sign in H": (wrong(H=np.diag([1.0, -1.0])), "wrong H", None),
     "mm instead of m": (altered(lambda z: z * [1000.0, 1.0]), "lost units", 0),
@@ -117,7 +118,7 @@ def diagnosed(name, seed=0):
 
 # What is found by day; R that is too small or too large is diagnosed below.
 QUICK = (
-    "healthy", "Q too small, one sensor", "wrong row of H", "mm instead of m, one sensor",
+    "healthy", "Q too small, one sensor", "wrong row of H", "a row of H that is 0", "mm instead of m, one sensor",
     "state jumps, one sensor", "saturating sensor", "frozen sensor", "correlated noise",
 )  # fmt: skip
 
