@@ -73,6 +73,10 @@ class Check:
     #: pytest shows it as the id of the parameter.
     __name__ = name
 
+    def __str__(self) -> str:
+        """Name."""
+        return self.name
+
     def __call__(self, make: Callable[..., Any], *, seed: int | None = None) -> None:
         """Test the promise."""
         first = self.seed if seed is None else _checks.count("seed", seed)
