@@ -170,7 +170,7 @@ def _corrected(
     memory[rows] = own
     # A sensor that is more exact than that first counts as that exact, which sets a state that was unknown; as what it
     # is from the next reading on.
-    raised = _raised(models.P, H, r * R.diagonal())
+    raised = _raised(models.P[: len(process.scales)], H, r * R.diagonal())
     wide = np.maximum(wide / np.sqrt(raised), 1.0)
     begin, N = _begin(models, z, H, R, r * raised, M)
     now, log_density, belief = begin, 0.0, models.belief.copy()
@@ -292,13 +292,28 @@ def _begin(models: Models, z: Array, H: Array, R: Array, r: Array, M: Array | No
     N = R * np.multiply.outer(root, root)
     with np.errstate(over="ignore", invalid="ignore"):
         y = np.clip(z - models.x @ H.T, -1e300, 1e300)
-    C = models.P @ H.T
+    # A candidate that began with a far reading is as uncertain as that is far, and the others' noise is none of it.
+    P = _limited(models.P, H, N.diagonal())
+    C = P @ H.T
     S = H @ C + N
     if M is not None:
         C, cross = C + M * root, H @ (M * root)
         S = S + cross + cross.T
     seen = np.argmax(H != 0.0, axis=1)
-    return _Part(models.x, models.P, y, C, S, models.probabilities[:, seen], models.parts[seen]), N
+    return _Part(models.x, P, y, C, S, models.probabilities[:, seen], models.parts[seen]), N
+
+
+def _limited(P: Array, H: Array, noise: Array) -> Array:
+    """Return P, what a sensor sees of it no more than 1e12 of its noise: beyond, P - b C C' would leave rounding."""
+    for h, variance in zip(H, noise.tolist(), strict=True):
+        C = P @ h
+        seen = C @ h
+        wide = seen > _WIDEST * variance
+        if variance > 0.0 and wide.any():
+            seen = np.where(wide, seen, 1.0)
+            excess = np.where(wide, (1.0 - _WIDEST * variance / seen) / seen, 0.0)
+            P = P - excess[:, None, None] * C[:, :, None] * C[:, None, :]
+    return P
 
 
 def _raised(P: Array, H: Array, noise: Array) -> Array:

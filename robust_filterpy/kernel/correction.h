@@ -86,7 +86,7 @@ SIZED int innovate(const int n, const int m, const real *RESTRICT z, const real 
     for (int i = 0; i < m; i++) {
         const int seen = z[i] == z[i];
         y[i] = seen ? z[i] - real_dot(n, H + i * n, x) : 0;
-        left[i] = seen;
+        left[i] = seen ? REAL(1.0) : REAL(0.0);
         c->observed += seen;
         check += y[i] - y[i];
     }

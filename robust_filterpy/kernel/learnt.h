@@ -1106,7 +1106,7 @@ INLINE int learnt_seen(const int n, const int m, const learnt_rule *const rule, 
         const learnt_memory memory = learnt_of(rule, w->s, i);
         int seen = 0;
         for (int k = 0; k < n; k++) seen |= w->H[i * n + k] != 0;
-        w->left[i] = seen && w->z[i] == w->z[i];
+        w->left[i] = seen && w->z[i] == w->z[i] ? REAL(1.0) : REAL(0.0);
         w->r[i] = rule->learns ? *memory.r : 1;
         weights[i] = logs[i] = (real)NAN;
         outlying[i] = w->goes_on[i] = 0;

@@ -266,9 +266,10 @@ INLINE real spread_tolerance(const spread_memory *const own, const real ratio, c
     return real_sqrt(threshold * threshold + 4 * (own->used > 0 ? real_min(now, own->open) : now));
 }
 
-/* Huber's minimax threshold for a sensor's share of outliers, that is at least half a reading of those it is known by. */
+/* Huber's minimax threshold for a sensor's share of outliers, at least half a reading of those it is known by. */
 INLINE real spread_minimax(const spread_memory *const own) {
-    const real share = real_min(real_max(own->share, spread_step(own) / 2), REAL(0.5)), u = real_sqrt(-real_log(share));
+    const real share = real_min(real_max(own->share, spread_step(own) / 2), REAL(0.5));
+    const real u = real_sqrt(-real_log(share));
     return (SPREAD_CURVE * u + SPREAD_SLOPE) * u - SPREAD_BASE;
 }
 

@@ -217,7 +217,7 @@ def test_refusals_change_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(("place", "lines"), [
-    ("# ", {2: "weight 0.12", 3: "weight nan"}), ("## A nonlinear sensor", {-1: r"ends at\s+`([\d.]+)`"}),
+    ("# ", {2: "weight 0.13", 3: "weight nan"}), ("## A nonlinear sensor", {-1: r"ends at\s+`([\d.]+)`"}),
 ])  # fmt: skip
 def test_the_programs_of_the_page_run_and_print_what_it_says(place, lines, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)

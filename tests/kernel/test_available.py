@@ -34,9 +34,9 @@ WITHOUT = "import sys; sys.modules['robust_filterpy.kernel._extension'] = None\n
 @pytest.mark.parametrize(("arguments", "switch", "words"), [
     (("-m", "robust_filterpy"), "on", ["kernel in C"]),
     (("-m", "robust_filterpy"), "off", ["definition in numpy", "ROBUST_FILTERPY_KERNEL=off in the environment"]),
-    (("-c", OTHER + "from robust_filterpy.__main__ import main; main([])"), "on",
+    (("-c", OTHER + "from robust_filterpy.__main__ import status; print(status())"), "on",
      ["several times slower: the kernel in C is of other sources", "build_ext --inplace"]),
-    (("-c", WITHOUT + "from robust_filterpy.__main__ import main; main([])"), "on",
+    (("-c", WITHOUT + "from robust_filterpy.__main__ import status; print(status())"), "on",
      ["several times slower: the kernel in C", "install again where there is a C compiler"]),
 ], ids=["kernel", "switched off", "other sources", "not built"])  # fmt: skip
 def test_the_command_says_what_is_installed_what_serves_and_why_and_where_to_read(arguments, switch, words):
