@@ -157,10 +157,10 @@ class RobustKalmanFilter(RecordingMixin, KalmanFilter):
     >>> kf = RobustKalmanFilter(dim_x=2, dim_z=1)
     >>> kf.F = np.array([[1.0, 1.0], [0.0, 1.0]])
     >>> kf.H = np.array([[1.0, 0.0]])
-    >>> for z in [1.0, 2.0, 3e6, 4.0]:
+    >>> for z in [1.0, 2.0, 3.0, 4e6, 5.0]:
     ...     kf.predict()
     ...     kf.update(z)
-    >>> bool(abs(kf.x[0, 0] - 4.0) < 1.5)
+    >>> bool(abs(kf.x[0, 0] - 5.0) < 1.5)
     True
     """
 

@@ -73,7 +73,7 @@ def filter_table(model: Model, table: Any, *, key: str = "device", sort: bool = 
     >>> table = pd.DataFrame({"device": ["a", "b", "a", "b"], "t": [0.0, 1.0, 1.0, 1.0], "z": [0.1, 0.0, 1e6, 5.0]})
     >>> found = filter_table(FilterModel(kf, time="t", measurements=["z"]), table)
     >>> found["x0"].round(2).tolist()
-    [0.05, 0.0, 0.58, nan]
+    [0.05, 0.0, 0.61, nan]
     >>> found["error"][3]
     "device 'b': time: expected a sample later than the one at 1, got 1, a duplicate"
     """
