@@ -168,8 +168,8 @@ def _corrected(
     own, readings = memory[rows], readings[part]
     models, own, r, wide, chances, new, goes_on = _foreseen(models, own, z, readings, H, R, noise, process)
     memory[rows] = own
-    # A sensor that is more exact than that first counts as that exact, which sets a state that was unknown; as what it
-    # is from the next reading on.
+    # Where a sensor is more exact than rounding of the state's variance, a first reading counts as no more exact than
+    # that: it sets the state, and the next one finds it certain enough for the sensor as it is.
     raised = _raised(models.P[: len(process.scales)], H, r * R.diagonal())
     wide = np.maximum(wide / np.sqrt(raised), 1.0)
     begin, N = _begin(models, z, H, R, r * raised, M)
@@ -317,7 +317,7 @@ def _limited(P: Array, H: Array, noise: Array) -> Array:
 
 
 def _raised(P: Array, H: Array, noise: Array) -> Array:
-    """Return what makes noise of each sensor at least 1e-12 of the variance that a model lets it see, shape (m,)."""
+    """Return the factor that makes each sensor's noise at least 1e-12 of the variance of what it sees, shape (m,)."""
     least = ((P @ H.T) * H.T).sum(axis=1).max(axis=0) / _WIDEST
     low = (noise > 0.0) & (noise < least)
     return np.asarray(np.where(low, np.minimum(least / np.where(low, noise, 1.0), 1e300), 1.0))

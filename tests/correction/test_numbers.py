@@ -11,6 +11,7 @@ import pytest
 
 import robust_filterpy
 from robust_filterpy.correction import factor, learning, learnt, repeats, side_by_side, spread
+from robust_filterpy.influence.information import minimax_threshold
 
 #: The table of each room: page and heading.
 TABLES = {
@@ -100,6 +101,13 @@ def test_the_kernel_has_the_same_numbers():
             assert number == pytest.approx(next(filter(None, expected), math.nan), rel=1e-12), f"{header}_{name}"
             count += 1
     assert count > 40
+
+
+@pytest.mark.parametrize("share", [0.0, 0.005, 0.02, 0.1, 0.3, 0.5, 0.9])
+def test_the_threshold_of_a_share_of_outliers_is_the_minimax_one(share):
+    memory = spread.begin(1)
+    memory[0, [spread.WEIGHT, spread.SHARE]] = 1000.0, share
+    assert spread.minimax(memory) == pytest.approx(minimax_threshold(min(max(share, 0.005), 0.5)), rel=5.5e-3)
 
 
 def test_there_are_at_most_fifty():
